@@ -1,0 +1,209 @@
+"""EllipBody: 20 posed ellipsoids, kept as Warp arrays on any device (paper, section 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..kernels import kinematics
+from .icosphere import icosphere
+from .template import (
+    LENGTH_NAMES,
+    NUM_JOINTS,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    SHAPE_INDICES,
+    THICKNESS_NAMES,
+    template,
+)
+
+if TYPE_CHECKING:
+    import torch
+
+DEFAULT_SUBDIVISIONS = 1  # E1, the paper's default (section 4.3, "Speed of Part Differentiable Renderer")
+
+_PRECISIONS = {wp.float32: (wp.vec3f, wp.mat33f), wp.float64: (wp.vec3d, wp.mat33d)}
+
+
+@lru_cache(maxsize=32)
+def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT_SUBDIVISIONS) -> kinematics.BoneTree:
+    """The template's arrays on ``device`` (a Warp device alias such as ``"cuda:0"``) in ``dtype``."""
+    vec, mat = _PRECISIONS[dtype]
+    constants = template()
+    vertices, _ = icosphere(subdivisions)
+    return kinematics.BoneTree(
+        parents=wp.array(PARENTS, dtype=int, device=device),
+        shape_indices=wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
+        rest_directions=wp.array(constants.rest_directions, dtype=vec, device=device),
+        rest_axes=wp.array(constants.rest_axes, dtype=mat, device=device),
+        unit_vertices=wp.array(vertices, dtype=vec, device=device),
+    )
+
+
+@lru_cache(maxsize=4)
+def ellipbody_faces(subdivisions: int = DEFAULT_SUBDIVISIONS) -> tuple[np.ndarray, np.ndarray]:
+    """Faces of all 20 ellipsoids, (20 F, 3) int32, and the part label 1 to 20 of each, (20 F,) uint8."""
+    vertices, faces = icosphere(subdivisions)
+    offsets = np.arange(NUM_PARTS, dtype=np.int32)[:, None, None] * len(vertices)
+    labels = np.repeat(np.arange(1, NUM_PARTS + 1, dtype=np.uint8), len(faces))
+    return (faces[None] + offsets).reshape(-1, 3), labels
+
+
+@dataclass(frozen=True)
+class PosedEllipBody:
+    """Where the bodies are, in the frame of ``translation`` (camera or world) [m].
+
+    Attributes:
+        joints: ``JOINT_NAMES``, shape (B, 21), vec3.
+        rotations: Global rotation of each bone, shape (B, 20), mat33.
+        centres: Ellipsoid centres, shape (B, 20), vec3.
+        axes: Ellipsoid axes as columns (bone, first thickness, second thickness), shape (B, 20), mat33.
+        semi_axes: Half of length and thicknesses, shape (B, 20), vec3.
+        vertices: Mesh vertices, shape (B, 20, N), vec3.
+    """
+
+    joints: wp.array
+    rotations: wp.array
+    centres: wp.array
+    axes: wp.array
+    semi_axes: wp.array
+    vertices: wp.array
+
+    def torch(self) -> dict[str, torch.Tensor]:
+        """The same memory as torch tensors: joints (B, 21, 3), rotations (B, 20, 3, 3), ..., vertices (B, 20, N, 3)."""
+        return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
+
+
+@dataclass
+class EllipBody:
+    """A batch of B bodies: parameters only; ``pose`` says where that puts them.
+
+    Attributes:
+        global_orient: Rotation of the whole body, shape (B,), mat33.
+        translation: Position of the pelvis [m], shape (B,), vec3.
+        rotations: Local rotation of each bone with respect to its parent, shape (B, 20), mat33.
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+    """
+
+    global_orient: wp.array
+    translation: wp.array
+    rotations: wp.array
+    lengths: wp.array
+    thicknesses: wp.array
+
+    @classmethod
+    def mean(cls, batch_size: int = 1, *, device: str | None = None, dtype: type = wp.float32) -> EllipBody:
+        """Mean adults in the rest pose at the origin.
+
+        Args:
+            batch_size: B; 0 is fine.
+            device: Warp device; the current one by default.
+            dtype: ``warp.float32`` or ``warp.float64``.
+        """
+        constants = template()
+        identity = np.eye(3)
+        return cls.from_numpy(
+            global_orient=np.tile(identity, (batch_size, 1, 1)),
+            translation=np.zeros((batch_size, 3)),
+            rotations=np.tile(identity, (batch_size, NUM_PARTS, 1, 1)),
+            lengths=np.tile(constants.mean_lengths, (batch_size, 1)),
+            thicknesses=np.tile(constants.mean_thicknesses, (batch_size, 1)),
+            device=device,
+            dtype=dtype,
+        )
+
+    @classmethod
+    def from_numpy(
+        cls,
+        *,
+        global_orient: np.ndarray,
+        translation: np.ndarray,
+        rotations: np.ndarray,
+        lengths: np.ndarray,
+        thicknesses: np.ndarray,
+        device: str | None = None,
+        dtype: type = wp.float32,
+    ) -> EllipBody:
+        """Copy arrays of shape (B, 3, 3), (B, 3), (B, 20, 3, 3), (B, 12) and (B, 15) to a device.
+
+        Raises:
+            ValueError: If a shape differs, or a value is not finite.
+        """
+        if dtype not in _PRECISIONS:
+            raise ValueError(f"dtype: {dtype}; expected warp.float32 or warp.float64")
+        vec, mat = _PRECISIONS[dtype]
+        batch = len(global_orient)
+        given = {
+            "global_orient": (global_orient, (batch, 3, 3), mat),
+            "translation": (translation, (batch, 3), vec),
+            "rotations": (rotations, (batch, NUM_PARTS, 3, 3), mat),
+            "lengths": (lengths, (batch, len(LENGTH_NAMES)), dtype),
+            "thicknesses": (thicknesses, (batch, len(THICKNESS_NAMES)), dtype),
+        }
+        arrays = {}
+        for name, (value, shape, warp_type) in given.items():
+            value = np.asarray(value)
+            if value.shape != shape:
+                raise ValueError(f"{name}: shape {value.shape}; expected {shape}")
+            if not np.isfinite(value).all():
+                raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
+            arrays[name] = wp.array(np.ascontiguousarray(value), dtype=warp_type, device=device)
+        return cls(**arrays)
+
+    @property
+    def batch_size(self) -> int:
+        return self.lengths.shape[0]
+
+    @property
+    def device(self) -> wp.Device:
+        return self.lengths.device
+
+    def torch(self) -> dict[str, torch.Tensor]:
+        """The parameters as torch tensors over the same memory: writing to one changes the body."""
+        return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
+
+    def numpy(self) -> dict[str, np.ndarray]:
+        """Copies of the parameters on the host."""
+        return {field.name: getattr(self, field.name).numpy() for field in fields(self)}
+
+    def pose(self, *, subdivisions: int = DEFAULT_SUBDIVISIONS) -> PosedEllipBody:
+        """Joints, ellipsoids and mesh vertices of all bodies.
+
+        Args:
+            subdivisions: 0 to 3: 20, 80, 320 or 1280 faces an ellipsoid.
+        """
+        tree = bone_tree(self.device.alias, self.lengths.dtype, subdivisions)
+        vec, mat = _PRECISIONS[self.lengths.dtype]
+        shape = (self.batch_size, NUM_PARTS)
+        posed = PosedEllipBody(
+            joints=wp.empty((self.batch_size, NUM_JOINTS), dtype=vec, device=self.device),
+            rotations=wp.empty(shape, dtype=mat, device=self.device),
+            centres=wp.empty(shape, dtype=vec, device=self.device),
+            axes=wp.empty(shape, dtype=mat, device=self.device),
+            semi_axes=wp.empty(shape, dtype=vec, device=self.device),
+            vertices=wp.empty((*shape, tree.unit_vertices.shape[0]), dtype=vec, device=self.device),
+        )
+        parameters = [self.global_orient, self.translation, self.rotations, self.lengths, self.thicknesses]
+        bones = [posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes]
+        kinematics.launch_pose(tree, parameters, *bones)
+        kinematics.launch_vertices(tree, posed.centres, posed.axes, posed.semi_axes, posed.vertices)
+        return posed
+
+    def measure(self, index: int = 0) -> dict[str, float]:
+        """Every length and thickness of one body by name [m], such as ``{"left forearm length": 0.26}``."""
+        lengths, thicknesses = self.lengths.numpy()[index], self.thicknesses.numpy()[index]
+        measured: dict[str, float] = {}
+        for part, (length, first, second) in zip(PART_NAMES, SHAPE_INDICES, strict=True):
+            name = part.replace("_", " ")
+            measured[f"{name} length"] = float(lengths[length])
+            for thickness in dict.fromkeys((first, second)):
+                # "left foot width" reads better than "left foot foot width"
+                kind = THICKNESS_NAMES[thickness].split()[-1]
+                measured[f"{name} {kind}"] = float(thicknesses[thickness])
+        return measured

@@ -1,0 +1,51 @@
+"""Checks of tensor arguments at the border: once, with errors that name the argument."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+
+def check_tensor(
+    name: str,
+    tensor: torch.Tensor,
+    shape: Sequence[int | None],
+    *,
+    dtypes: Sequence[torch.dtype],
+    like: tuple[str, torch.Tensor] | None = None,
+) -> None:
+    """Raise unless ``tensor`` has this shape (None = any) and one of the dtypes.
+
+    Args:
+        name: The argument's name, for the message.
+        tensor: What the user passed.
+        shape: Expected size of each dimension; None takes any.
+        dtypes: Accepted dtypes.
+        like: Name and tensor whose device, and dtype where it is a floating one, must be the same.
+
+    Raises:
+        TypeError: If it is no tensor.
+        ValueError: If shape, dtype or device differ.
+    """
+    if not isinstance(tensor, torch.Tensor):
+        raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
+    if len(shape) != tensor.dim() or any(
+        want is not None and want != have for want, have in zip(shape, tensor.shape, strict=True)
+    ):
+        expected = ", ".join("*" if size is None else str(size) for size in shape)
+        raise ValueError(f"{name}: shape {tuple(tensor.shape)}; expected ({expected})")
+    if tensor.dtype not in dtypes:
+        raise ValueError(f"{name}: {tensor.dtype}; expected {' or '.join(map(str, dtypes))}")
+    if like is not None:
+        other_name, other = like
+        if tensor.device != other.device:
+            raise ValueError(f"{name}: on {tensor.device}; expected {other.device}, as {other_name}")
+        if tensor.is_floating_point() and other.is_floating_point() and tensor.dtype != other.dtype:
+            raise ValueError(f"{name}: {tensor.dtype}; expected {other.dtype}, as {other_name}")
+
+
+def check_finite(name: str, tensor: torch.Tensor) -> None:
+    """Raise ValueError if ``tensor`` holds NaN or infinity (synchronises with the device)."""
+    if not torch.isfinite(tensor).all():
+        raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")

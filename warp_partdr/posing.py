@@ -1,0 +1,162 @@
+"""Differentiable forward kinematics of EllipBody on torch tensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import warp as wp
+
+from .body.ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
+from .body.template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
+from .checks import check_tensor
+from .kernels import kinematics
+from .streams import on_torch_stream
+
+_WARP_TYPES = {torch.float32: (wp.float32, wp.vec3f, wp.mat33f), torch.float64: (wp.float64, wp.vec3d, wp.mat33d)}
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Posed bodies, differentiable, in the frame of the translation [m].
+
+    Attributes:
+        joints: ``JOINT_NAMES``, shape (B, 21, 3).
+        rotations: Global rotation of each bone, shape (B, 20, 3, 3).
+        centres: Ellipsoid centres, shape (B, 20, 3).
+        axes: Ellipsoid axes as columns (bone, first thickness, second thickness), shape (B, 20, 3, 3).
+        semi_axes: Half of length and thicknesses, shape (B, 20, 3).
+    """
+
+    joints: torch.Tensor
+    rotations: torch.Tensor
+    centres: torch.Tensor
+    axes: torch.Tensor
+    semi_axes: torch.Tensor
+
+    def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
+        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
+        return _Vertices.apply(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
+
+
+def pose(
+    global_orient: torch.Tensor,
+    translation: torch.Tensor,
+    rotations: torch.Tensor,
+    lengths: torch.Tensor,
+    thicknesses: torch.Tensor,
+) -> Posed:
+    """Pose EllipBody (paper, eq. 13 and 14).
+
+    Args:
+        global_orient: Rotation of the whole body, shape (B, 3, 3).
+        translation: Position of the pelvis [m], shape (B, 3).
+        rotations: Local rotation of each bone, shape (B, 20, 3, 3). Rotations are trusted to be rotations:
+            ``rotation_from_6d`` and ``rotation_from_axis_angle`` make some.
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+
+    Returns:
+        The posed bodies; float32 or float64, as the arguments.
+
+    Raises:
+        ValueError: If a shape, dtype or device does not fit the others.
+    """
+    batch = global_orient.shape[0]
+    shapes = {
+        "global_orient": (global_orient, (batch, 3, 3)),
+        "translation": (translation, (batch, 3)),
+        "rotations": (rotations, (batch, NUM_PARTS, 3, 3)),
+        "lengths": (lengths, (batch, len(LENGTH_NAMES))),
+        "thicknesses": (thicknesses, (batch, len(THICKNESS_NAMES))),
+    }
+    for name, (tensor, shape) in shapes.items():
+        check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
+    return Posed(*_Bones.apply(global_orient, translation, rotations, lengths, thicknesses))
+
+
+def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
+    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
+
+
+class _Bones(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        lengths = parameters[3]
+        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
+        batch = lengths.shape[0]
+        joints = lengths.new_empty(batch, NUM_JOINTS, 3)
+        rotations, axes = lengths.new_empty(2, batch, NUM_PARTS, 3, 3)
+        centres, semi_axes = lengths.new_empty(2, batch, NUM_PARTS, 3)
+        with on_torch_stream(lengths.device) as device:
+            tree = bone_tree(device, scalar)
+            inputs = [_from_torch(p, t) for p, t in zip(parameters, (mat, vec, mat, scalar, scalar), strict=True)]
+            outputs = [
+                _from_torch(t, k)
+                for t, k in ((joints, vec), (rotations, mat), (centres, vec), (axes, mat), (semi_axes, vec))
+            ]
+            kinematics.launch_pose(tree, inputs, *outputs)
+        ctx.save_for_backward(parameters[0], parameters[2], lengths, rotations)
+        return joints, rotations, centres, axes, semi_axes
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        global_orient, local_rotations, lengths, rotations = ctx.saved_tensors
+        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
+        # The kernel gathers into the first two, which autograd may share with others: copies.
+        adjoints = (
+            adjoints[0].clone(memory_format=torch.contiguous_format),
+            adjoints[1].clone(memory_format=torch.contiguous_format),
+            *adjoints[2:],
+        )
+        gradients = (
+            torch.zeros_like(global_orient, memory_format=torch.contiguous_format),
+            lengths.new_empty(lengths.shape[0], 3),
+            lengths.new_empty(local_rotations.shape),
+            torch.zeros_like(lengths, memory_format=torch.contiguous_format),
+            lengths.new_zeros(lengths.shape[0], len(THICKNESS_NAMES)),
+        )
+        with on_torch_stream(lengths.device) as device:
+            tree = bone_tree(device, scalar)
+            saved = [
+                _from_torch(t, k)
+                for t, k in ((global_orient, mat), (local_rotations, mat), (lengths, scalar), (rotations, mat))
+            ]
+            sent = [_from_torch(t, k) for t, k in zip(adjoints, (vec, mat, vec, mat, vec), strict=True)]
+            outputs = [_from_torch(t, k) for t, k in zip(gradients, (mat, vec, mat, scalar, scalar), strict=True)]
+            kinematics.launch_pose_adjoint(tree, saved, sent, outputs)
+        return gradients
+
+
+class _Vertices(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
+    ) -> torch.Tensor:
+        scalar, vec, mat = _WARP_TYPES[centres.dtype]
+        with on_torch_stream(centres.device) as device:
+            tree = bone_tree(device, scalar, subdivisions)
+            vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
+            inputs = (_from_torch(centres, vec), _from_torch(axes, mat), _from_torch(semi_axes, vec))
+            kinematics.launch_vertices(tree, *inputs, _from_torch(vertices, vec))
+        ctx.save_for_backward(axes, semi_axes)
+        ctx.subdivisions = subdivisions
+        return vertices
+
+    @staticmethod
+    def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        axes, semi_axes = ctx.saved_tensors
+        scalar, vec, mat = _WARP_TYPES[axes.dtype]
+        gradients = (
+            axes.new_empty(semi_axes.shape),
+            axes.new_empty(axes.shape),
+            axes.new_empty(semi_axes.shape),
+        )
+        with on_torch_stream(axes.device) as device:
+            tree = bone_tree(device, scalar, ctx.subdivisions)
+            outputs = [_from_torch(t, k) for t, k in zip(gradients, (vec, mat, vec), strict=True)]
+            kinematics.launch_vertices_adjoint(
+                tree, _from_torch(axes, mat), _from_torch(semi_axes, vec), _from_torch(adj_vertices, vec), outputs
+            )
+        return *gradients, None
