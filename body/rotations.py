@@ -1,0 +1,99 @@
+"""Rotation matrices from axis-angle and 6D numbers and back, on torch tensors, with finite gradients everywhere."""
+
+from __future__ import annotations
+
+import torch
+
+_TINY_ANGLE = 1e-4  # [rad]; below it Taylor's series are exact to float32 and need no division
+_TINY_LENGTH = 1e-6  # shorter columns have no direction
+
+
+def skew(vector: torch.Tensor) -> torch.Tensor:
+    """Cross-product matrix of vectors (..., 3), shape (..., 3, 3)."""
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
+    """Rodrigues' formula.
+
+    Args:
+        axis_angle: Axis times angle [rad], shape (..., 3). Any length; zero is the identity.
+
+    Returns:
+        Rotation matrices, shape (..., 3, 3).
+    """
+    square = (axis_angle * axis_angle).sum(-1)[..., None, None]
+    small = square < _TINY_ANGLE**2
+    # where() alone would still differentiate the branch not taken, through sqrt(0)
+    angle = torch.where(small, torch.ones_like(square), square).sqrt()
+    first = torch.where(small, 1 - square / 6, angle.sin() / angle)
+    second = torch.where(small, 0.5 - square / 24, 2 * (angle / 2).sin().square() / angle.square())
+    cross = skew(axis_angle)
+    identity = torch.eye(3, dtype=axis_angle.dtype, device=axis_angle.device)
+    return identity + first * cross + second * (cross @ cross)
+
+
+def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
+    """Gram-Schmidt of two columns (Zhou et al., 2019; paper, section 3.4).
+
+    Args:
+        columns: First and second column, one after the other, shape (..., 6).
+
+    Returns:
+        Rotation matrices, shape (..., 3, 3). A column without direction, or a second one along the first, is replaced
+        by a fixed other direction, so that the result is a rotation always.
+    """
+    first, second = columns[..., :3], columns[..., 3:]
+    x_axis = torch.tensor([1.0, 0.0, 0.0], dtype=columns.dtype, device=columns.device)
+    first = _normalise_or(first, x_axis)
+    # the coordinate axis that the first column points along least
+    least = torch.nn.functional.one_hot(first.detach().abs().argmin(-1), 3).to(columns.dtype)
+    rest = second - (first * second).sum(-1, keepdim=True) * first
+    fallback = least - (first * least).sum(-1, keepdim=True) * first
+    # What is left after the projection is rounding where the columns were collinear: measure it against the column.
+    collinear = rest.norm(dim=-1, keepdim=True) <= _TINY_LENGTH * second.norm(dim=-1, keepdim=True)
+    second = _normalise_or(torch.where(collinear, fallback, rest), fallback)
+    second = _normalise_or(second - (first * second).sum(-1, keepdim=True) * first, fallback)
+    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)
+
+
+def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
+    """The first two columns of rotation matrices (..., 3, 3), shape (..., 6)."""
+    return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
+
+
+def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
+    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3); through the largest quaternion
+    component, so that it holds at pi."""
+    m = rotation
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    # Rows of the matrix 4 q qᵀ for q = (w, x, y, z) (Shepperd, 1978).
+    off = lambda i, j, sign: m[..., i, j] + sign * m[..., j, i]  # noqa: E731
+    rows = [
+        torch.stack([1 + trace, off(2, 1, -1), off(0, 2, -1), off(1, 0, -1)], -1),
+        torch.stack([off(2, 1, -1), 1 - trace + 2 * m[..., 0, 0], off(0, 1, 1), off(0, 2, 1)], -1),
+        torch.stack([off(0, 2, -1), off(0, 1, 1), 1 - trace + 2 * m[..., 1, 1], off(1, 2, 1)], -1),
+        torch.stack([off(1, 0, -1), off(0, 2, 1), off(1, 2, 1), 1 - trace + 2 * m[..., 2, 2]], -1),
+    ]
+    products = torch.stack(rows, dim=-2)
+    largest = torch.diagonal(products, dim1=-2, dim2=-1).argmax(-1)
+    quaternion = products.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
+    quaternion = torch.nn.functional.normalize(quaternion, dim=-1)
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    w, xyz = quaternion[..., 0], quaternion[..., 1:]
+    square = (xyz * xyz).sum(-1)
+    small = square < _TINY_ANGLE**2
+    sine = torch.where(small, torch.ones_like(square), square).sqrt()
+    factor = torch.where(small, 2 / w.clamp_min(0.5), 2 * torch.atan2(sine, w) / sine)
+    return xyz * factor[..., None]
+
+
+def _normalise_or(vector: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
+    """Unit vectors; ``fallback``'s direction where there is none."""
+    # Scale by the largest entry first: squares of 1e-30 or 1e30 would leave float32.
+    scale = vector.detach().abs().amax(-1, keepdim=True)
+    lost = scale <= 0
+    vector = torch.where(lost, fallback.expand_as(vector), vector / torch.where(lost, torch.ones_like(scale), scale))
+    return vector / vector.norm(dim=-1, keepdim=True)

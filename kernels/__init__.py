@@ -1,0 +1,1 @@
+"""Warp kernels and their launchers: no torch, no files."""

@@ -1,0 +1,88 @@
+"""Rotation conversions against SciPy, and at the places where formulas divide by zero."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.body.rotations import (
+    rotation_from_6d,
+    rotation_from_axis_angle,
+    rotation_to_6d,
+    rotation_to_axis_angle,
+)
+
+vectors = st.lists(st.floats(-20, 20, allow_subnormal=False), min_size=3, max_size=3)
+
+
+def is_rotation(matrix: torch.Tensor, tolerance: float = 1e-5) -> bool:
+    identity = torch.eye(3, dtype=matrix.dtype)
+    return bool(torch.isfinite(matrix).all()) and torch.allclose(
+        matrix.mT @ matrix, identity, atol=tolerance
+    ) and torch.allclose(torch.linalg.det(matrix), torch.ones((), dtype=matrix.dtype), atol=tolerance)
+
+
+@given(vectors)
+def test_axis_angle_is_scipys(vector):
+    have = rotation_from_axis_angle(torch.tensor(vector, dtype=torch.float64))
+    np.testing.assert_allclose(have.numpy(), Rotation.from_rotvec(vector).as_matrix(), atol=1e-9)
+
+
+@given(vectors)
+def test_axis_angle_round_trip(vector):
+    rotation = rotation_from_axis_angle(torch.tensor(vector, dtype=torch.float64))
+    back = rotation_from_axis_angle(rotation_to_axis_angle(rotation))
+    torch.testing.assert_close(back, rotation, atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1e-4, np.pi - 1e-5, np.pi, 2 * np.pi])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_axis_angle_at_the_extremes(angle, dtype):
+    vector = torch.tensor([0.6, 0.0, 0.8], dtype=dtype).mul(angle).requires_grad_()
+    rotation = rotation_from_axis_angle(vector)
+    assert is_rotation(rotation)
+    back = rotation_to_axis_angle(rotation)
+    torch.testing.assert_close(rotation_from_axis_angle(back), rotation, atol=2e-5, rtol=0)
+    (back.sum() + rotation.sum()).backward()
+    assert torch.isfinite(vector.grad).all()
+
+
+def test_axis_angle_gradient():
+    for scale in (0.0, 1e-6, 1.0, 3.1):
+        vector = torch.tensor([[0.3, -0.5, 0.8]], dtype=torch.float64).mul(scale).requires_grad_()
+        assert torch.autograd.gradcheck(rotation_from_axis_angle, vector)
+
+
+@given(st.lists(st.floats(-100, 100, allow_subnormal=False), min_size=6, max_size=6))
+def test_6d_is_always_a_rotation(columns):
+    columns = torch.tensor(columns, dtype=torch.float32, requires_grad=True)
+    rotation = rotation_from_6d(columns)
+    assert is_rotation(rotation.detach())
+    rotation.sum().backward()
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1, 0, 0, 2, 0, 0],
+        [1, 2, 3, -1, -2, -3],
+        [1, 2, 3, 0, 0, 0],
+        [0, 0, 0, 0, 1, 0],
+        [1e-30, 0, 0, 0, 1e-30, 0],
+        [1e30, 0, 0, 0, 1e30, 1e30],
+    ],
+)
+def test_6d_without_direction_is_a_rotation(columns):
+    columns = torch.tensor(columns, dtype=torch.float32, requires_grad=True)
+    rotation = rotation_from_6d(columns)
+    assert is_rotation(rotation.detach())
+    rotation.sum().backward()
+    assert torch.isfinite(columns.grad).all()
+
+
+def test_6d_round_trip():
+    rotation = torch.from_numpy(Rotation.random(20, rng=0).as_matrix())
+    torch.testing.assert_close(rotation_from_6d(rotation_to_6d(rotation)), rotation)

@@ -1,0 +1,126 @@
+"""A part-labelled mesh: the faces, which part each shows, and the edges that may be silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from .body.ellipbody import DEFAULT_SUBDIVISIONS, ellipbody_faces
+
+MAX_LABEL = 254  # 0 is background and 255 means ignore
+
+
+@dataclass(frozen=True)
+class PartMesh:
+    """Topology shared by a whole batch; make one with ``PartMesh.from_faces`` or ``ellipbody_mesh``.
+
+    Attributes:
+        faces: Vertex indices, shape (F, 3), int32.
+        face_labels: Label 1 to 254 that a face shows, shape (F,), uint8.
+        edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
+            two labels, a border and each part of a non-manifold edge stand alone (other face -1).
+    """
+
+    faces: torch.Tensor
+    face_labels: torch.Tensor
+    edges: torch.Tensor
+
+    @classmethod
+    def from_faces(
+        cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu"
+    ) -> PartMesh:
+        """Build the edges of any triangle mesh.
+
+        Args:
+            faces: Vertex indices, shape (F, 3).
+            face_labels: Label of each face, 1 to 254, shape (F,).
+            device: Where the tensors go.
+
+        Raises:
+            ValueError: If a shape, an index or a label is out of range.
+        """
+        faces, face_labels = np.asarray(faces), np.asarray(face_labels)
+        if faces.ndim != 2 or faces.shape[1] != 3:
+            raise ValueError(f"faces: shape {faces.shape}; expected (F, 3)")
+        if face_labels.shape != (len(faces),):
+            raise ValueError(f"face_labels: shape {face_labels.shape}; expected ({len(faces)},)")
+        if faces.size and faces.min() < 0:
+            raise ValueError(f"faces: index {faces.min()}; expected 0 or more")
+        if face_labels.size and not (1 <= face_labels.min() and face_labels.max() <= MAX_LABEL):
+            raise ValueError(f"face_labels: {face_labels.min()} to {face_labels.max()}; expected 1 to {MAX_LABEL}")
+        faces = np.ascontiguousarray(faces, dtype=np.int32)
+        return cls(
+            faces=torch.from_numpy(faces).to(device),
+            face_labels=torch.from_numpy(np.ascontiguousarray(face_labels, dtype=np.uint8)).to(device),
+            edges=torch.from_numpy(_find_edges(faces, face_labels)).to(device),
+        )
+
+    def to(self, device: torch.device | str) -> PartMesh:
+        """The same mesh on another device."""
+        return PartMesh(self.faces.to(device), self.face_labels.to(device), self.edges.to(device))
+
+    @cached_property
+    def num_labels(self) -> int:
+        """The highest label of a face; 0 without faces."""
+        return int(self.face_labels.max()) if self.face_labels.numel() else 0
+
+    @cached_property
+    def num_vertices(self) -> int:
+        """How many vertices the faces ask for at least."""
+        return int(self.faces.max()) + 1 if self.faces.numel() else 0
+
+    def every_edge(self) -> torch.Tensor:
+        """Each face's three edges alone, shape (3 F, 6): what NMR's rule (``edges="all"``) walks over."""
+        count = self.faces.shape[0]
+        face = torch.arange(count, dtype=torch.int32, device=self.faces.device)
+        none = torch.full_like(face, -1)
+        a, b, c = self.faces.unbind(1)
+        corners = ((a, b, c), (b, c, a), (c, a, b))
+        return torch.cat([torch.stack([i, j, face, none, k, k], dim=1) for i, j, k in corners])
+
+    def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
+        """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
+
+        The edges stay those of the ellipsoids or parts that the mesh was built from.
+        """
+        old = self.face_labels.cpu().numpy()
+        new = np.array([table[int(label)] for label in old], dtype=np.uint8)
+        return replace(self, face_labels=torch.from_numpy(new).to(self.faces.device))
+
+
+def ellipbody_mesh(
+    subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu"
+) -> PartMesh:
+    """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
+    return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
+
+
+def _find_edges(faces: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Edges as ``PartMesh.edges``: pairs where exactly two faces of one label meet, single edges otherwise."""
+    count = len(faces)
+    if count == 0:
+        return np.zeros((0, 6), dtype=np.int32)
+    start = faces[:, [0, 1, 2]].T.reshape(-1)
+    end = faces[:, [1, 2, 0]].T.reshape(-1)
+    opposite = faces[:, [2, 0, 1]].T.reshape(-1)
+    face = np.tile(np.arange(count, dtype=np.int32), 3)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort((face, labels[face], high, low))
+    low, high, face, opposite = low[order], high[order], face[order], opposite[order]
+    key = np.stack([low, high, labels[face].astype(np.int32)])
+    is_new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)]
+    group = np.cumsum(is_new) - 1
+    size = np.bincount(group)
+    first = np.flatnonzero(is_new)
+    paired = first[size == 2]
+    single = np.flatnonzero(size[group] != 2)
+    pairs = np.stack(
+        [low[paired], high[paired], face[paired], face[paired + 1], opposite[paired], opposite[paired + 1]], axis=1
+    )
+    none = np.full(len(single), -1, dtype=np.int32)
+    singles = np.stack([low[single], high[single], face[single], none, opposite[single], opposite[single]], axis=1)
+    return np.concatenate([pairs, singles]).astype(np.int32)

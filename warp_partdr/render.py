@@ -1,0 +1,456 @@
+"""PartDR on torch tensors: part images of a mesh and their approximate gradients (paper, section 3.2).
+
+Eager code takes a ``torch.autograd.Function``; under ``torch.compile`` the same work is a registered custom op.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+import warp as wp
+
+from .checks import check_finite, check_tensor
+from .kernels import part_gradient, rasterize
+from .mesh import MAX_LABEL, PartMesh
+from .streams import on_torch_stream
+
+Edges = Literal["silhouette", "all"]
+
+IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
+DEFAULT_NEAR = 0.01  # [m], perspective cameras: nearer faces are not drawn
+DEFAULT_DEPTH_WEIGHT = 1.0  # the paper's lambda in eq. 12, which it does not name
+_DTYPES = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
+
+
+@dataclass(frozen=True)
+class PartImage:
+    """What a mesh looks like.
+
+    Attributes:
+        labels: Part at each pixel, 0 = background, shape (B, H, W), uint8.
+        depth: Depth of the nearest face [m], inf = background, shape (B, H, W), float32.
+        face_index: Nearest face, -1 = background (paper, eq. 8), shape (B, H, W), int32.
+        maps: Part maps A^1 to A^K (paper, eq. 9), differentiable, shape (B, K, H, W); None unless asked for.
+    """
+
+    labels: torch.Tensor
+    depth: torch.Tensor
+    face_index: torch.Tensor
+    maps: torch.Tensor | None = None
+
+
+def rasterize_parts(
+    vertices: torch.Tensor,
+    mesh: PartMesh,
+    image_size: tuple[int, int],
+    *,
+    perspective: bool = False,
+    near: float | None = None,
+    num_maps: int = 0,
+    edges: Edges = "silhouette",
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT,
+    validate: bool = True,
+) -> PartImage:
+    """Draw a part-labelled mesh; with ``num_maps`` the part maps carry gradients back to the vertices.
+
+    Args:
+        vertices: Projected vertices (u [px], v [px], z [m]), shape (B, V, 3); a camera's ``project`` gives them.
+        mesh: Topology and labels, on the same device.
+        image_size: (H, W) [px]; need not be square.
+        perspective: Whether the vertices come from a perspective camera: depth is then linear in 1/z.
+        near: Faces with a vertex at or before this depth [m] are not drawn; default 0.01 for perspective, none for
+            weak perspective.
+        num_maps: K; part maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
+        edges: Which edges the x, y gradient moves: "silhouette", or "all" as the Neural Mesh Renderer does.
+        depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
+        validate: Look for NaN and infinity; on CUDA that waits for the device.
+
+    Returns:
+        The picture. The gradient of the maps is PartDR's estimate: linear in the incoming gradient, not the
+        derivative of the step function.
+
+    Raises:
+        ValueError: If a shape, size or dtype is wrong, devices differ, or ``vertices`` holds NaN or infinity.
+    """
+    near = _check(vertices, mesh, image_size, perspective, near, edges, validate)
+    if not 0 <= num_maps <= MAX_LABEL:
+        raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
+    height, width = image_size
+    if num_maps == 0:
+        with torch.no_grad():
+            labels, depth, face_index = _rasterize(
+                vertices.float(), mesh.faces, mesh.face_labels, height, width, near, perspective
+            )
+        return PartImage(labels, depth, face_index)
+    walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
+    options = (num_maps, height, width, near, perspective, edges == "all", float(depth_weight))
+    function = torch.ops.warp_partdr.part_maps if torch.compiler.is_compiling() else _PartMaps.apply
+    maps, labels, depth, face_index = function(vertices.float(), mesh.faces, mesh.face_labels, walked, *options)
+    return PartImage(labels, depth, face_index, maps)
+
+
+def label_loss(
+    vertices: torch.Tensor,
+    mesh: PartMesh,
+    target: torch.Tensor,
+    *,
+    label_weights: torch.Tensor | None = None,
+    perspective: bool = False,
+    near: float | None = None,
+    edges: Edges = "silhouette",
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT,
+    validate: bool = True,
+) -> tuple[torch.Tensor, PartImage]:
+    """L_seg (paper, eq. 6) against a label image, and its gradient, without making part maps.
+
+    Args:
+        vertices: Projected vertices (u [px], v [px], z [m]), shape (B, V, 3).
+        mesh: Topology and labels, on the same device.
+        target: Wanted label of each pixel, shape (B, H, W), uint8; 0 = background, 255 = ignore.
+        label_weights: Weight of each label's map, shape (L,), label 0 first and without meaning; 1 by default.
+        perspective: As ``rasterize_parts``; so are ``near``, ``edges``, ``depth_weight`` and ``validate``.
+
+    Returns:
+        The loss of each body [pixels of maps], shape (B,), and the picture.
+
+    Raises:
+        ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
+    """
+    check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
+    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
+    weights = torch.ones(256, device=vertices.device)
+    if label_weights is not None:
+        check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
+        weights[: label_weights.shape[0]] = label_weights.to(weights)
+    weights[0] = 0.0  # background has no map
+    if validate and not torch.compiler.is_compiling():
+        strange = target[(target > mesh.num_labels) & (target != IGNORE_LABEL)]
+        if strange.numel():
+            raise ValueError(
+                f"target: label {int(strange[0])}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore"
+            )
+    walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
+    options = (mesh.num_labels, near, perspective, edges == "all", float(depth_weight))
+    function = torch.ops.warp_partdr.label_loss if torch.compiler.is_compiling() else _LabelLoss.apply
+    loss, labels, depth, face_index = function(
+        vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
+    )
+    return loss, PartImage(labels, depth, face_index)
+
+
+def _check(
+    vertices: torch.Tensor,
+    mesh: PartMesh,
+    image_size: tuple[int, ...],
+    perspective: bool,
+    near: float | None,
+    edges: str,
+    validate: bool,
+) -> float:
+    """Check what both entry points share; returns the near plane."""
+    check_tensor("vertices", vertices, (None, None, 3), dtypes=_DTYPES)
+    if mesh.faces.device != vertices.device:
+        raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
+    if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
+        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
+    if edges not in ("silhouette", "all"):
+        raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
+    if validate and not torch.compiler.is_compiling():
+        check_finite("vertices", vertices)
+    if mesh.num_vertices > vertices.shape[1]:
+        raise ValueError(f"vertices: {vertices.shape[1]} a body; expected {mesh.num_vertices} or more, as the mesh")
+    if near is None:
+        return DEFAULT_NEAR if perspective else -math.inf
+    return float(near)
+
+
+def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
+    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
+
+
+def _rasterize(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    height: int,
+    width: int,
+    near: float,
+    perspective: bool,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Labels, depth and face-index map."""
+    shape = (vertices.shape[0], height, width)
+    labels = torch.empty(shape, dtype=torch.uint8, device=vertices.device)
+    depth = torch.empty(shape, dtype=torch.float32, device=vertices.device)
+    face_index = torch.empty(shape, dtype=torch.int32, device=vertices.device)
+    with on_torch_stream(vertices.device) as device:
+        rasterize.launch_rasterize(
+            _wp(vertices, wp.vec3),
+            _wp(faces, wp.vec3i),
+            _wp(face_labels, wp.uint8),
+            near=near,
+            perspective=perspective,
+            keys=wp.empty(shape, dtype=wp.uint64, device=device),
+            face_index=_wp(face_index, wp.int32),
+            depth=_wp(depth, wp.float32),
+            labels=_wp(labels, wp.uint8),
+        )
+    return labels, depth, face_index
+
+
+def _gradient(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    edges: torch.Tensor,
+    labels: torch.Tensor,
+    face_index: torch.Tensor,
+    gradient: Any,
+    wanted: list[wp.array],
+    options: tuple[float, bool, bool, float],
+) -> torch.Tensor:
+    """Gradient with respect to the vertices, shape (B, V, 3)."""
+    near, perspective, all_edges, depth_weight = options
+    grad_vertices = torch.zeros(vertices.shape, device=vertices.device)
+    with on_torch_stream(vertices.device) as device:
+        part_gradient.launch_part_gradient(
+            _wp(vertices, wp.vec3),
+            _wp(faces, wp.vec3i),
+            _wp(face_labels, wp.uint8),
+            _wp(edges, wp.int32),
+            near=near,
+            perspective=perspective,
+            all_edges=all_edges,
+            depth_weight=depth_weight,
+            labels=_wp(labels, wp.uint8),
+            face_index=_wp(face_index, wp.int32),
+            gradient=gradient,
+            wanted=wanted,
+            keys=wp.empty(tuple(labels.shape), dtype=wp.uint64, device=device),
+            grad_vertices=_wp(grad_vertices, wp.vec3),
+        )
+    return grad_vertices
+
+
+def _maps_forward(
+    vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, options: tuple[Any, ...]
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    num_maps, height, width, near, perspective = options[:5]
+    labels, depth, face_index = _rasterize(vertices, faces, face_labels, height, width, near, perspective)
+    index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=labels.device)
+    maps = (labels[:, None] == index[:, None, None]).float()
+    return maps, labels, depth, face_index
+
+
+def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
+    vertices, faces, face_labels, edges, labels, face_index = saved
+    dense = part_gradient.DenseGradient()
+    dense.maps = _wp(grad_maps.float(), wp.float32)
+    # In each map's turn all pixels ask for that map: its gradient says how much.
+    every_label = torch.arange(1, grad_maps.shape[1] + 1, dtype=torch.uint8, device=labels.device)
+    wanted = [_wp(every_label[k : k + 1].view(1, 1, 1), wp.uint8) for k in range(grad_maps.shape[1])]
+    return _gradient(vertices, faces, face_labels, edges, labels, face_index, dense, wanted, options[3:])
+
+
+class _PartMaps(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
+        edges, *options = rest
+        maps, labels, depth, face_index = _maps_forward(vertices, faces, face_labels, tuple(options))
+        ctx.save_for_backward(vertices, faces, face_labels, edges, labels, face_index)
+        ctx.options = tuple(options)
+        ctx.mark_non_differentiable(labels, depth, face_index)
+        return maps, labels, depth, face_index
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> Any:
+        grad_vertices = _maps_backward(ctx.saved_tensors, gradients[0], ctx.options)
+        return grad_vertices, *([None] * (3 + len(ctx.options)))
+
+
+def _loss_forward(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    target: torch.Tensor,
+    weights: torch.Tensor,
+    options: tuple[Any, ...],
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    batch, height, width = target.shape
+    labels, depth, face_index = _rasterize(vertices, faces, face_labels, height, width, *options[1:3])
+    row_losses = torch.empty(batch, height, device=vertices.device)
+    with on_torch_stream(vertices.device):
+        rasterize.launch_label_loss(
+            _wp(labels, wp.uint8), _wp(target, wp.uint8), _wp(weights, wp.float32), _wp(row_losses, wp.float32)
+        )
+    return row_losses.sum(1), labels, depth, face_index
+
+
+def _loss_backward(saved: tuple[torch.Tensor, ...], grad_loss: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
+    vertices, faces, face_labels, edges, target, weights, labels, face_index = saved
+    gradient = part_gradient.LabelTarget()
+    gradient.target = _wp(target, wp.uint8)
+    gradient.label_weights = _wp(weights, wp.float32)
+    gradient.scale = _wp(grad_loss.float(), wp.float32)
+    reach = (target.shape[0], 2, options[0] + 1, max(target.shape[1:]))
+    with on_torch_stream(vertices.device) as device:
+        gradient.reach = wp.empty(reach, dtype=wp.vec2i, device=device)
+        part_gradient.launch_find_reach(gradient.target, gradient.reach)
+    return _gradient(vertices, faces, face_labels, edges, labels, face_index, gradient, [gradient.target], options[1:])
+
+
+class _LabelLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
+        edges, target, weights, *options = rest
+        loss, labels, depth, face_index = _loss_forward(
+            vertices, faces, face_labels, target, weights, tuple(options)
+        )
+        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index)
+        ctx.options = tuple(options)
+        ctx.mark_non_differentiable(labels, depth, face_index)
+        return loss, labels, depth, face_index
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> Any:
+        grad_vertices = _loss_backward(ctx.saved_tensors, gradients[0], ctx.options)
+        return grad_vertices, *([None] * (5 + len(ctx.options)))
+
+
+# --- torch.compile -----------------------------------------------------------------------------------------------
+
+
+@torch.library.custom_op("warp_partdr::part_maps", mutates_args=())
+def _part_maps_op(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    edges: torch.Tensor,
+    num_maps: int,
+    height: int,
+    width: int,
+    near: float,
+    perspective: bool,
+    all_edges: bool,
+    depth_weight: float,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    return _maps_forward(vertices, faces, face_labels, (num_maps, height, width, near, perspective))
+
+
+@_part_maps_op.register_fake
+def _(
+    vertices: Any, faces: Any, face_labels: Any, edges: Any, num_maps: int, height: int, width: int, *options: Any
+) -> Any:
+    batch = vertices.shape[0]
+    return (vertices.new_empty(batch, num_maps, height, width), *_fake_image(vertices, batch, height, width))
+
+
+@torch.library.custom_op("warp_partdr::part_maps_backward", mutates_args=())
+def _part_maps_backward_op(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    edges: torch.Tensor,
+    labels: torch.Tensor,
+    face_index: torch.Tensor,
+    grad_maps: torch.Tensor,
+    near: float,
+    perspective: bool,
+    all_edges: bool,
+    depth_weight: float,
+) -> torch.Tensor:
+    saved = (vertices, faces, face_labels, edges, labels, face_index)
+    return _maps_backward(saved, grad_maps, (None, None, None, near, perspective, all_edges, depth_weight))
+
+
+@_part_maps_backward_op.register_fake
+def _(vertices: Any, *rest: Any) -> Any:
+    return torch.empty_like(vertices, memory_format=torch.contiguous_format)
+
+
+def _setup_part_maps(ctx: Any, inputs: Any, output: Any) -> None:
+    _, labels, _, face_index = output
+    ctx.save_for_backward(*inputs[:4], labels, face_index)
+    ctx.options = inputs[4:]
+
+
+def _backward_part_maps(ctx: Any, grad_maps: torch.Tensor, *rest: Any) -> Any:
+    gradient = torch.ops.warp_partdr.part_maps_backward(*ctx.saved_tensors, grad_maps, *ctx.options[3:])
+    return gradient, *([None] * (3 + len(ctx.options)))
+
+
+_part_maps_op.register_autograd(_backward_part_maps, setup_context=_setup_part_maps)
+
+
+@torch.library.custom_op("warp_partdr::label_loss", mutates_args=())
+def _label_loss_op(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    edges: torch.Tensor,
+    target: torch.Tensor,
+    weights: torch.Tensor,
+    num_labels: int,
+    near: float,
+    perspective: bool,
+    all_edges: bool,
+    depth_weight: float,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    return _loss_forward(vertices, faces, face_labels, target, weights, (num_labels, near, perspective))
+
+
+@_label_loss_op.register_fake
+def _(vertices: Any, faces: Any, face_labels: Any, edges: Any, target: Any, *rest: Any) -> Any:
+    batch, height, width = target.shape
+    return (vertices.new_empty(batch), *_fake_image(vertices, batch, height, width))
+
+
+@torch.library.custom_op("warp_partdr::label_loss_backward", mutates_args=())
+def _label_loss_backward_op(
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    face_labels: torch.Tensor,
+    edges: torch.Tensor,
+    target: torch.Tensor,
+    weights: torch.Tensor,
+    labels: torch.Tensor,
+    face_index: torch.Tensor,
+    grad_loss: torch.Tensor,
+    num_labels: int,
+    near: float,
+    perspective: bool,
+    all_edges: bool,
+    depth_weight: float,
+) -> torch.Tensor:
+    saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index)
+    return _loss_backward(saved, grad_loss, (num_labels, near, perspective, all_edges, depth_weight))
+
+
+@_label_loss_backward_op.register_fake
+def _(vertices: Any, *rest: Any) -> Any:
+    return torch.empty_like(vertices, memory_format=torch.contiguous_format)
+
+
+def _setup_label_loss(ctx: Any, inputs: Any, output: Any) -> None:
+    _, labels, _, face_index = output
+    ctx.save_for_backward(*inputs[:6], labels, face_index)
+    ctx.options = inputs[6:]
+
+
+def _backward_label_loss(ctx: Any, grad_loss: torch.Tensor, *rest: Any) -> Any:
+    gradient = torch.ops.warp_partdr.label_loss_backward(*ctx.saved_tensors, grad_loss, *ctx.options)
+    return gradient, *([None] * (5 + len(ctx.options)))
+
+
+_label_loss_op.register_autograd(_backward_label_loss, setup_context=_setup_label_loss)
+
+
+def _fake_image(vertices: torch.Tensor, batch: int, height: int, width: int) -> tuple[torch.Tensor, ...]:
+    shape = (batch, height, width)
+    return (
+        vertices.new_empty(shape, dtype=torch.uint8),
+        vertices.new_empty(shape, dtype=torch.float32),
+        vertices.new_empty(shape, dtype=torch.int32),
+    )
