@@ -214,9 +214,7 @@ def launch_pose_adjoint(
     )
 
 
-def launch_vertices(
-    tree: BoneTree, centres: wp.array, axes: wp.array, semi_axes: wp.array, vertices: wp.array
-) -> None:
+def launch_vertices(tree: BoneTree, centres: wp.array, axes: wp.array, semi_axes: wp.array, vertices: wp.array) -> None:
     """Fill the mesh vertices of every ellipsoid."""
     inputs = [tree.unit_vertices, centres, axes, semi_axes]
     wp.launch(place_vertices, vertices.shape, inputs, [vertices], device=tree.device)

@@ -114,9 +114,12 @@ def push_edges(
     face_labels: wp.array[wp.uint8],  # (F,)
     edges: wp.array2d[int],  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
     near: float,
+    perspective: bool,
     all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
+    over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     face_index: wp.array3d[int],  # (B, H, W)
+    depth: wp.array3d[float],  # (B, H, W) [m]
     gradient: Any,
     grad_vertices: wp.array2d[wp.vec3],  # (B, V)  MODIFIED: x and y are added to
 ):
@@ -162,6 +165,9 @@ def push_edges(
         w1 = (float(line) + 0.5 - p0[across]) / length
         w0 = 1.0 - w1
         crossing = w0 * p0[axis] + w1 * p1[axis]
+        edge_depth = w0 * p0[2] + w1 * p1[2]
+        if perspective:
+            edge_depth = 1.0 / (w0 / p0[2] + w1 / p1[2])
         # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
         place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
         inside = int(wp.ceil(place - 0.5))
@@ -192,7 +198,7 @@ def push_edges(
                 row = row_of(axis, line, pixel)
                 column = column_of(axis, line, pixel)
                 shown = int(labels[b, row, column])
-                if shown == 0:
+                if shown == 0 or (over_farther and shown != label and depth[b, row, column] > edge_depth):
                     distance = wp.abs(float(pixel) + 0.5 - crossing)
                     g = gradient_at(gradient, b, label, row, column, shown) * float(step)
                     grad0 += g * inverse_move(distance, w0)
@@ -307,8 +313,11 @@ for _gradient in (LabelTarget, DenseGradient):
             wp.array2d[int],
             float,
             bool,
+            bool,
+            bool,
             _u8,
             wp.array3d[int],
+            wp.array3d[float],
             _gradient,
             wp.array2d[wp.vec3],
         ],
@@ -345,9 +354,11 @@ def launch_part_gradient(
     near: float,
     perspective: bool,
     all_edges: bool,
+    over_farther: bool,
     depth_weight: float,
     labels: wp.array,
     face_index: wp.array,
+    depth: wp.array,
     gradient: Any,  # LabelTarget or DenseGradient
     wanted: list[wp.array],
     keys: wp.array,
@@ -362,7 +373,20 @@ def launch_part_gradient(
     wp.launch(
         push_edges,
         (vertices.shape[0], edges.shape[0], 2),
-        [vertices, faces, face_labels, edges, near, all_edges, labels, face_index, gradient],
+        [
+            vertices,
+            faces,
+            face_labels,
+            edges,
+            near,
+            perspective,
+            all_edges,
+            over_farther,
+            labels,
+            face_index,
+            depth,
+            gradient,
+        ],
         [grad_vertices],
         device=device,
     )

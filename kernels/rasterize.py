@@ -156,9 +156,7 @@ def launch_rasterize(
 
 def launch_label_loss(labels: wp.array, target: wp.array, label_weights: wp.array, row_losses: wp.array) -> None:
     """Fill the loss of each row; entry 0 of ``label_weights`` must be 0, as background has no part map."""
-    wp.launch(
-        label_loss_rows, row_losses.shape, [labels, target, label_weights], [row_losses], device=labels.device
-    )
+    wp.launch(label_loss_rows, row_losses.shape, [labels, target, label_weights], [row_losses], device=labels.device)
 
 
 def row_lanes(device: wp.Device) -> int:

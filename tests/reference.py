@@ -17,7 +17,8 @@ Backward, x and y. g^i(P) is the loss gradient of part i's map at pixel P; the r
     5. Where the first pixel outside shows the same label, the edge lies inside its own part's picture: it does nothing.
     6. Outward, pixels up to the picture's border, or to the next pixel that shows the part, switch on (dI = +1) if they
        show background. Inward, pixels up to the first that shows background switch off (dI = -1) if they show the part.
-       A pixel that shows another part gives 0 and does not end the walk (eq. 11).
+       A pixel that shows another part gives 0 and does not end the walk (eq. 11). With ``over_farther`` that holds for
+       occluders only: outward, a part that lies farther away than the edge at its crossing counts as background does.
     7. The derivative is dI / (x1 - x0) (eq. 10), signed by the direction, for both ends of the edge.
     8. ``all_edges`` is NMR's rule: each face's edges alone, where the pixel just inside shows that face; outward over all
        background to the border, inward over the pixels of this very face.
@@ -120,6 +121,8 @@ def gradient(
     perspective=False,
     near=-np.inf,
     all_edges=False,
+    over_farther=False,
+    depth=None,
     depth_weight=1.0,
 ):
     """dL/dvertices (V, 3) of one body, from the picture (labels, face_index) and g of shape (K, H, W)."""
@@ -131,7 +134,10 @@ def gradient(
     else:
         edges = find_edges(faces, face_labels)
     for i, j, sides in edges:
-        grad += edge_gradient(vertices, (i, j), sides, face_labels, labels, face_index, g, near, all_edges)
+        farther = depth if over_farther else np.full(labels.shape, -np.inf)
+        grad += edge_gradient(
+            vertices, (i, j), sides, face_labels, labels, face_index, farther, g, perspective, near, all_edges
+        )
     if depth_weight:
         grad[:, 2] += depth_gradient(
             vertices, faces, face_labels, labels, face_index, g, perspective, near, depth_weight
@@ -139,7 +145,7 @@ def gradient(
     return grad
 
 
-def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, g, near, all_edges):
+def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, depth, g, perspective, near, all_edges):
     grad = np.zeros_like(vertices)
     p = vertices[list(edge)]
     if min(p[:, 2].min(), *(vertices[o][2] for _, o in sides)) <= near:
@@ -163,6 +169,7 @@ def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, g, nea
         lines = labels if axis == 0 else labels.T
         faces_on = face_index if axis == 0 else face_index.T
         wanted = g[part - 1] if axis == 0 else g[part - 1].T
+        depths = depth if axis == 0 else depth.T
         for line in range(lines.shape[0]):
             centre = line + 0.5
             if not min(p[:, across]) <= centre < max(p[:, across]):
@@ -170,6 +177,7 @@ def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, g, nea
             w1 = (centre - p[0, across]) / (p[1, across] - p[0, across])
             weights = np.array([1 - w1, w1])
             crossing = weights @ p[:, axis]
+            edge_depth = 1 / (weights @ (1 / p[:, 2])) if perspective else weights @ p[:, 2]
             positions = np.arange(lines.shape[1]) + 0.5
             is_outside = (positions - crossing) * toward < 0
             outside = np.flatnonzero(is_outside)
@@ -187,7 +195,7 @@ def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, g, nea
                 shown = lines[line, pixel]
                 if shown == part and not all_edges:
                     break
-                if shown == 0:
+                if shown == 0 or (shown != part and depths[line, pixel] > edge_depth):
                     slope = slope + wanted[line, pixel] * -toward / moves(positions[pixel] - crossing, weights)
             for pixel in inside:
                 shown = lines[line, pixel]

@@ -82,15 +82,24 @@ def test_forward_is_the_reference(device, size, perspective):
     assert flips <= pixels * 2e-4
 
 
+@pytest.mark.parametrize("occlusion", ["depth", "paper"])
 @pytest.mark.parametrize("edges", ["silhouette", "all"])
 @pytest.mark.parametrize("perspective", [False, True])
-def test_dense_gradient_is_the_reference(device, edges, perspective):
+def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion):
     for seed, size in enumerate(SIZES):
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
         leaf = torch.from_numpy(vertices).to(device).requires_grad_()
         image = rasterize_parts(
-            leaf, mesh, size, perspective=perspective, num_maps=4, edges=edges, depth_weight=0.7, near=0.01
+            leaf,
+            mesh,
+            size,
+            perspective=perspective,
+            num_maps=4,
+            edges=edges,
+            occlusion=occlusion,
+            depth_weight=0.7,
+            near=0.01,
         )
         g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
         (image.maps * g).sum().backward()
@@ -104,6 +113,8 @@ def test_dense_gradient_is_the_reference(device, edges, perspective):
                 g[b].cpu().numpy().astype(float),
                 perspective=perspective,
                 all_edges=edges == "all",
+                over_farther=occlusion == "depth",
+                depth=image.depth[b].cpu().numpy(),
                 depth_weight=0.7,
             )
             have = leaf.grad[b].cpu().numpy()
@@ -111,9 +122,10 @@ def test_dense_gradient_is_the_reference(device, edges, perspective):
             assert relative_error(have[:, 2], want[:, 2]) < 1e-4
 
 
+@pytest.mark.parametrize("occlusion", ["depth", "paper"])
 @pytest.mark.parametrize("camera", ["weak", "perspective"])
 @pytest.mark.parametrize("edges", ["silhouette", "all"])
-def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges):
+def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges, occlusion):
     size = (40, 32)
     vertices, mesh = body_scene(3, size, camera)
     faces, labels = mesh.faces.numpy(), mesh.face_labels.numpy()
@@ -122,7 +134,9 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges
     perspective = camera == "perspective"
     target = noisy_target(rasterize_parts(leaf, mesh, size, perspective=perspective).labels, 20, 0)
     weights = torch.linspace(0.5, 1.5, 21)
-    loss, image = label_loss(leaf, mesh, target, perspective=perspective, edges=edges, label_weights=weights)
+    loss, image = label_loss(
+        leaf, mesh, target, perspective=perspective, edges=edges, occlusion=occlusion, label_weights=weights
+    )
     loss.sum().backward()
     shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
     g = reference.label_gradient(shown, wanted, 20, weights.numpy())
@@ -135,6 +149,8 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges
         g,
         perspective=perspective,
         all_edges=edges == "all",
+        over_farther=occlusion == "depth",
+        depth=image.depth[0].cpu().numpy(),
     )
     have = leaf.grad[0].cpu().numpy()
     assert relative_error(have[:, :2], want[:, :2]) < 1e-4
@@ -309,6 +325,7 @@ BAD_CALLS = {
     "vertices: 2 a body": lambda v, m: rasterize_parts(v[:, :2], m, (8, 8)),
     "image_size": lambda v, m: rasterize_parts(v, m, (0, 8)),
     "num_maps": lambda v, m: rasterize_parts(v, m, (8, 8), num_maps=300),
+    "occlusion": lambda v, m: rasterize_parts(v, m, (8, 8), occlusion="none"),
     "edges": lambda v, m: rasterize_parts(v, m, (8, 8), edges="some"),
     "target: shape": lambda v, m: label_loss(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
     "target: torch.int64": lambda v, m: label_loss(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),

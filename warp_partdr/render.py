@@ -18,6 +18,7 @@ from .mesh import MAX_LABEL, PartMesh
 from .streams import on_torch_stream
 
 Edges = Literal["silhouette", "all"]
+Occlusion = Literal["depth", "paper"]
 
 IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
 DEFAULT_NEAR = 0.01  # [m], perspective cameras: nearer faces are not drawn
@@ -51,6 +52,7 @@ def rasterize_parts(
     near: float | None = None,
     num_maps: int = 0,
     edges: Edges = "silhouette",
+    occlusion: Occlusion = "depth",
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
 ) -> PartImage:
@@ -65,6 +67,8 @@ def rasterize_parts(
             weak perspective.
         num_maps: K; part maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
         edges: Which edges the x, y gradient moves: "silhouette", or "all" as the Neural Mesh Renderer does.
+        occlusion: Whether an edge is pulled over pixels that show another part: "depth", where that part lies farther
+            away than the edge, which then covers it; "paper", never (eq. 11).
         depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
         validate: Look for NaN and infinity; on CUDA that waits for the device.
 
@@ -75,7 +79,7 @@ def rasterize_parts(
     Raises:
         ValueError: If a shape, size or dtype is wrong, devices differ, or ``vertices`` holds NaN or infinity.
     """
-    near = _check(vertices, mesh, image_size, perspective, near, edges, validate)
+    near = _check(vertices, mesh, image_size, perspective, near, edges, occlusion, validate)
     if not 0 <= num_maps <= MAX_LABEL:
         raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
     height, width = image_size
@@ -86,7 +90,7 @@ def rasterize_parts(
             )
         return PartImage(labels, depth, face_index)
     walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
-    options = (num_maps, height, width, near, perspective, edges == "all", float(depth_weight))
+    options = (num_maps, height, width, near, perspective, edges == "all", occlusion == "depth", float(depth_weight))
     function = torch.ops.warp_partdr.part_maps if torch.compiler.is_compiling() else _PartMaps.apply
     maps, labels, depth, face_index = function(vertices.float(), mesh.faces, mesh.face_labels, walked, *options)
     return PartImage(labels, depth, face_index, maps)
@@ -101,6 +105,7 @@ def label_loss(
     perspective: bool = False,
     near: float | None = None,
     edges: Edges = "silhouette",
+    occlusion: Occlusion = "depth",
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
 ) -> tuple[torch.Tensor, PartImage]:
@@ -111,7 +116,8 @@ def label_loss(
         mesh: Topology and labels, on the same device.
         target: Wanted label of each pixel, shape (B, H, W), uint8; 0 = background, 255 = ignore.
         label_weights: Weight of each label's map, shape (L,), label 0 first and without meaning; 1 by default.
-        perspective: As ``rasterize_parts``; so are ``near``, ``edges``, ``depth_weight`` and ``validate``.
+        perspective: As ``rasterize_parts``; so are ``near``, ``edges``, ``occlusion``, ``depth_weight`` and
+            ``validate``.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture.
@@ -120,7 +126,7 @@ def label_loss(
         ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
     """
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
-    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
+    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, occlusion, validate)
     weights = torch.ones(256, device=vertices.device)
     if label_weights is not None:
         check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
@@ -133,7 +139,7 @@ def label_loss(
                 f"target: label {int(strange[0])}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore"
             )
     walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
-    options = (mesh.num_labels, near, perspective, edges == "all", float(depth_weight))
+    options = (mesh.num_labels, near, perspective, edges == "all", occlusion == "depth", float(depth_weight))
     function = torch.ops.warp_partdr.label_loss if torch.compiler.is_compiling() else _LabelLoss.apply
     loss, labels, depth, face_index = function(
         vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
@@ -148,6 +154,7 @@ def _check(
     perspective: bool,
     near: float | None,
     edges: str,
+    occlusion: str,
     validate: bool,
 ) -> float:
     """Check what both entry points share; returns the near plane."""
@@ -158,6 +165,8 @@ def _check(
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
+    if occlusion not in ("depth", "paper"):
+        raise ValueError(f"occlusion: {occlusion!r}; expected 'depth' or 'paper'")
     if validate and not torch.compiler.is_compiling():
         check_finite("vertices", vertices)
     if mesh.num_vertices > vertices.shape[1]:
@@ -207,12 +216,13 @@ def _gradient(
     edges: torch.Tensor,
     labels: torch.Tensor,
     face_index: torch.Tensor,
+    depth: torch.Tensor,
     gradient: Any,
     wanted: list[wp.array],
-    options: tuple[float, bool, bool, float],
+    options: tuple[float, bool, bool, bool, float],
 ) -> torch.Tensor:
     """Gradient with respect to the vertices, shape (B, V, 3)."""
-    near, perspective, all_edges, depth_weight = options
+    near, perspective, all_edges, over_farther, depth_weight = options
     grad_vertices = torch.zeros(vertices.shape, device=vertices.device)
     with on_torch_stream(vertices.device) as device:
         part_gradient.launch_part_gradient(
@@ -223,9 +233,11 @@ def _gradient(
             near=near,
             perspective=perspective,
             all_edges=all_edges,
+            over_farther=over_farther,
             depth_weight=depth_weight,
             labels=_wp(labels, wp.uint8),
             face_index=_wp(face_index, wp.int32),
+            depth=_wp(depth, wp.float32),
             gradient=gradient,
             wanted=wanted,
             keys=wp.empty(tuple(labels.shape), dtype=wp.uint64, device=device),
@@ -245,13 +257,13 @@ def _maps_forward(
 
 
 def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
-    vertices, faces, face_labels, edges, labels, face_index = saved
+    vertices, faces, face_labels, edges, labels, face_index, depth = saved
     dense = part_gradient.DenseGradient()
     dense.maps = _wp(grad_maps.float(), wp.float32)
     # In each map's turn all pixels ask for that map: its gradient says how much.
     every_label = torch.arange(1, grad_maps.shape[1] + 1, dtype=torch.uint8, device=labels.device)
     wanted = [_wp(every_label[k : k + 1].view(1, 1, 1), wp.uint8) for k in range(grad_maps.shape[1])]
-    return _gradient(vertices, faces, face_labels, edges, labels, face_index, dense, wanted, options[3:])
+    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, dense, wanted, options[3:])
 
 
 class _PartMaps(torch.autograd.Function):
@@ -259,7 +271,7 @@ class _PartMaps(torch.autograd.Function):
     def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
         edges, *options = rest
         maps, labels, depth, face_index = _maps_forward(vertices, faces, face_labels, tuple(options))
-        ctx.save_for_backward(vertices, faces, face_labels, edges, labels, face_index)
+        ctx.save_for_backward(vertices, faces, face_labels, edges, labels, face_index, depth)
         ctx.options = tuple(options)
         ctx.mark_non_differentiable(labels, depth, face_index)
         return maps, labels, depth, face_index
@@ -289,7 +301,7 @@ def _loss_forward(
 
 
 def _loss_backward(saved: tuple[torch.Tensor, ...], grad_loss: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
-    vertices, faces, face_labels, edges, target, weights, labels, face_index = saved
+    vertices, faces, face_labels, edges, target, weights, labels, face_index, depth = saved
     gradient = part_gradient.LabelTarget()
     gradient.target = _wp(target, wp.uint8)
     gradient.label_weights = _wp(weights, wp.float32)
@@ -298,17 +310,17 @@ def _loss_backward(saved: tuple[torch.Tensor, ...], grad_loss: torch.Tensor, opt
     with on_torch_stream(vertices.device) as device:
         gradient.reach = wp.empty(reach, dtype=wp.vec2i, device=device)
         part_gradient.launch_find_reach(gradient.target, gradient.reach)
-    return _gradient(vertices, faces, face_labels, edges, labels, face_index, gradient, [gradient.target], options[1:])
+    return _gradient(
+        vertices, faces, face_labels, edges, labels, face_index, depth, gradient, [gradient.target], options[1:]
+    )
 
 
 class _LabelLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
         edges, target, weights, *options = rest
-        loss, labels, depth, face_index = _loss_forward(
-            vertices, faces, face_labels, target, weights, tuple(options)
-        )
-        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index)
+        loss, labels, depth, face_index = _loss_forward(vertices, faces, face_labels, target, weights, tuple(options))
+        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
         ctx.options = tuple(options)
         ctx.mark_non_differentiable(labels, depth, face_index)
         return loss, labels, depth, face_index
@@ -334,6 +346,7 @@ def _part_maps_op(
     near: float,
     perspective: bool,
     all_edges: bool,
+    over_farther: bool,
     depth_weight: float,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return _maps_forward(vertices, faces, face_labels, (num_maps, height, width, near, perspective))
@@ -355,14 +368,18 @@ def _part_maps_backward_op(
     edges: torch.Tensor,
     labels: torch.Tensor,
     face_index: torch.Tensor,
+    depth: torch.Tensor,
     grad_maps: torch.Tensor,
     near: float,
     perspective: bool,
     all_edges: bool,
+    over_farther: bool,
     depth_weight: float,
 ) -> torch.Tensor:
-    saved = (vertices, faces, face_labels, edges, labels, face_index)
-    return _maps_backward(saved, grad_maps, (None, None, None, near, perspective, all_edges, depth_weight))
+    saved = (vertices, faces, face_labels, edges, labels, face_index, depth)
+    return _maps_backward(
+        saved, grad_maps, (None, None, None, near, perspective, all_edges, over_farther, depth_weight)
+    )
 
 
 @_part_maps_backward_op.register_fake
@@ -371,8 +388,8 @@ def _(vertices: Any, *rest: Any) -> Any:
 
 
 def _setup_part_maps(ctx: Any, inputs: Any, output: Any) -> None:
-    _, labels, _, face_index = output
-    ctx.save_for_backward(*inputs[:4], labels, face_index)
+    _, labels, depth, face_index = output
+    ctx.save_for_backward(*inputs[:4], labels, face_index, depth)
     ctx.options = inputs[4:]
 
 
@@ -396,6 +413,7 @@ def _label_loss_op(
     near: float,
     perspective: bool,
     all_edges: bool,
+    over_farther: bool,
     depth_weight: float,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return _loss_forward(vertices, faces, face_labels, target, weights, (num_labels, near, perspective))
@@ -417,15 +435,17 @@ def _label_loss_backward_op(
     weights: torch.Tensor,
     labels: torch.Tensor,
     face_index: torch.Tensor,
+    depth: torch.Tensor,
     grad_loss: torch.Tensor,
     num_labels: int,
     near: float,
     perspective: bool,
     all_edges: bool,
+    over_farther: bool,
     depth_weight: float,
 ) -> torch.Tensor:
-    saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index)
-    return _loss_backward(saved, grad_loss, (num_labels, near, perspective, all_edges, depth_weight))
+    saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
+    return _loss_backward(saved, grad_loss, (num_labels, near, perspective, all_edges, over_farther, depth_weight))
 
 
 @_label_loss_backward_op.register_fake
@@ -434,8 +454,8 @@ def _(vertices: Any, *rest: Any) -> Any:
 
 
 def _setup_label_loss(ctx: Any, inputs: Any, output: Any) -> None:
-    _, labels, _, face_index = output
-    ctx.save_for_backward(*inputs[:6], labels, face_index)
+    _, labels, depth, face_index = output
+    ctx.save_for_backward(*inputs[:6], labels, face_index, depth)
     ctx.options = inputs[6:]
 
 

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 import torch
 import warp as wp
 
-wp.config.quiet = True
-
 
 @contextmanager
 def on_torch_stream(device: torch.device) -> Iterator[str]:

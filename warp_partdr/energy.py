@@ -1,0 +1,145 @@
+"""What a fit minimises: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior and joint limits.
+
+Units decide what the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 mean. Here L_proj is in pixels of a crop of 256 px, L_seg
+in pixels of the same (whatever size is drawn), L_l and L_t in square millimetres, the prior in nats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from .body.labels import LabelSet
+from .body.landmarks import landmark_points
+from .body.template import template
+from .mesh import PartMesh, ellipbody_mesh
+from .parameters import BodyParameters
+from .pose_prior import PosePrior, up_direction
+from .posing import Posed
+from .render import label_loss
+
+REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
+_MILLIMETRES = 1000.0
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the energy's terms; the first four are the paper's."""
+
+    proj: float = 1.0
+    seg: float = 1e-2
+    length: float = 1e-3
+    thickness: float = 1e-3
+    prior: float = 0.25
+    limits: float = 20.0
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What is known of the person, in a square crop of side 2 (coordinates -1 to 1).
+
+    Attributes:
+        landmarks: Names of the L keypoints that are there.
+        points: Where they are, shape (L, 2).
+        confidence: How much they count, 0 to 1, shape (L,).
+        labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
+        label_set: What the group ids mean.
+    """
+
+    landmarks: tuple[str, ...]
+    points: torch.Tensor
+    confidence: torch.Tensor
+    labels: torch.Tensor | None
+    label_set: LabelSet | None
+
+
+@dataclass
+class Energy:
+    """The terms of the fit's energy for one observation and any batch of bodies.
+
+    Args:
+        observation: Keypoints and labels.
+        size: Side of the drawn crop [px].
+        subdivisions: Level of the drawn mesh, 0 to 3.
+        weights: Of the terms.
+        prior: The pose prior.
+    """
+
+    observation: Observation
+    size: int = REFERENCE_SIZE
+    subdivisions: int = 1
+    weights: Weights = field(default_factory=Weights)
+    prior: PosePrior | None = None
+
+    def __post_init__(self) -> None:
+        seen = self.observation
+        device = seen.points.device
+        self._gather = LandmarkGather(seen.landmarks, device)
+        # Ten points of a face say little more than one: the landmarks of one part share its vote.
+        votes = torch.zeros(20, device=device).index_add(0, self._gather.parts[:, 0], seen.confidence)
+        self._votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]
+        constants = template()
+        self._mean_lengths = torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device)
+        self._mean_thicknesses = torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device)
+        self._target: torch.Tensor | None = None
+        self._mesh: PartMesh | None = None
+        if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
+            self._mesh = ellipbody_mesh(self.subdivisions, device=device).relabel(seen.label_set.part_groups)
+            self._target = resize_nearest(seen.labels, self.size)
+
+    def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
+        """Each weighted term by name, shape (B,)."""
+        weights = self.weights
+        posed = parameters.posed()
+        terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
+        if self._mesh is not None and self._target is not None:
+            vertices = parameters.camera(self.size).project(posed.vertices(self.subdivisions))
+            target = self._target.expand(parameters.batch_size, -1, -1)
+            wrong, _ = label_loss(vertices, self._mesh, target, validate=False)
+            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * wrong
+        deviation = (parameters.lengths - self._mean_lengths) * _MILLIMETRES
+        terms["length"] = weights.length * deviation.square().sum(1)
+        deviation = (parameters.thicknesses - self._mean_thicknesses) * _MILLIMETRES
+        terms["thickness"] = weights.thickness * deviation.square().sum(1)
+        if self.prior is not None:
+            rotations = parameters.free_rotations()
+            terms["prior"] = weights.prior * self.prior(rotations, up_direction(parameters.global_orient()))
+            terms["limits"] = weights.limits * self.prior.joint_limits(rotations)
+        return terms
+
+    def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+        """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""
+        image = parameters.camera(2).project(self._gather(posed))[..., :2] - 1
+        distance = (image - self.observation.points).abs().sum(-1) * (REFERENCE_SIZE / 2)
+        return (distance * self._votes).sum(1)
+
+
+class LandmarkGather:
+    """Where landmarks are on posed bodies.
+
+    Args:
+        names: L landmarks.
+        device: Where the bodies are.
+    """
+
+    def __init__(self, names: Sequence[str], device: torch.device | str) -> None:
+        points = landmark_points(names)
+        self.parts = torch.from_numpy(points.parts).to(device)
+        self._normalised = torch.from_numpy(points.normalised.astype(np.float32)).to(device)
+        self._weights = torch.from_numpy(points.weights.astype(np.float32)).to(device)
+
+    def __call__(self, posed: Posed) -> torch.Tensor:
+        """Shape (B, L, 3) [m], float32 or as the bodies."""
+        local = posed.semi_axes[:, self.parts] * self._normalised.to(posed.semi_axes)
+        points = posed.centres[:, self.parts] + (posed.axes[:, self.parts] @ local[..., None]).squeeze(-1)
+        return (points * self._weights.to(points)[..., None]).sum(2)
+
+
+def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:
+    """A square label image (N, N) at ``size`` pixels a side: the label under each new pixel's centre."""
+    old = labels.shape[0]
+    index = ((torch.arange(size, device=labels.device) + 0.5) * old / size).long().clamp_max(old - 1)
+    return labels[index][:, index].contiguous()

@@ -1,0 +1,253 @@
+"""From one person's 2D keypoints and part labels to a body: many hypotheses, side by side, pruned as they go."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from .body.labels import BACKGROUND, IGNORE
+from .body.template import NUM_PARTS
+from .cameras import Crop, WeakPerspective
+from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Weights, resize_nearest
+from .errors import InputError
+from .hypotheses import LiftEnergy, hypothesize
+from .keypoints import Keypoints2D
+from .mesh import ellipbody_mesh
+from .parameters import BodyParameters
+from .part_files import PartLabels
+from .person import crop_nearest, person_crop, select_person
+from .pose_prior import PosePrior
+from .posing import Posed
+from .refinement import refine
+from .render import PartImage, rasterize_parts
+
+CROP_MARGIN = 0.1  # of the person's extent, on each side
+LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One round of a fit: refine what is left, then keep the best.
+
+    Attributes:
+        name: For the progress bar and the report.
+        bodies: How many hypotheses enter at most.
+        iterations: Steps of Adam.
+        learning_rate: Of these steps.
+        size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
+    """
+
+    name: str
+    bodies: int
+    iterations: int
+    learning_rate: float
+    size: int = 0
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit goes.
+
+    Attributes:
+        stages: In order; the first one lifts the hypotheses into 3D.
+        subdivisions: Level of the drawn mesh, 0 to 3.
+        weights: Of the energy's terms.
+        seed: Of the random choice of hypotheses, where there are too many.
+    """
+
+    stages: tuple[Stage, ...] = (
+        Stage("lift", 256, 30, 0.1),
+        Stage("keypoints", 256, 20, 0.04),
+        Stage("labels, coarse", 40, 25, 0.03, 64),
+        Stage("labels, middle", 12, 25, 0.02, 128),
+        Stage("labels, fine", 4, 50, 0.01, 256),
+    )
+    subdivisions: int = 1
+    weights: Weights = field(default_factory=Weights)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted body.
+
+    Attributes:
+        parameters: The body and its camera in the crop, B = 1.
+        crop: Where the crop lies in the picture.
+        observation: What was fitted, in the crop.
+        options: How.
+        energy: Weighted terms of the energy at the end, by name.
+        history: Energy of the winner's lineage before each iteration, one row a stage.
+        stage_seconds: Wall time of each stage.
+        hypotheses: How many starts there were.
+        alternatives: Energies of the other finalists, best first.
+    """
+
+    parameters: BodyParameters
+    crop: Crop
+    observation: Observation
+    options: FitOptions
+    energy: dict[str, float]
+    history: list[np.ndarray]
+    stage_seconds: dict[str, float]
+    hypotheses: int
+    alternatives: list[float]
+
+    @property
+    def camera(self) -> WeakPerspective:
+        """The camera in pixels of the full picture."""
+        return self.parameters.camera(self.crop.size[0]).in_full(self.crop)
+
+    @property
+    def posed(self) -> Posed:
+        """The body in the camera frame, pelvis at the origin [m]."""
+        return self.parameters.posed()
+
+    def landmarks(self, names: Sequence[str]) -> np.ndarray:
+        """Landmarks (see ``body.landmarks``) in the camera frame, shape (L, 3) [m]."""
+        return LandmarkGather(names, self.parameters.shift.device)(self.posed)[0].cpu().numpy()
+
+    def draw(
+        self, image_size: tuple[int, int], *, subdivisions: int = 3, camera: WeakPerspective | None = None
+    ) -> PartImage:
+        """The body's 20 parts in the full picture, or in another camera's."""
+        vertices = (camera or self.camera).project(self.posed.vertices(subdivisions))
+        return rasterize_parts(vertices, ellipbody_mesh(subdivisions, device=vertices.device), image_size)
+
+
+def fit_body(
+    keypoints: Keypoints2D,
+    parts: PartLabels | None = None,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    options: FitOptions | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit EllipBody to one person.
+
+    Args:
+        keypoints: The person's 2D keypoints in the picture.
+        parts: The picture's part labels; None fits keypoints alone.
+        others: Other people's keypoints, which keep their labels apart from the person's.
+        options: Stages, weights and mesh level.
+        device: "cpu" or a CUDA device.
+        progress: Called with (stage name, iterations done, iterations in all).
+
+    Returns:
+        The body, its camera, and how it went.
+
+    Raises:
+        InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+    """
+    options = options or FitOptions()
+    seen, crop = observe(keypoints, parts, others=others, device=device)
+    prior = PosePrior().to(device)
+    total = sum(stage.iterations for stage in options.stages)
+    done = 0
+    bodies, targets, known = hypothesize(seen, options.stages[0].bodies, seed=options.seed)
+    bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+    count = bodies.batch_size
+    seconds: dict[str, float] = {}
+    lineage: list[np.ndarray] = []
+    energies: torch.Tensor | None = None
+    for index, stage in enumerate(options.stages):
+        started = time.perf_counter()
+        if energies is not None:
+            kept = distinct(bodies, energies, stage.bodies)
+            bodies = bodies.select(kept)
+            lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
+        weights = options.weights if stage.size else replace(options.weights, seg=0.0)
+        energy = Energy(seen, max(stage.size, 1), options.subdivisions, weights, prior)
+
+        def step(iteration: int, name: str = stage.name, before: int = done) -> None:
+            if progress is not None:
+                progress(name, before + iteration, total)
+
+        refined = refine(
+            bodies,
+            LiftEnergy(energy, targets, known) if index == 0 else energy,
+            iterations=stage.iterations,
+            learning_rate=stage.learning_rate,
+            on_iteration=step,
+        )
+        bodies, energies = refined.parameters, refined.energy
+        lineage.append(refined.history.cpu().numpy())
+        done += stage.iterations
+        seconds[stage.name] = time.perf_counter() - started
+    order = energies.argsort()
+    winner = order[:1]
+    return FitResult(
+        parameters=bodies.select(winner),
+        crop=crop,
+        observation=seen,
+        options=options,
+        energy={name: float(term[winner]) for name, term in refined.terms.items()},
+        history=[rows[:, int(winner)] for rows in lineage],
+        stage_seconds=seconds,
+        hypotheses=count,
+        alternatives=energies[order[1:]].tolist(),
+    )
+
+
+def observe(
+    keypoints: Keypoints2D,
+    parts: PartLabels | None,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    device: torch.device | str = "cpu",
+) -> tuple[Observation, Crop]:
+    """Cut one person out: a square crop, keypoints in it from -1 to 1, other people's labels ignored."""
+    visible = keypoints.visible
+    if not visible.any():
+        raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
+    if len(np.unique(keypoints.points[visible], axis=0)) < 2:
+        raise InputError("keypoints: all lie in one point; expected different places")
+    groups = None if parts is None else select_person(parts.groups, keypoints, others)
+    empty = np.zeros((1, 1), dtype=np.uint8)
+    x0, y0, x1, y1 = person_crop(keypoints, empty if groups is None else groups, CROP_MARGIN)
+    half = max(x1 - x0, y1 - y0) / 2
+    u, v = (x0 + x1) / 2, (y0 + y1) / 2
+    box = (u - half, v - half, u + half, v + half)
+    crop = Crop(left=box[0], top=box[1], zoom=REFERENCE_SIZE / (2 * half), size=(REFERENCE_SIZE, REFERENCE_SIZE))
+    size = (LABEL_SIZE, LABEL_SIZE)
+    labels = None if groups is None else torch.from_numpy(crop_nearest(groups, box, size)).to(device)
+    points = (keypoints.points[visible] - (u, v)) / half
+    names = [name for name, there in zip(keypoints.format.landmarks, visible, strict=True) if there]
+    return (
+        Observation(
+            landmarks=tuple(names),
+            points=torch.tensor(points, dtype=torch.float32, device=device),
+            confidence=torch.tensor(keypoints.confidence[visible], dtype=torch.float32, device=device),
+            labels=labels,
+            label_set=None if parts is None else parts.label_set,
+        ),
+        crop,
+    )
+
+
+def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apart: float = 0.02) -> torch.Tensor:
+    """Indices of the best bodies, best first, leaving out those whose joints lie where a better one's do.
+
+    Args:
+        bodies: B bodies.
+        energies: Shape (B,).
+        count: How many to keep at most.
+        apart: Mean distance of joints below which two bodies are one [m].
+    """
+    order = energies.argsort()
+    joints = bodies.select(order).posed().joints.detach()
+    distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()
+    kept: list[int] = []
+    for i in range(len(order)):
+        if len(kept) == count:
+            break
+        if all(distances[i, j] >= apart for j in kept):
+            kept.append(i)
+    return order[torch.tensor(kept, device=order.device)]

@@ -1,0 +1,52 @@
+"""The colours of body parts, the same in every picture and file.
+
+Left limbs are warm, right limbs are cool, the trunk is gray to violet and the head yellow, so sides can be told apart without
+telling red from green; along a limb, the colours grow lighter towards its end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .body.template import PART_NAMES
+
+_COLOURS: dict[str, tuple[int, int, int]] = {
+    "left_hip": (150, 110, 150),
+    "right_hip": (120, 115, 165),
+    "abdomen": (150, 140, 175),
+    "chest": (178, 168, 200),
+    "neck": (205, 190, 150),
+    "left_shoulder": (190, 150, 165),
+    "right_shoulder": (150, 160, 195),
+    "head": (240, 210, 80),
+    "left_upper_leg": (176, 58, 20),
+    "right_upper_leg": (12, 72, 140),
+    "left_lower_leg": (221, 102, 35),
+    "right_lower_leg": (32, 112, 190),
+    "left_foot": (245, 150, 85),
+    "right_foot": (90, 160, 225),
+    "left_upper_arm": (150, 30, 75),
+    "right_upper_arm": (0, 100, 105),
+    "left_forearm": (200, 65, 115),
+    "right_forearm": (20, 150, 145),
+    "left_hand": (240, 130, 165),
+    "right_hand": (110, 200, 185),
+}
+PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PART_NAMES)], dtype=np.uint8)
+"""RGB of each part label 0 to 20, shape (21, 3); 0 = background."""
+
+IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
+
+
+def group_colours(part_groups: np.ndarray) -> np.ndarray:
+    """RGB of each group id 0 to 255: the mean colour of the group's parts, gray for 255, shape (256, 3), uint8.
+
+    Args:
+        part_groups: Group id of each part label, shape (21,), as ``LabelSet.part_groups``.
+    """
+    table = np.zeros((256, 3), dtype=np.uint8)
+    for group in np.unique(part_groups[1:]):
+        table[group] = PART_COLOURS[1:][part_groups[1:] == group].mean(0)
+    table[0] = 0
+    table[255] = IGNORE_COLOUR
+    return table

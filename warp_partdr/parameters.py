@@ -1,0 +1,96 @@
+"""What a fit optimises: the numbers of a batch of bodies and of their cameras, as torch tensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+
+from .body.rotations import rotation_from_6d, rotation_from_axis_angle
+from .body.template import LOCKED_PARTS, NUM_PARTS, template
+from .cameras import WeakPerspective
+from .posing import Posed, pose
+
+
+@dataclass(frozen=True)
+class BodyParameters:
+    """B bodies, each seen by a weak-perspective camera in a square crop of side 2 (coordinates -1 to 1).
+
+    Attributes:
+        orientation: Global orientation, 6D, camera frame, shape (B, 6).
+        rotations: Local rotations as axis-angle [rad], shape (B, 20, 3); those of the hips stay 0.
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
+        log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
+        shift: Where the pelvis is in the crop, shape (B, 2).
+    """
+
+    orientation: torch.Tensor
+    rotations: torch.Tensor
+    lengths: torch.Tensor
+    thicknesses: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+
+    @classmethod
+    def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
+        """Mean adults in the rest pose, upright, facing the camera, 2 m high in the crop."""
+        constants = template()
+        facing = torch.tensor([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], device=device)
+        return cls(
+            orientation=facing.repeat(batch_size, 1),
+            rotations=torch.zeros(batch_size, NUM_PARTS, 3, device=device),
+            lengths=torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device).repeat(batch_size, 1),
+            thicknesses=torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device).repeat(
+                batch_size, 1
+            ),
+            log_scale=torch.zeros(batch_size, device=device),
+            shift=torch.zeros(batch_size, 2, device=device),
+        )
+
+    @property
+    def batch_size(self) -> int:
+        return self.log_scale.shape[0]
+
+    def global_orient(self) -> torch.Tensor:
+        """Global orientation as matrices, shape (B, 3, 3)."""
+        return rotation_from_6d(self.orientation)
+
+    def free_rotations(self) -> torch.Tensor:
+        """Local rotations with the locked ones at zero, shape (B, 20, 3)."""
+        free = torch.ones(NUM_PARTS, 1, device=self.rotations.device)
+        free[list(LOCKED_PARTS)] = 0.0
+        return self.rotations * free
+
+    def posed(self) -> Posed:
+        """The bodies in the camera frame, pelvis at the origin [m]."""
+        return pose(
+            self.global_orient(),
+            self.lengths.new_zeros(self.batch_size, 3),
+            rotation_from_axis_angle(self.free_rotations()),
+            self.lengths,
+            self.thicknesses,
+        )
+
+    def camera(self, size: int) -> WeakPerspective:
+        """The cameras for a crop of ``size`` pixels a side."""
+        half = size / 2
+        return WeakPerspective(self.log_scale.exp() * half, (self.shift + 1) * half)
+
+    def select(self, index: torch.Tensor) -> BodyParameters:
+        """Some of the bodies."""
+        return replace(self, **{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+    def leaves(self) -> BodyParameters:
+        """Detached copies that collect gradients."""
+        return replace(
+            self, **{field.name: getattr(self, field.name).detach().clone().requires_grad_() for field in fields(self)}
+        )
+
+    def detach(self) -> BodyParameters:
+        """The numbers alone."""
+        return replace(self, **{field.name: getattr(self, field.name).detach() for field in fields(self)})
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """The tensors by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}

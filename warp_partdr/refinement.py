@@ -1,0 +1,99 @@
+"""The paper's second stage: Adam on the energy from a given start (section 3.4), for any batch of starts at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from .energy import Energy
+from .parameters import BodyParameters
+
+LEARNING_RATE = 1e-2  # the paper's
+_SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
+_SMALLEST_LENGTH = 0.02  # [m]; a step of Adam must not turn an ellipsoid inside out
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Where a refinement ended.
+
+    Attributes:
+        parameters: The best bodies seen, B of them.
+        energy: Their energy, shape (B,).
+        terms: Its weighted terms by name, shape (B,) each.
+        history: Energy before each iteration, shape (iterations, B).
+    """
+
+    parameters: BodyParameters
+    energy: torch.Tensor
+    terms: dict[str, torch.Tensor]
+    history: torch.Tensor
+
+
+def refine(
+    start: BodyParameters,
+    energy: Callable[[BodyParameters], dict[str, torch.Tensor]] | Energy,
+    *,
+    iterations: int = 50,
+    learning_rate: float = LEARNING_RATE,
+    final_rate: float = 0.1,
+    on_iteration: Callable[[int], None] | None = None,
+) -> Refined:
+    """Minimise ``energy`` from every start side by side.
+
+    Args:
+        start: B bodies; they do not influence one another.
+        energy: Terms by name, shape (B,) each; their sum is minimised.
+        iterations: Steps of Adam.
+        learning_rate: Of angles [rad] and of the camera [half-sides of the crop]; shape moves at 0.3 of it.
+        final_rate: Share of the learning rate at the last step; it falls along a cosine.
+        on_iteration: Called with the number of steps done, for a progress bar.
+
+    Returns:
+        The best state of each body, not the last: PartDR's estimate does not promise descent.
+    """
+    bodies = start.leaves()
+    shape = [bodies.lengths, bodies.thicknesses]
+    rest = [bodies.orientation, bodies.rotations, bodies.log_scale, bodies.shift]
+    groups = [{"params": rest, "lr": learning_rate}, {"params": shape, "lr": learning_rate * _SHAPE_RATE}]
+    optimizer = torch.optim.Adam(groups)  # type: ignore[arg-type]
+    half_turn = math.pi / max(iterations, 1)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: final_rate + (1 - final_rate) * (1 + math.cos(half_turn * step)) / 2
+    )
+    best: BodyParameters | None = None
+    best_energy = torch.empty(0)
+    best_terms: dict[str, torch.Tensor] = {}
+    history = []
+    for iteration in range(iterations + 1):
+        last = iteration == iterations
+        with torch.set_grad_enabled(not last):
+            terms = energy(bodies)
+            total = torch.stack(list(terms.values())).sum(0)
+        now = total.detach()
+        if best is None:
+            best, best_energy = bodies.leaves().detach(), now
+            best_terms = {name: term.detach() for name, term in terms.items()}
+        else:
+            better = now < best_energy
+            best_energy = torch.where(better, now, best_energy)
+            best_terms = {name: torch.where(better, terms[name].detach(), old) for name, old in best_terms.items()}
+            for name, old in best.tensors().items():
+                old.copy_(torch.where(better.view(-1, *[1] * (old.dim() - 1)), bodies.tensors()[name].detach(), old))
+        if last:
+            break
+        history.append(now)
+        optimizer.zero_grad(set_to_none=True)
+        total.sum().backward()
+        optimizer.step()
+        schedule.step()
+        with torch.no_grad():
+            bodies.lengths.clamp_(min=_SMALLEST_LENGTH)
+            bodies.thicknesses.clamp_(min=_SMALLEST_LENGTH)
+        if on_iteration is not None:
+            on_iteration(iteration + 1)
+    assert best is not None
+    return Refined(best, best_energy, best_terms, torch.stack(history) if history else best_energy[None][:0])
