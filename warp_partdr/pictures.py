@@ -17,7 +17,11 @@ from .posing import Posed
 from .render import rasterize_parts
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from PIL.Image import Image
+
+    from .fitting import FitResult
 
 _SUBDIVISIONS = 3
 _LIGHT = np.array([-0.35, -0.6, -0.72])  # toward the light, camera frame
@@ -100,3 +104,84 @@ def turntable(posed: Posed, angles: tuple[tuple[float, float], ...], size: int =
         white = np.full((size, size, 3), 255, dtype=np.uint8)
         pictures.append(blend(white, shade_body(moved, camera, (size, size)), 1.0))
     return pictures
+
+
+def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
+    """Target, result and difference side by side, cut to where something is.
+
+    Args:
+        target: Group ids, 255 = ignore, shape (H, W).
+        shown: Group ids of the fitted body, the same shape.
+        colours: RGB of each group id, shape (256, 3).
+    """
+    from PIL import Image as PilImage
+    from PIL import ImageDraw, ImageFont
+
+    counted = target != 255
+    wrong = counted & (shown != target)
+    difference = np.full((*target.shape, 3), 255, dtype=np.uint8)
+    difference[counted & (target > 0) & ~wrong] = (205, 205, 205)
+    difference[wrong & (shown == 0)] = _MISSING
+    difference[wrong & (target == 0)] = _EXTRA
+    difference[wrong & (shown > 0) & (target > 0)] = _CONFUSED
+    difference[~counted] = (120, 120, 120)
+
+    rows, columns = np.nonzero((counted & (target > 0)) | (shown > 0))
+    if rows.size:
+        margin = 12
+        box = (columns.min() - margin, rows.min() - margin, columns.max() + margin + 1, rows.max() + margin + 1)
+    else:
+        box = (0, 0, target.shape[1], target.shape[0])
+    box = (max(box[0], 0), max(box[1], 0), min(box[2], target.shape[1]), min(box[3], target.shape[0]))
+    width, height = int(box[2] - box[0]), int(box[3] - box[1])
+    zoom = max(1, round(480 / max(width, height)))
+    width, height, bar = width * zoom, height * zoom, 34
+    names = ("target", "result", "difference")
+    sheet = PilImage.new("RGB", (3 * max(width, 180) + 40, height + 2 * bar), "white")
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(15)
+    left = 10
+    for name, image in zip(names, (colours[target], colours[shown], difference), strict=True):
+        picture = PilImage.fromarray(image).crop(tuple(map(int, box))).resize((width, height), PilImage.Resampling.NEAREST)
+        sheet.paste(picture, (left, bar))
+        draw.text((left, 8), name, fill="black", font=font)
+        left += max(width, 180) + 10
+    left = 10
+    for text, colour in (
+        ("missing", _MISSING),
+        ("too much", _EXTRA),
+        ("another part", _CONFUSED),
+        ("ignored", (120, 120, 120)),
+    ):
+        draw.rectangle([left, bar + height + 10, left + 14, bar + height + 24], fill=colour)
+        draw.text((left + 20, bar + height + 8), text, fill="black", font=font)
+        left += 40 + 8 * len(text)
+    return sheet
+
+
+# of the difference picture; told apart by colour-blind people too
+_MISSING = (0, 90, 181)
+_EXTRA = (220, 50, 32)
+_CONFUSED = (255, 194, 10)
+
+
+def loss_chart(result: FitResult, path: Path) -> None:
+    """The energy of the winner and its ancestors over all iterations, one panel a stage, as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    stages = result.options.stages
+    axes = figure.subplots(1, len(stages), squeeze=False, width_ratios=[stage.iterations for stage in stages])[0]
+    first = 0
+    for axis, stage, energies in zip(axes, stages, result.history, strict=True):
+        axis.plot(np.arange(first, first + len(energies)), energies, color="black", linewidth=1.2)
+        axis.set_title(f"{stage.name}\n{stage.size or 'no'} px", fontsize=9)
+        axis.set_ylim(bottom=0)
+        axis.grid(alpha=0.3)
+        axis.tick_params(labelsize=8)
+        first += stage.iterations
+    axes[0].set_ylabel("energy of the winner")
+    figure.supxlabel("iteration", fontsize=10)
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,79 @@
+# Everything runs in .venv, which is made on first use. Second runs reinstall only when pyproject.toml or constraints.txt
+# changed. Only Python 3.11 or later, with pip and venv, has to be there: make fit PYTHON=python3.12
+PYTHON ?= python3
+VENV ?= .venv
+PYTEST_ARGS ?=
+
+BIN := $(VENV)/bin
+# -qq: errors only.
+PIP_FLAGS := -qq --disable-pip-version-check
+INSTALL := $(BIN)/python -m pip install $(PIP_FLAGS) --constraint constraints.txt
+EXAMPLE := warp_partdr/assets/example
+SOURCES := $(shell find warp_partdr kernels body -type f -not -path '*/__pycache__/*')
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help fit test install dev lint format types wheel-check clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
+
+fit: out/example/report.json  ## fit the body to the packaged example; the result is in out/example
+	@echo "The fitted body is in $(<D): open overlay.png first, then ellipbody.glb in Blender; report.json has the numbers."
+
+out/example/report.json: $(VENV)/.installed $(SOURCES)
+	$(BIN)/partdr fit $(EXAMPLE)/photo.png --keypoints $(EXAMPLE)/keypoints.json \
+		--parts $(EXAMPLE)/parts.png --labels cdcl14 --out $(@D)
+
+test: $(VENV)/.installed-dev  ## run the tests; PYTEST_ARGS="-k name" chooses
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+install: $(VENV)/.installed  ## make .venv and install the package into it, editable
+dev: $(VENV)/.installed-dev  ## the same with what tests, linter and type checker need
+
+lint: $(VENV)/.installed-dev  ## ruff: rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(VENV)/.installed-dev  ## let ruff put right what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# mypy does not follow setuptools' editable finder, so it is shown the package's real layout, made of links.
+types: $(VENV)/.installed-dev  ## mypy
+	@rm -rf build/typing && mkdir -p build/typing/warp_partdr
+	@ln -s $(foreach entry,$(wildcard warp_partdr/*) kernels body,../../../$(entry)) build/typing/warp_partdr/
+	$(BIN)/mypy build/typing/warp_partdr
+
+# A user's view: the wheel alone, in an environment of its own, from another folder. A library that logs a traceback there
+# and goes on (a package that only the tests install) fails it too.
+wheel-check: $(VENV)/.installed-dev  ## build the wheel, install it cleanly, run `partdr --help` and a fit with it
+	rm -rf build/lib build/bdist.* build/wheel build/elsewhere
+	$(BIN)/python -m pip wheel $(PIP_FLAGS) --no-deps --no-build-isolation --wheel-dir build/wheel .
+	$(PYTHON) -m venv --clear build/wheel/venv
+	build/wheel/venv/bin/python -m pip install $(PIP_FLAGS) --constraint constraints.txt build/wheel/*.whl
+	mkdir -p build/elsewhere && cd build/elsewhere && PATH="$(CURDIR)/build/wheel/venv/bin:$$PATH" && partdr --help && \
+		example=$$(python -c "import warp_partdr; print(warp_partdr.__path__[0])")/assets/example && \
+		{ partdr fit "$$example/photo.png" --keypoints "$$example/keypoints.json" --parts "$$example/parts.png" \
+			--labels cdcl14 --out fitted 2>stderr.txt || { cat stderr.txt; exit 1; }; } && \
+		test -s fitted/body.npz && cat stderr.txt && ! grep -q Traceback stderr.txt
+
+clean:  ## remove what was built, but not .venv
+	rm -rf build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed (make PYTHON=...); this is " + sys.version.split()[0] \
+		if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+# The build backend comes first, pinned too, so that pip need not fetch one for itself.
+$(VENV)/.installed: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "Installing into $(VENV): PyTorch, Warp, VTK and more, a few minutes the first time ..."
+	$(INSTALL) setuptools
+	$(INSTALL) --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	$(INSTALL) --no-build-isolation --editable '.[test,dev]'
+	@touch $@

@@ -1,0 +1,1 @@
+"""EllipBody, its template, and the skeleton and label tables."""

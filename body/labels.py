@@ -1,0 +1,297 @@
+"""Label sets: how the ids of somebody's part labels group the 20 ellipsoids.
+
+A ``LabelSet`` has groups 1 to G, each a union of ellipsoids, and says of every source id (the numbers in a data set's
+or a network's label images) whether it is one of the groups, background, or to be ignored. Three kinds of image meet:
+
+* **source ids**: what the user brings, such as 14 for LIP's "Left-arm";
+* **group ids**: uint8, 0 = background, 1 to G = groups, 255 = ignore, which neither attracts nor repels;
+* **part labels**: what the body renders: uint8, 0 = background, k = ellipsoid ``PART_NAMES[k - 1]``.
+
+Three rules settle the rest:
+
+* Source id 255 is ignored, as in most data sets, unless the set gives it a meaning.
+* A group without source ids is never wanted at a pixel, but is wrong on background: the torso under LIP's clothes.
+* An ellipsoid that is in no group costs nothing where it shows: ``part_groups`` maps it to 255. The sets that come
+  with the project leave none out.
+
+The sets themselves are in ``label_sets.py``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .template import NUM_PARTS, PART_NAMES
+
+BACKGROUND = 0
+IGNORE = 255
+MAX_SOURCE_ID = 65535  # What a 16-bit PNG can hold.
+
+
+@dataclass(frozen=True)
+class LabelSet:
+    """A grouping of the 20 ellipsoids and the source ids that stand for its groups.
+
+    Attributes:
+        name: Name of the set, such as "cdcl14".
+        groups: Group name -> its ellipsoids, in the order of the group ids 1 to G.
+        ids: Source id -> group name, "background" or "ignore".
+        class_names: Source id -> the data set's own name of the class, where it differs from the group's.
+
+    Raises:
+        ValueError: If a part is unknown or in two groups, a group is empty, an id has no such group or is out of
+            range, or no id is background.
+    """
+
+    name: str
+    groups: Mapping[str, tuple[str, ...]]
+    ids: Mapping[int, str]
+    class_names: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.groups:
+            raise ValueError(f"{self.name}: groups: none; expected at least one")
+        owner: dict[str, str] = {}
+        for group, parts in self.groups.items():
+            if group in ("background", "ignore"):
+                raise ValueError(f"{self.name}: groups: {group!r}; expected a name other than background and ignore")
+            if not parts:
+                raise ValueError(f"{self.name}: group {group!r} has no parts; expected some of {', '.join(PART_NAMES)}")
+            for part in parts:
+                if part not in PART_NAMES:
+                    raise ValueError(
+                        f"{self.name}: group {group!r}: no part {part!r}; expected {', '.join(PART_NAMES)}"
+                    )
+                if part in owner:
+                    raise ValueError(f"{self.name}: {part} is in {owner[part]!r} and {group!r}; expected one group")
+                owner[part] = group
+        for source, group in self.ids.items():
+            if not 0 <= source <= MAX_SOURCE_ID:
+                raise ValueError(f"{self.name}: id {source}; expected 0 to {MAX_SOURCE_ID}")
+            if group not in self.groups and group not in ("background", "ignore"):
+                expected = ", ".join([*self.groups, "background", "ignore"])
+                raise ValueError(f"{self.name}: id {source} is {group!r}; expected one of {expected}")
+        if "background" not in self.ids.values():
+            raise ValueError(f"{self.name}: ids: none is background; expected one at least")
+
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        """Names of the groups 1 to G."""
+        return tuple(self.groups)
+
+    @property
+    def num_groups(self) -> int:
+        """G."""
+        return len(self.groups)
+
+    @cached_property
+    def part_groups(self) -> np.ndarray:
+        """Group id of each part label 0 to 20, shape (21,), uint8; 255 for a part in no group."""
+        table = np.full(NUM_PARTS + 1, IGNORE, dtype=np.uint8)
+        table[0] = BACKGROUND
+        for group, parts in enumerate(self.groups.values(), start=1):
+            table[[PART_NAMES.index(part) + 1 for part in parts]] = group
+        return table
+
+    @cached_property
+    def id_groups(self) -> np.ndarray:
+        """Group id of each source id 0 to 65535, shape (65536,), int16; -1 for an id that the set does not have."""
+        table = np.full(MAX_SOURCE_ID + 1, -1, dtype=np.int16)
+        table[IGNORE] = IGNORE
+        for source, group in self.ids.items():
+            table[source] = self._group_id(group)
+        return table
+
+    def _group_id(self, group: str) -> int:
+        if group == "background":
+            return BACKGROUND
+        return IGNORE if group == "ignore" else self.group_names.index(group) + 1
+
+    def to_groups(self, image: np.ndarray) -> np.ndarray:
+        """Group ids of an image of source ids.
+
+        Args:
+            image: Source ids, an integer or boolean array of any shape.
+
+        Returns:
+            uint8 array of the same shape: 0 = background, 1 to G, 255 = ignore.
+
+        Raises:
+            ValueError: If ``image`` is not of integers, or holds ids that the set does not have.
+        """
+        image = np.asarray(image)
+        if image.dtype.kind not in "iub":
+            raise ValueError(f"labels: {image.dtype}; expected integers")
+        image = image.astype(np.uint8) if image.dtype.kind == "b" else image
+        inside = (image >= 0) & (image <= MAX_SOURCE_ID)
+        groups = self.id_groups[np.where(inside, image, 0)]
+        unknown = np.unique(image[~inside | (groups < 0)])
+        if unknown.size:
+            found = _ranges(int(value) for value in unknown)
+            raise ValueError(f"labels: ids {found} not in {self.name}; expected {_ranges(self.ids)} (255 = ignore)")
+        return groups.astype(np.uint8)
+
+    def to_ids(self, groups: np.ndarray) -> np.ndarray:
+        """Source ids of an image of group ids, uint16: the group's first; an ignored id for 255 and groups without ids.
+
+        ``to_groups`` of the result gives the groups back, but for groups without ids.
+
+        Raises:
+            ValueError: If ``groups`` holds what the set has no id for, such as 255 in a set where 255 is somebody.
+        """
+        table = np.full(256, -1, dtype=np.int32)
+        ignored = [IGNORE] if IGNORE not in self.ids else [k for k, group in self.ids.items() if group == "ignore"]
+        if ignored:
+            table[[IGNORE, *range(1, self.num_groups + 1)]] = ignored[0]
+        for source in sorted(self.ids, reverse=True):  # So that the lowest id wins.
+            if self.ids[source] != "ignore":
+                table[self._group_id(self.ids[source])] = source
+        ids = table[np.asarray(groups, dtype=np.uint8)]
+        if ids.size and ids.min() < 0:
+            unknown = _ranges(int(group) for group in np.unique(np.asarray(groups)[ids < 0]))
+            raise ValueError(f"groups: {self.name} has no id for group ids {unknown}")
+        return ids.astype(np.uint16)
+
+    def from_parts(self, parts: np.ndarray) -> np.ndarray:
+        """Group ids of a rendered image of part labels (0 to 20, 255 = ignore), uint8 of the same shape."""
+        table = np.full(256, IGNORE, dtype=np.uint8)
+        table[: NUM_PARTS + 1] = self.part_groups
+        return table[np.asarray(parts, dtype=np.uint8)]
+
+    def to_group_maps(self, probabilities: np.ndarray) -> np.ndarray:
+        """Sum the probability maps of source classes into those of groups.
+
+        Args:
+            probabilities: Channel k holds the k-th lowest source id of the set, shape (K, H, W); a meaning that the set
+                gives to 255 has no channel.
+
+        Returns:
+            Background and groups 1 to G, float32, shape (G + 1, H, W). What is missing to a sum of 1 is ignored.
+
+        Raises:
+            ValueError: If K is not the number of the set's ids.
+        """
+        sources = self.channel_ids
+        if probabilities.shape[0] != len(sources):
+            raise ValueError(
+                f"labels: {probabilities.shape[0]} probability maps; expected {len(sources)} for {self.name}"
+            )
+        maps = np.zeros((self.num_groups + 1, *probabilities.shape[1:]), dtype=np.float32)
+        for source, channel in zip(sources, probabilities, strict=True):
+            group = self.id_groups[source]
+            if group != IGNORE:
+                maps[group] += channel
+        return maps
+
+    @property
+    def channel_ids(self) -> tuple[int, ...]:
+        """Source id of each channel of a network's probability maps: all ids but 255, ascending."""
+        return tuple(sorted(source for source in self.ids if source != IGNORE))
+
+
+def _ranges(values: Iterable[int]) -> str:
+    """1, 2, 3, 7 as "1 to 3, 7"; at most a few."""
+    runs: list[list[int]] = []
+    for value in sorted(set(values)):
+        if runs and value == runs[-1][1] + 1:
+            runs[-1][1] = value
+        else:
+            runs.append([value, value])
+    shown = [str(low) if low == high else f"{low} to {high}" for low, high in runs[:6]]
+    return ", ".join(shown) + (", ..." if len(runs) > 6 else "")
+
+
+def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
+    """A label set by name, from a JSON file, or from what such a file holds.
+
+    A file of one's own::
+
+        {
+            "name": "mine",
+            "groups": {"head": ["head", "neck"], "left_arm": ["left_upper_arm", "left_forearm", "left_hand"]},
+            "ids": {"0": "background", "1": "head", "2": "left_arm", "7": "ignore"}
+        }
+
+    ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` says for every number that may occur in
+    the label images which group it is; several numbers may be one group. ``name`` may be left out.
+
+    Raises:
+        ValueError: If there is no such set or file, or its content does not fit.
+    """
+    from .label_sets import LABEL_SETS
+
+    if isinstance(source, LabelSet):
+        return source
+    if isinstance(source, Mapping):
+        return _from_json(source, "labels")
+    if str(source) in LABEL_SETS:
+        return LABEL_SETS[str(source)]
+    path = Path(source)
+    if path.suffix != ".json" and not path.is_file():
+        raise ValueError(f"labels: {str(source)!r}; expected one of {', '.join(LABEL_SETS)}, or a JSON file")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror or error}; expected a label set in JSON") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: not JSON ({error}); expected a label set") from error
+    if not isinstance(data, Mapping):
+        raise ValueError(f"{path}: {type(data).__name__}; expected an object with groups and ids")
+    return _from_json(data, str(path))
+
+
+def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
+    """Check types; ``LabelSet`` checks the meaning."""
+    groups, ids = data.get("groups"), data.get("ids")
+    if not isinstance(groups, Mapping) or not isinstance(ids, Mapping):
+        raise ValueError(
+            f'{where}: no "groups" and "ids"; expected {{"groups": {{name: [parts]}}, "ids": {{id: name}}}}'
+        )
+    for group, parts in groups.items():
+        if not isinstance(parts, list | tuple) or not all(isinstance(part, str) for part in parts):
+            raise ValueError(f"{where}: group {group!r}: {parts!r}; expected a list of part names")
+    sources: dict[int, str] = {}
+    for key, group in ids.items():
+        try:
+            sources[int(key)] = str(group)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}: id {key!r}; expected an integer") from error
+    try:
+        return LabelSet(
+            name=str(data.get("name", Path(where).stem)),
+            groups={str(group): tuple(parts) for group, parts in groups.items()},
+            ids=sources,
+        )
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def regroup(source: LabelSet, target: LabelSet) -> np.ndarray:
+    """Table from group ids of one set to those of a coarser one, shape (256,), uint8; 0 and 255 stay.
+
+    The neck goes with its group: data sets count it to the head or to the torso, which must not keep, say, ``cdcl14``
+    from becoming ``lsp6``. To compare a rendering with labels after such a step, take it through the same source set:
+    ``regroup(source, target)[source.part_groups]`` is the table from part labels.
+
+    Raises:
+        ValueError: If a group of ``source`` is not within one group of ``target``.
+    """
+    table = np.full(256, IGNORE, dtype=np.uint8)
+    table[BACKGROUND] = BACKGROUND
+    for index, (name, parts) in enumerate(source.groups.items(), start=1):
+        deciding = [part for part in parts if part != "neck"] or list(parts)
+        found = {int(target.part_groups[PART_NAMES.index(part) + 1]) for part in deciding}
+        if len(found) != 1:
+            within = ", ".join("none" if g == IGNORE else target.group_names[g - 1] for g in sorted(found))
+            raise ValueError(
+                f"{source.name} to {target.name}: group {name!r} lies in {within}; expected one group of {target.name}"
+            )
+        table[index] = found.pop()
+    return table

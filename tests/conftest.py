@@ -1,0 +1,88 @@
+"""What all tests share: devices, seeds, Hypothesis profiles and the data beside the checkout."""
+
+from __future__ import annotations
+
+import os
+import random
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from hypothesis import settings
+
+wp.config.log_level = wp.LOG_WARNING
+
+# Kernels compile within an example, so no example has a deadline. CI draws the same cases in every run.
+settings.register_profile("developer", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("ci" if os.environ.get("CI") else "developer")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+DEVICES_VARIABLE = "PARTDR_TEST_DEVICES"
+
+
+@cache
+def _why_no_cuda() -> str:
+    """Empty if both Warp and torch see a CUDA device, else which of them does not."""
+    blind = [
+        name
+        for name, sees in (("Warp", wp.get_cuda_device_count() > 0), ("torch", torch.cuda.is_available()))
+        if not sees
+    ]
+    return f"{' and '.join(blind)} see{'s' if len(blind) == 1 else ''} no CUDA device" if blind else ""
+
+
+@cache
+def _devices() -> tuple[str, ...]:
+    """The devices to test on: those present, or exactly those that ``PARTDR_TEST_DEVICES`` lists ("cuda", "cpu,cuda").
+
+    Raises:
+        pytest.UsageError: If the variable lists a device that is not there: a run that was to test it must not pass.
+    """
+    wanted = os.environ.get(DEVICES_VARIABLE)
+    if wanted is None:
+        return ("cpu",) if _why_no_cuda() else ("cpu", "cuda")
+    devices = tuple(name.strip() for name in wanted.split(","))
+    for name in devices:
+        if name not in ("cpu", "cuda"):
+            raise pytest.UsageError(f"{DEVICES_VARIABLE}: {name!r}; expected cpu, cuda or cpu,cuda")
+    if "cuda" in devices and _why_no_cuda():
+        raise pytest.UsageError(f"{DEVICES_VARIABLE}: lists cuda, but {_why_no_cuda()}")
+    return devices
+
+
+def pytest_report_header() -> str:
+    """Say in the first lines of a run what it covers."""
+    why_not = "" if "cuda" in _devices() else f" (no cuda: {_why_no_cuda() or 'not listed in ' + DEVICES_VARIABLE})"
+    return f"devices: {', '.join(_devices())}{why_not}; warp {wp.config.version}, torch {torch.__version__}"
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test that asks for ``device`` once on every device."""
+    if "device" in metafunc.fixturenames:
+        metafunc.parametrize("device", _devices(), scope="session")
+
+
+@pytest.fixture(autouse=True)
+def _seeds() -> None:
+    """The same global random numbers in each test, whatever ran before."""
+    random.seed(0)
+    np.random.seed(0)  # noqa: NPY002  for code under test that draws from it; tests use ``rng``
+    torch.manual_seed(0)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A seeded generator."""
+    return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of photos and motion capture beside the checkout, which is not part of the repository."""
+    if not SHARED.is_dir():
+        pytest.skip(f"needs {SHARED.name}/ (photos, motion capture) beside the checkout")
+    return SHARED

@@ -1,0 +1,47 @@
+"""EllipBody as a mesh file that other tools open."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .body.icosphere import icosphere
+from .body.template import NUM_PARTS, PART_NAMES
+from .palette import PART_COLOURS
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from .posing import Posed
+
+_GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to glTF's (y up, z toward the viewer)
+
+
+def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> trimesh.Scene:
+    """One body as 20 named, coloured meshes, standing on y = 0 as glTF has it: y up, seen from the camera's side.
+
+    Args:
+        posed: Bodies in the camera frame [m].
+        subdivisions: 0 to 3.
+        index: Which body of the batch.
+    """
+    import trimesh
+
+    _, faces = icosphere(subdivisions)
+    points = posed.vertices(subdivisions)[index].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
+    points = points @ _GLTF_FROM_CAMERA.T
+    points = points - [0.0, points[..., 1].min(), 0.0]
+    scene = trimesh.Scene()
+    for k, name in enumerate(PART_NAMES):
+        material = trimesh.visual.material.PBRMaterial(
+            name=name,
+            baseColorFactor=[*PART_COLOURS[k + 1].tolist(), 255],
+            metallicFactor=0.0,
+            roughnessFactor=0.7,
+        )
+        mesh = trimesh.Trimesh(points[k], faces, process=False)
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        mesh.vertex_normals  # noqa: B018  computed here, so that the file holds them and ellipsoids look smooth
+        scene.add_geometry(mesh, node_name=name, geom_name=name)
+    return scene
