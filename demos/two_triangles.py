@@ -1,6 +1,6 @@
 """The paper's figure 3: a silhouette can't tell two triangles apart nor which is in front; part labels can.
 
-    python demos/two_triangles.py [--out FILE] [--scenes N] [--depth-weight LAMBDA] [--device cpu|cuda]
+    python demos/two_triangles.py [--out FILE] [--scenes N] [--depth-weight L] [--device cpu|cuda]
 
 Two rigid triangles, A and B, start in the wrong places and in the wrong order. Adam moves them (x, y in pixels, z in
 metres) until the picture equals the target, under three supervisions with the same start, learning rates and
@@ -10,7 +10,7 @@ iterations. Writes one picture; with --scenes it also counts how often random sc
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warp_partdr.mesh import PartMesh
 from warp_partdr.render import label_loss, rasterize_parts
+
+Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
 
 IMAGE_SIZE = (64, 80)  # (H, W)
 NEAR_DEPTH, FAR_DEPTH = 2.0, 2.2  # [m] of the triangle in front and of the one behind, at the start and in the target
@@ -37,19 +39,41 @@ class Supervision:
     """What the optimisation is told.
 
     Attributes:
-        title: Name in the picture.
+        title: Name in the picture, in two lines.
+        note: What the loss compares, in three.
         parts: Whether the target tells A from B, or both are one label.
         depth_weight: The paper's lambda (eq. 12); 0 takes the z gradient away.
     """
 
     title: str
+    note: str
     parts: bool
     depth_weight: float
 
+    @property
+    def name(self) -> str:
+        """The title in one line."""
+        return self.title.replace("\n", " ")
 
-FULL = Supervision("Full silhouette", parts=False, depth_weight=1.0)
-PARTS_WITHOUT_DEPTH = Supervision("Parts, no depth gradient", parts=True, depth_weight=0.0)
-PARTS = Supervision("Parts", parts=True, depth_weight=1.0)
+
+FULL = Supervision(
+    "Full\nsilhouette",
+    "The target is one label.\nNothing tells A from B\nor which is in front.",
+    parts=False,
+    depth_weight=1.0,
+)
+PARTS_WITHOUT_DEPTH = Supervision(
+    "Parts, no\ndepth gradient",
+    "The target has two\nlabels; z stays as\nit was.",
+    parts=True,
+    depth_weight=0.0,
+)
+PARTS = Supervision(
+    "Parts\n(PartDR)",
+    "The target has two\nlabels; hidden parts\ncome forward (eq. 12).",
+    parts=True,
+    depth_weight=1.0,
+)
 SUPERVISIONS = (FULL, PARTS_WITHOUT_DEPTH, PARTS)
 
 
@@ -117,7 +141,7 @@ def _scenes(starts: list[np.ndarray], goals: list[np.ndarray], device: torch.dev
 def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
     """The picture's scene: A starts in front of B, near B's place, and B near A's."""
     shapes = np.array([[(-15, 11), (14, 9), (1, -20)]] * 2, dtype=float)
-    goal = place(shapes, np.array([(31, 30), (47, 36)]), (FAR_DEPTH, NEAR_DEPTH))
+    goal = place(shapes, np.array([(31, 30), (44, 36)]), (FAR_DEPTH, NEAR_DEPTH))
     start = place(shapes, np.array([(54, 28), (39, 42)]), (NEAR_DEPTH, FAR_DEPTH))
     return _scenes([start], [goal], device)
 
@@ -128,8 +152,8 @@ def random_scenes(count: int, seed: int, *, alike: bool, device: torch.device | 
     Args:
         count: S.
         seed: Of the random numbers.
-        alike: Both triangles have one shape and each starts within 6 px, along either axis, of the other's place; otherwise shapes
-            differ and each triangle starts anywhere.
+        alike: Both triangles have one shape and each starts near the other's place (within 6 px along either axis);
+            otherwise shapes differ and each triangle starts anywhere.
         device: Where the scenes go.
     """
     rng = np.random.default_rng(seed)
@@ -191,8 +215,9 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
         return (scenes.start.view(count, 2, 3, 3) + torch.cat([shift, advance], dim=3)).flatten(1, 2)
 
     course = [vertices().detach()]
-    for _ in range(ITERATIONS):
-        loss, _ = label_loss(vertices(), mesh, target, depth_weight=supervision.depth_weight)
+    for iteration in range(ITERATIONS):
+        is_first = iteration == 0  # the target stays, so one look at its labels is enough
+        loss, _ = label_loss(vertices(), mesh, target, depth_weight=supervision.depth_weight, validate=is_first)
         optimizer.zero_grad()
         loss.sum().backward()
         optimizer.step()
@@ -219,37 +244,75 @@ def judge(scenes: Scenes, vertices: torch.Tensor) -> Outcome:
 
 # --- picture -----------------------------------------------------------------------------------------------------
 
-SHOWN = (0, 5, 10, 20, 40, ITERATIONS)  # iterations
+SHOWN = (0, 5, 15, 40, ITERATIONS)  # iterations
 SCALE = 3  # of a panel to the optimised picture
 FINE = 3  # further, while drawing
-PAPER, INK, FAINT = (255, 255, 255), (30, 30, 30), (110, 110, 110)
-# Told apart by people of any colour vision, and by their letters: P. Tol's "vibrant" red and blue.
-COLOURS = np.array([(244, 244, 241), (204, 51, 17), (0, 119, 187)], dtype=np.uint8)
-SILHOUETTE = np.array([COLOURS[0], (120, 120, 120)], dtype=np.uint8)
-GOOD, BAD = (0, 140, 90), (190, 0, 30)
-MARGIN, GAP, HEAD, CAPTION, SIDE = 16, 10, 62, 40, 178  # [px]
+PAPER, INK, FAINT = (255, 255, 255), (25, 25, 25), (95, 95, 95)
+GROUND = (242, 242, 238)
+# Red and blue that differ in any colour vision (P. Tol's "vibrant"); letters, words and dashes say the same again.
+COLOURS = np.array([GROUND, (204, 51, 17), (0, 119, 187)], dtype=np.uint8)
+ONE_COLOUR = np.array([GROUND, (125, 125, 125), (125, 125, 125)], dtype=np.uint8)
+GOOD, BAD = (0, 125, 80), (190, 0, 40)
+MARGIN, GAP, HEAD, SIDE, CAPTION, FOOT = 20, 12, 84, 208, 92, 40  # [px]
+TITLE = f"Two rigid triangles, three supervisions: the same start, Adam and {ITERATIONS} iterations"
+LEGEND = (
+    "White line: edge in sight.   White dashes: edge behind the other triangle.   Black dots: outlines of the target."
+)
 
 
-def panel(vertices: torch.Tensor, scenes: Scenes, goal: torch.Tensor | None, silhouette: bool = False) -> Image.Image:
-    """One state (6, 3) as the renderer shows it, hidden edges dashed; ``goal`` (6, 3) adds its outlines in black."""
-    enlarge = torch.tensor([SCALE * FINE, SCALE * FINE, 1], device=vertices.device)
+def panel(scenes: Scenes, vertices: torch.Tensor) -> Image.Image:
+    """One state (6, 3) as the renderer shows it; hidden edges are dashed and the goal's outlines dotted."""
+    picture, labels = _render(scenes.mesh, vertices, COLOURS)
+    draw = ImageDraw.Draw(picture)
+    for triangle in _corners(scenes.goal[0]):
+        _outline(draw, triangle, INK, width=FINE, period=(2, 5))
+    corners = _corners(vertices)
+    for part, triangle in enumerate(corners, start=1):
+        _outline(draw, triangle, PAPER, width=2 * FINE, hidden=(labels != part) & (labels > 0))
+    font = ImageFont.load_default(18 * FINE)
+    for triangle, other, letter in ((corners[0], corners[1], "A"), (corners[1], corners[0], "B")):
+        draw.text(_middle(triangle, other, picture.size), letter, PAPER, font, anchor="mm")
+    return _reduce(picture)
+
+
+def silhouette_panel(scenes: Scenes) -> Image.Image:
+    """The goal as the full silhouette tells it."""
+    return _reduce(_render(scenes.mesh, scenes.goal[0], ONE_COLOUR)[0])
+
+
+def _render(mesh: PartMesh, vertices: torch.Tensor, colours: np.ndarray) -> tuple[Image.Image, np.ndarray]:
     size = (IMAGE_SIZE[0] * SCALE * FINE, IMAGE_SIZE[1] * SCALE * FINE)
-    image = rasterize_parts((vertices * enlarge)[None], scenes.mesh, size)
-    labels = image.labels[0].cpu().numpy()
-    picture = Image.fromarray(SILHOUETTE[labels.clip(max=1)] if silhouette else COLOURS[labels])
-    if not silhouette:
-        draw = ImageDraw.Draw(picture)
-        corners = (vertices * enlarge)[:, :2].cpu().numpy().reshape(2, 3, 2)
-        for part, triangle in enumerate(corners, start=1):
-            _outline(draw, triangle, (255, 255, 255), width=2 * FINE, hidden=(labels != part) & (labels > 0))
-        if goal is not None:
-            for triangle in (goal * enlarge)[:, :2].cpu().numpy().reshape(2, 3, 2):
-                _outline(draw, triangle, INK, width=FINE, hidden=None)
-        for letter, part in (("A", 1), ("B", 2)):
-            rows, columns = np.nonzero(labels == part)
-            if len(rows):
-                draw.text((columns.mean(), rows.mean()), letter, PAPER, _font(15 * FINE), anchor="mm")
+    enlarge = torch.tensor([SCALE * FINE, SCALE * FINE, 1], device=vertices.device)
+    labels = rasterize_parts((vertices * enlarge)[None], mesh, size).labels[0].cpu().numpy()
+    return Image.fromarray(colours[labels]), labels
+
+
+def _reduce(picture: Image.Image) -> Image.Image:
     return picture.resize((picture.width // FINE, picture.height // FINE), Image.Resampling.LANCZOS)
+
+
+def _corners(vertices: torch.Tensor) -> np.ndarray:
+    """Corners of A and B in the enlarged picture, shape (2, 3, 2) [px]."""
+    return vertices[:, :2].cpu().numpy().reshape(2, 3, 2) * (SCALE * FINE)
+
+
+def _middle(triangle: np.ndarray, other: np.ndarray, size: tuple[int, int]) -> tuple[float, float]:
+    """The place for a triangle's letter: deep inside what it does not share with the other, if there is any."""
+    masks = []
+    for corners in (triangle, other):
+        mask = Image.new("1", (size[0] // FINE, size[1] // FINE))
+        ImageDraw.Draw(mask).polygon([tuple(corner / FINE) for corner in corners], fill=1)
+        masks.append(np.array(mask))
+    alone = masks[0] & ~masks[1]
+    inside = alone if alone.sum() > 200 else masks[0]
+    while inside.any():
+        rows, columns = np.nonzero(inside)
+        shrunk = inside.copy()
+        for axis in (0, 1):
+            for step in (-1, 1):
+                shrunk &= np.roll(inside, step, axis)
+        inside = shrunk
+    return columns.mean() * FINE, rows.mean() * FINE
 
 
 def _outline(
@@ -257,52 +320,118 @@ def _outline(
     triangle: np.ndarray,
     colour: tuple[int, int, int],
     width: int,
-    hidden: np.ndarray | None,
+    period: tuple[int, int] = (4, 8),
+    hidden: np.ndarray | None = None,
 ) -> None:
-    """Draw a triangle's edges in steps: solid, but dashed where ``hidden`` (H, W) says; dotted if it is None."""
+    """Draw edges in short steps, the first of each ``period`` only; with ``hidden`` (H, W), all where it is false."""
     centre = triangle.mean(0)
     for start, end in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
         steps = int(np.linalg.norm(end - start) / FINE)
         points = start + np.linspace(0, 1, steps + 1)[:, None] * (end - start)
         for k in range(steps):
-            if hidden is None:
-                drawn = k % 4 < 2
-            else:
-                inner = points[k] + (centre - points[k]) * 0.05  # what is shown just inside the edge
-                row, column = (int(np.clip(inner[a], 0, hidden.shape[1 - a] - 1)) for a in (1, 0))
-                drawn = not hidden[row, column] or k % 8 < 4
-            if drawn:
+            is_drawn = k % period[1] < period[0]
+            if hidden is not None:
+                column, row = points[k] + (centre - points[k]) * 0.05  # just inside the edge
+                row, column = np.clip((row, column), 0, np.array(hidden.shape) - 1).astype(int)
+                is_drawn = is_drawn or not hidden[row, column]
+            if is_drawn:
                 draw.line([*points[k], *points[k + 1]], colour, width)
 
 
-def _font(size: int) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
-    return ImageFont.load_default(size)
+def verdict(outcome: Outcome) -> tuple[str, str]:
+    """What became of one scene, in a word and in a few."""
+    places = "right places" if outcome.in_place else "wrong places"
+    order = "right order" if outcome.in_order else "wrong order"
+    return "reached" if outcome.reached else "stalled", f"{places}, {order}"
 
 
-def draw_picture(scenes: Scenes, courses: list[torch.Tensor]) -> Image.Image:
-    """Rows are supervisions, columns iterations, the target last; of the first scene."""
+def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Image.Image:
+    """A row for each supervision, a column for each of ``SHOWN``, the target last; one scene."""
     width, height = IMAGE_SIZE[1] * SCALE, IMAGE_SIZE[0] * SCALE
-    step = height + CAPTION + 2 * GAP
-    columns = len(SHOWN) + 1
-    size = (2 * MARGIN + SIDE + columns * (width + GAP) - GAP, 2 * MARGIN + HEAD + len(courses) * step - 2 * GAP)
-    picture = Image.new("RGB", size, PAPER)
+    lefts = [MARGIN + SIDE + k * (width + GAP) for k in range(len(SHOWN) + 1)]
+    lefts[-1] += 2 * GAP
+    tops = [MARGIN + HEAD + k * (height + CAPTION) for k in range(len(courses))]
+    picture = Image.new("RGB", (lefts[-1] + width + MARGIN, tops[-1] + height + CAPTION + FOOT), PAPER)
     draw = ImageDraw.Draw(picture)
+    title, head, text = (ImageFont.load_default(size) for size in (26, 22, 18))
+
+    def caption(left: int, line: int, words: str, colour: tuple[int, int, int], font: Font) -> None:
+        draw.text((left + width / 2, top + height + 24 + 24 * line), words, colour, font, anchor="ms")
+
+    def box(left: int, colour: tuple[int, int, int]) -> None:
+        draw.rectangle((left - 5, top - 5, left + width + 4, top + height + 4), None, colour, 5)
+
+    draw.text((MARGIN, MARGIN), TITLE, INK, title)
+    draw.text((MARGIN + SIDE, picture.height - FOOT), LEGEND, FAINT, text)
+    heads = ["start", *(f"iteration {k}" for k in SHOWN[1:-1]), f"end ({SHOWN[-1]})", "target"]
+    for left, words in zip(lefts, heads, strict=True):
+        draw.text((left + width / 2, MARGIN + HEAD - 14), words, INK, head, anchor="ms")
+    for top, (supervision, course) in zip(tops, courses.items(), strict=True):
+        draw.multiline_text((MARGIN, top), supervision.title, INK, head, spacing=6)
+        draw.multiline_text((MARGIN, top + 72), supervision.note, FAINT, text, spacing=6)
+        for left, k in zip(lefts, SHOWN, strict=False):
+            outcome = judge(scenes, course[k])
+            picture.paste(panel(scenes, course[k, 0]), (left, top))
+            overlaps = f"IoU {float(outcome.iou):.2f}, outline {float(outcome.silhouette_iou):.2f}"
+            if k < SHOWN[-1]:
+                caption(left, 0, f"{'B' if outcome.in_order else 'A'} in front", INK, text)
+                caption(left, 1, overlaps, INK, text)
+                continue
+            word, reason = verdict(outcome)
+            colour = GOOD if outcome.reached else BAD
+            box(left, colour)
+            caption(left, 0, word, colour, head)
+            caption(left, 1, reason, colour, text)
+            caption(left, 2, overlaps, colour, text)
+        goal = panel(scenes, scenes.goal[0]) if supervision.parts else silhouette_panel(scenes)
+        picture.paste(goal, (lefts[-1], top))
+        box(lefts[-1], GOOD)
+        caption(lefts[-1], 0, "as the loss is told:", INK, text)
+        caption(lefts[-1], 1, "two labels" if supervision.parts else "one label", INK, text)
     return picture
 
 
+# --- command line --------------------------------------------------------------------------------------------------
+
+
+def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) -> str:
+    """How many of ``count`` random scenes of either kind end right, as a Markdown table."""
+    lines = [
+        f"| of {count} scenes | supervision | in place | in order | reached |",
+        "|---|---|---:|---:|---:|",
+    ]
+    for kind, alike in (("alike, exchanged", True), ("different, anywhere", False)):
+        scenes = random_scenes(count, 0, alike=alike, device=device)
+        for supervision in supervisions:
+            outcome = judge(scenes, optimize(scenes, supervision)[-1])
+            sums = [int(yes.sum()) for yes in (outcome.in_place, outcome.in_order, outcome.reached)]
+            lines.append(f"| {kind} | {supervision.name} | {' | '.join(map(str, sums))} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
+    """Draw the fixed scene; count random ones if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/two_triangles.png"), help="default: %(default)s")
-    args = parser.parse_args()
-    scenes = fixed_scene()
-    for s in SUPERVISIONS:
-        c = optimize(scenes, s)
-        for k in SHOWN:
-            o = judge(scenes, c[k])
-            print(s.title, k, float(o.iou), float(o.silhouette_iou), float(o.distance), bool(o.in_order))
+    parser.add_argument("--out", type=Path, default=Path("out/two_triangles.png"), help="PNG; default: %(default)s")
+    parser.add_argument(
+        "--scenes", type=int, default=0, metavar="N", help="also count over N random scenes of each kind"
+    )
+    parser.add_argument(
+        "--depth-weight", type=float, default=1.0, metavar="LAMBDA", help="eq. 12; default: %(default)s"
+    )
+    parser.add_argument("--device", default="cpu", help="default: %(default)s")
+    arguments = parser.parse_args()
+    supervisions = (FULL, PARTS_WITHOUT_DEPTH, replace(PARTS, depth_weight=arguments.depth_weight))
+    scenes = fixed_scene(arguments.device)
+    courses = {supervision: optimize(scenes, supervision) for supervision in supervisions}
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    draw_picture(scenes, courses).quantize(255).save(arguments.out, optimize=True)
+    for supervision, course in courses.items():
+        print(f"{supervision.name}: {': '.join(verdict(judge(scenes, course[-1])))}")
+    print(f"Picture: {arguments.out}")
+    if arguments.scenes:
+        print(count_table(arguments.scenes, supervisions, arguments.device))
 
 
 if __name__ == "__main__":
-    import warp as wp
-    wp.init()
     main()

@@ -13,7 +13,7 @@ the two skeletons' different rest poses:
 - feet: as the limbs, but a mocap foot ends at the ball of the foot and EllipBody's at the toes, so a flat foot is
   matched to a flat foot (``FLAT_FOOT_PITCH``).
 - pelvis, spine, neck, head, shoulders: mocap puts its spine joints elsewhere than EllipBody does, so directions say
-  little. ``A_k`` makes the mean tilt of walking people upright (``WALKING_PITCH``).
+  little. ``A_k`` makes the median pitch of walking people upright (``WALKING_PITCH``).
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ HELD_OUT = (
 # How far below the horizontal a flat foot's line from ankle to ball points [degrees]: median of CMU's slow, low feet.
 FLAT_FOOT_PITCH = 18.0
 
-# Mean pitch of CMU's trunk joints over all walking clips and their mirror images [degrees], positive leans forward:
-# what `measure_walking_pitch` prints.
+# Median pitch of CMU's trunk joints over all walking clips [degrees], positive leans forward: what
+# `measure_walking_pitch` returns.
 WALKING_PITCH = {"pelvis": 1.4, "abdomen": 6.2, "chest": 3.7, "neck": -2.1, "head": 14.6}
 
 # Which mocap joint's rotation a part follows, and the joint where that mocap bone ends. Where an EllipBody bone spans
@@ -122,9 +122,7 @@ class Clip:
 
     def mirrored(self) -> Clip:
         """The same with left and right exchanged."""
-        swap = np.array(
-            [PART_NAMES.index(_other_side(name)) for name in PART_NAMES],
-        )
+        swap = [PART_NAMES.index(_other_side(name)) for name in PART_NAMES]
         flip = np.outer([-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0])
         return Clip(
             self.name,
@@ -278,31 +276,31 @@ def _retarget(
     root_world = root @ _pitch(-trunk_pitch["pelvis"])
     corrections = np.tile(np.eye(3), (NUM_PARTS, 1, 1))
     world = np.empty((len(root), NUM_PARTS, 3, 3))
-    local = np.empty_like(world)
+    local = np.broadcast_to(np.eye(3), world.shape).copy()
     directions = np.full((len(root), NUM_PARTS, 3), np.nan)
     for part, parent in enumerate(PARENTS):
         above = root_world if parent < 0 else world[:, parent]
         kind = PART_NAMES[part].removeprefix("left_").removeprefix("right_")
         if PART_NAMES[part] not in bones or part in LOCKED_PARTS:
             world[:, part] = above
+            continue
+        rotation, direction = bones[PART_NAMES[part]]
+        if kind in trunk_pitch:
+            corrections[part] = _pitch(-trunk_pitch[kind])
+        elif kind == "shoulder":
+            corrections[part] = corrections[parent]
         else:
-            rotation, direction = bones[PART_NAMES[part]]
-            if kind in trunk_pitch:
-                corrections[part] = _pitch(-trunk_pitch[kind])
-            elif kind == "shoulder":
-                corrections[part] = corrections[parent]
-            else:
-                start = np.eye(3) if kind.startswith("upper") else corrections[parent]
-                own = _ankle_to_ball(rest[part]) if kind == "foot" else rest[part]
-                corrections[part] = minimal_rotation(start @ own, direction) @ start
-            world[:, part] = rotation @ corrections[part]
-            directions[:, part] = rotation @ (direction / np.linalg.norm(direction))
+            start = np.eye(3) if kind.startswith("upper") else corrections[parent]
+            own = _ankle_to_ball(rest[part]) if kind == "foot" else rest[part]
+            corrections[part] = minimal_rotation(start @ own, direction) @ start
+        world[:, part] = rotation @ corrections[part]
+        directions[:, part] = rotation @ (direction / np.linalg.norm(direction))
         local[:, part] = np.swapaxes(above, -1, -2) @ world[:, part]
     return Clip(name, root_world, local, directions)
 
 
 def measure_walking_pitch(folder: Path | str) -> dict[str, float]:
-    """Mean pitch of CMU's trunk joints over all walking clips [degrees]: the source of ``WALKING_PITCH``."""
+    """Median pitch of CMU's trunk joints over all walking clips [degrees]: the source of ``WALKING_PITCH``."""
     zero = dict.fromkeys(WALKING_PITCH, 0.0)
     walking = [clip for clip in _read_expmap(Path(folder), zero) if "walking" in clip.name]
     clip = concatenate(walking, "walking")
@@ -312,7 +310,7 @@ def measure_walking_pitch(folder: Path | str) -> dict[str, float]:
     world["head"] = world["neck"] @ clip.rotations[:, 7]
     pitch = {}
     for part, rotation in world.items():
-        # Angle of the mean y axis in the vertical plane of the pelvis' heading; the mirror image cancels the rest.
+        # Of the y axis, in the vertical plane of the pelvis' heading.
         forward = clip.global_orient[:, :, 2] * [1.0, 0.0, 1.0]
         forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
         lean = np.arctan2((rotation[:, :, 1] * forward).sum(-1), rotation[:, 1, 1])

@@ -9,8 +9,7 @@ from warp_partdr.render import label_loss, rasterize_parts
 
 
 def scene(device):
-    vertices, mesh = body_scene(6, (24, 20), subdivisions=0, batch=2)
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(6, (24, 20), device, subdivisions=0, batch=2)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     return leaf, mesh, noisy_target(rasterize_parts(leaf, mesh, (24, 20)).labels, 20, 3)
 

@@ -138,7 +138,7 @@ def test_import_is_light(tmp_path: Path) -> None:
 
 
 def test_fetching_every_public_name_loads_no_extra_and_compiles_nothing(tmp_path: Path) -> None:
-    code = "import warp_partdr as p\nfor name in (*p.__all__, *p._SUBMODULES): getattr(p, name)"
+    code = "import warp_partdr as p\nfor name in p.__all__: getattr(p, name)"
     assert sorted(_modules_loaded_by(code, tmp_path) & EXTRAS) == []
 
 
@@ -159,4 +159,4 @@ def test_type_checkers_see_the_names_that_users_see() -> None:
     seen = {
         alias.asname: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
     }
-    assert seen == {**warp_partdr._EXPORTS, **dict.fromkeys(warp_partdr._SUBMODULES)}
+    assert seen == warp_partdr._EXPORTS

@@ -27,10 +27,12 @@ def random_scene(seed: int, size: tuple[int, int], faces: int = 10, batch: int =
     return vertices.astype(np.float32), index, labels
 
 
-def body_scene(seed: int, size: tuple[int, int], camera: str = "weak", subdivisions: int = 0, batch: int = 1):
-    """Random poses of EllipBody, projected."""
+def body_scene(
+    seed: int, size: tuple[int, int], device: str, camera: str = "weak", subdivisions: int = 0, batch: int = 1
+):
+    """Random poses of EllipBody, projected: vertices on the host, and their mesh on the device."""
     rng = np.random.default_rng(seed)
-    body = EllipBody.mean(batch, device="cpu")
+    body = EllipBody.mean(batch, device=device)
     from scipy.spatial.transform import Rotation
 
     parameters = body.torch()
@@ -40,13 +42,13 @@ def body_scene(seed: int, size: tuple[int, int], camera: str = "weak", subdivisi
     turn = Rotation.from_rotvec(rng.normal(0, 1.0, (batch, 3))).as_matrix() @ np.diag([1, -1, -1])
     parameters["global_orient"][:] = torch.from_numpy(turn)
     parameters["translation"][:] = torch.tensor([0.0, 0.0, 3.0])
-    points = body.pose(subdivisions=subdivisions).torch()["vertices"].flatten(1, 2)
+    points = body.pose(subdivisions=subdivisions).torch()["vertices"].flatten(1, 2).cpu()
     height, width = size
     if camera == "weak":
         seen = WeakPerspective(torch.full((batch,), height / 2.0), torch.tensor([[width / 2.0, height / 2.2]] * batch))
     else:
         seen = Perspective(torch.full((batch, 2), height * 1.4), torch.tensor([[width / 2.0, height / 2.2]] * batch))
-    return seen.project(points).numpy(), ellipbody_mesh(subdivisions)
+    return seen.project(points).numpy(), ellipbody_mesh(subdivisions, device=device)
 
 
 def noisy_target(labels: torch.Tensor, num_labels: int, seed: int) -> torch.Tensor:
@@ -127,9 +129,8 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion):
 @pytest.mark.parametrize("edges", ["silhouette", "all"])
 def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges, occlusion):
     size = (40, 32)
-    vertices, mesh = body_scene(3, size, camera)
-    faces, labels = mesh.faces.numpy(), mesh.face_labels.numpy()
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(3, size, device, camera)
+    faces, labels = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy()
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     perspective = camera == "perspective"
     target = noisy_target(rasterize_parts(leaf, mesh, size, perspective=perspective).labels, 20, 0)
@@ -161,8 +162,7 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges
 def test_label_loss_is_the_maps_loss(device):
     """The fused path and the general one agree: value, and gradient through squared differences of maps."""
     size = (48, 40)
-    vertices, mesh = body_scene(5, size, subdivisions=1, batch=3)
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(5, size, device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 1)
     target[target == 255] = 0
@@ -177,8 +177,8 @@ def test_label_loss_is_the_maps_loss(device):
 
 
 def test_forward_is_deterministic_to_the_bit(device):
-    vertices, mesh = body_scene(1, (64, 64), subdivisions=2, batch=4)
-    mesh, vertices = mesh.to(device), torch.from_numpy(vertices).to(device)
+    vertices, mesh = body_scene(1, (64, 64), device, subdivisions=2, batch=4)
+    vertices = torch.from_numpy(vertices).to(device)
     first = rasterize_parts(vertices, mesh, (64, 64))
     for _ in range(3):
         again = rasterize_parts(vertices, mesh, (64, 64))
@@ -188,8 +188,7 @@ def test_forward_is_deterministic_to_the_bit(device):
 
 
 def test_batch_equals_its_members(device):
-    vertices, mesh = body_scene(2, (40, 56), subdivisions=1, batch=3)
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(2, (40, 56), device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     target = noisy_target(rasterize_parts(leaf, mesh, (40, 56)).labels, 20, 2)
     loss, image = label_loss(leaf, mesh, target)
@@ -228,8 +227,7 @@ def test_equal_depths_go_to_the_lower_face(device):
 
 
 def test_target_equal_to_picture_has_exactly_no_gradient(device):
-    vertices, mesh = body_scene(4, (40, 40), subdivisions=1)
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(4, (40, 40), device, subdivisions=1)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     loss, _ = label_loss(leaf, mesh, rasterize_parts(leaf, mesh, (40, 40)).labels)
     loss.sum().backward()
@@ -258,8 +256,7 @@ def test_moving_a_part_toward_its_target_lowers_the_loss(device):
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
 def test_other_precisions_are_cast(device, dtype):
-    vertices, mesh = body_scene(4, (20, 20))
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(4, (20, 20), device)
     leaf = torch.from_numpy(vertices).to(device, dtype).requires_grad_()
     loss, _ = label_loss(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
     loss.sum().backward()
@@ -268,8 +265,7 @@ def test_other_precisions_are_cast(device, dtype):
 
 
 def test_non_contiguous_and_empty_batches(device):
-    vertices, mesh = body_scene(4, (20, 24))
-    mesh = mesh.to(device)
+    vertices, mesh = body_scene(4, (20, 24), device)
     contiguous = torch.from_numpy(vertices).to(device)
     strided = contiguous.transpose(1, 2).contiguous().transpose(1, 2)
     assert not strided.is_contiguous()

@@ -13,28 +13,91 @@ __version__ = "0.1.0"
 
 # Public name: the submodule that defines it. No name may be that of a submodule, which would hide it once imported.
 _EXPORTS = {
+    "EllipBody": "body.ellipbody",
+    "PosedEllipBody": "body.ellipbody",
+    "LabelSet": "body.labels",
+    "label_set": "body.labels",
+    "regroup": "body.labels",
+    "Skeleton": "body.skeletons",
     "JOINT_NAMES": "body.template",
     "LENGTH_NAMES": "body.template",
     "PART_NAMES": "body.template",
     "THICKNESS_NAMES": "body.template",
+    "BodyFile": "body_file",
+    "load_body": "body_file",
+    "Crop": "cameras",
+    "Perspective": "cameras",
+    "WeakPerspective": "cameras",
+    "InputError": "errors",
+    "ellipbody_scene": "export",
+    "FitOptions": "fitting",
+    "FitResult": "fitting",
+    "fit_body": "fitting",
+    "read_keypoints": "keypoint_files",
+    "Keypoints2D": "keypoints",
+    "choose_person": "keypoints",
+    "PartMesh": "mesh",
+    "ellipbody_mesh": "mesh",
+    "save_fit": "output",
+    "BodyParameters": "parameters",
+    "PartLabels": "part_files",
+    "read_label_set": "part_files",
+    "read_parts": "part_files",
+    "read_photo": "part_files",
+    "PosePrior": "pose_prior",
+    "Posed": "posing",
+    "pose": "posing",
+    "refine": "refinement",
+    "PartImage": "render",
+    "label_loss": "render",
+    "rasterize_parts": "render",
 }
-_SUBMODULES = ("body", "kernels")
 
 __all__ = sorted(["__version__", *_EXPORTS])
 
 if TYPE_CHECKING:
-    from . import body as body
-    from . import kernels as kernels
+    from .body.ellipbody import EllipBody as EllipBody
+    from .body.ellipbody import PosedEllipBody as PosedEllipBody
+    from .body.labels import LabelSet as LabelSet
+    from .body.labels import label_set as label_set
+    from .body.labels import regroup as regroup
+    from .body.skeletons import Skeleton as Skeleton
     from .body.template import JOINT_NAMES as JOINT_NAMES
     from .body.template import LENGTH_NAMES as LENGTH_NAMES
     from .body.template import PART_NAMES as PART_NAMES
     from .body.template import THICKNESS_NAMES as THICKNESS_NAMES
+    from .body_file import BodyFile as BodyFile
+    from .body_file import load_body as load_body
+    from .cameras import Crop as Crop
+    from .cameras import Perspective as Perspective
+    from .cameras import WeakPerspective as WeakPerspective
+    from .errors import InputError as InputError
+    from .export import ellipbody_scene as ellipbody_scene
+    from .fitting import FitOptions as FitOptions
+    from .fitting import FitResult as FitResult
+    from .fitting import fit_body as fit_body
+    from .keypoint_files import read_keypoints as read_keypoints
+    from .keypoints import Keypoints2D as Keypoints2D
+    from .keypoints import choose_person as choose_person
+    from .mesh import PartMesh as PartMesh
+    from .mesh import ellipbody_mesh as ellipbody_mesh
+    from .output import save_fit as save_fit
+    from .parameters import BodyParameters as BodyParameters
+    from .part_files import PartLabels as PartLabels
+    from .part_files import read_label_set as read_label_set
+    from .part_files import read_parts as read_parts
+    from .part_files import read_photo as read_photo
+    from .pose_prior import PosePrior as PosePrior
+    from .posing import Posed as Posed
+    from .posing import pose as pose
+    from .refinement import refine as refine
+    from .render import PartImage as PartImage
+    from .render import label_loss as label_loss
+    from .render import rasterize_parts as rasterize_parts
 else:
 
     def __getattr__(name: str) -> object:
         """Fetch a public name from its submodule, once."""
-        if name in _SUBMODULES:
-            return import_module(f".{name}", __name__)
         if name not in _EXPORTS:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         value = getattr(import_module(f".{_EXPORTS[name]}", __name__), name)
@@ -43,4 +106,4 @@ else:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_EXPORTS, *_SUBMODULES})
+    return sorted({*globals(), *_EXPORTS})

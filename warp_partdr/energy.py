@@ -19,7 +19,7 @@ from .mesh import PartMesh, ellipbody_mesh
 from .parameters import BodyParameters
 from .pose_prior import PosePrior, up_direction
 from .posing import Posed
-from .render import label_loss
+from .render import label_loss, rasterize_parts
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
 _MILLIMETRES = 1000.0
@@ -47,6 +47,8 @@ class Observation:
         confidence: How much they count, 0 to 1, shape (L,).
         labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
         label_set: What the group ids mean.
+        maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.
+        known: How much a pixel of ``maps`` counts, shape (N, N): what is missing to 1 is the share to be ignored.
     """
 
     landmarks: tuple[str, ...]
@@ -54,6 +56,8 @@ class Observation:
     confidence: torch.Tensor
     labels: torch.Tensor | None
     label_set: LabelSet | None
+    maps: torch.Tensor | None = None
+    known: torch.Tensor | None = None
 
 
 @dataclass
@@ -89,17 +93,17 @@ class Energy:
         if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
             self._mesh = ellipbody_mesh(self.subdivisions, device=device).relabel(seen.label_set.part_groups)
             self._target = resize_nearest(seen.labels, self.size)
+        self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
+        self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Each weighted term by name, shape (B,)."""
         weights = self.weights
         posed = parameters.posed()
         terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
-        if self._mesh is not None and self._target is not None:
+        if self._mesh is not None:
             vertices = parameters.camera(self.size).project(posed.vertices(self.subdivisions))
-            target = self._target.expand(parameters.batch_size, -1, -1)
-            wrong, _ = label_loss(vertices, self._mesh, target, validate=False)
-            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * wrong
+            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * self.segmentation(vertices, self._mesh)
         deviation = (parameters.lengths - self._mean_lengths) * _MILLIMETRES
         terms["length"] = weights.length * deviation.square().sum(1)
         deviation = (parameters.thicknesses - self._mean_thicknesses) * _MILLIMETRES
@@ -109,6 +113,18 @@ class Energy:
             terms["prior"] = weights.prior * self.prior(rotations, up_direction(parameters.global_orient()))
             terms["limits"] = weights.limits * self.prior.joint_limits(rotations)
         return terms
+
+    def segmentation(self, vertices: torch.Tensor, mesh: PartMesh) -> torch.Tensor:
+        """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
+        if self._maps is not None and self._known is not None:
+            shown = rasterize_parts(
+                vertices, mesh, (self.size, self.size), num_maps=len(self._maps), validate=False
+            ).maps
+            assert shown is not None
+            return ((shown - self._maps).square() * self._known).sum((1, 2, 3))
+        assert self._target is not None
+        target = self._target.expand(vertices.shape[0], -1, -1)
+        return label_loss(vertices, mesh, target, validate=False)[0]
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""
@@ -139,7 +155,7 @@ class LandmarkGather:
 
 
 def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:
-    """A square label image (N, N) at ``size`` pixels a side: the label under each new pixel's centre."""
-    old = labels.shape[0]
+    """Square images (..., N, N) at ``size`` pixels a side: what lies under each new pixel's centre."""
+    old = labels.shape[-1]
     index = ((torch.arange(size, device=labels.device) + 0.5) * old / size).long().clamp_max(old - 1)
-    return labels[index][:, index].contiguous()
+    return labels[..., index[:, None], index].contiguous()

@@ -218,6 +218,11 @@ def observe(
     crop = Crop(left=box[0], top=box[1], zoom=REFERENCE_SIZE / (2 * half), size=(REFERENCE_SIZE, REFERENCE_SIZE))
     size = (LABEL_SIZE, LABEL_SIZE)
     labels = None if groups is None else torch.from_numpy(crop_nearest(groups, box, size)).to(device)
+    maps = known = None
+    if parts is not None and parts.maps is not None and groups is not None:
+        seen = np.where(groups == IGNORE, 0.0, parts.maps.sum(0)).astype(np.float32)
+        maps = torch.from_numpy(crop_nearest(parts.maps[1:], box, size, fill=0.0)).to(device)
+        known = torch.from_numpy(crop_nearest(seen, box, size, fill=0.0)).to(device)
     points = (keypoints.points[visible] - (u, v)) / half
     names = [name for name, there in zip(keypoints.format.landmarks, visible, strict=True) if there]
     return (
@@ -227,6 +232,8 @@ def observe(
             confidence=torch.tensor(keypoints.confidence[visible], dtype=torch.float32, device=device),
             labels=labels,
             label_set=None if parts is None else parts.label_set,
+            maps=maps,
+            known=known,
         ),
         crop,
     )

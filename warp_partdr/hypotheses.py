@@ -13,8 +13,6 @@ from itertools import product
 import numpy as np
 import torch
 
-from .body.ellipbody import EllipBody
-from .body.landmarks import landmark_positions
 from .body.rotations import rotation_to_6d
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation
 from .parameters import BodyParameters
@@ -30,13 +28,14 @@ _LIMBS = tuple(
 )
 _TRUNK = ("mid_hip", "neck")
 _ACROSS = (("left_hip", "right_hip"), ("left_shoulder", "right_shoulder"))
+_BODY_FRAME = torch.tensor([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]])  # 6D identity
 _JOINTS = ("mid_hip", "neck", *dict.fromkeys(name for pair in (*_ACROSS, *_LIMBS) for name in pair))
 
 
-def rest_positions() -> dict[str, np.ndarray]:
-    """The mean adult's landmarks in the rest pose, body frame [m]."""
-    posed = EllipBody.mean(1, device="cpu").pose(subdivisions=0)
-    points = landmark_positions(_JOINTS, *(getattr(posed, name).numpy()[0] for name in ("centres", "axes", "semi_axes")))
+def rest_positions(device: torch.device | str) -> dict[str, np.ndarray]:
+    """The mean adult's joints in the rest pose, body frame [m]."""
+    upright = replace(BodyParameters.mean(1, device=device), orientation=_BODY_FRAME.to(device))
+    points = LandmarkGather(_JOINTS, device)(upright.posed())[0].cpu().numpy()
     return dict(zip(_JOINTS, points, strict=True))
 
 
@@ -52,7 +51,7 @@ def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyPa
         Bodies in the mean pose, placed and turned, B of them; the joints' target positions for ``_JOINTS`` in crop
         coordinates (depth in the same unit), shape (B, J, 3); and which of them are known, shape (J,), bool.
     """
-    rest = rest_positions()
+    rest = rest_positions(seen.points.device)
     flat = _joints_in_picture(seen)
     scale = _estimate_scale(flat, rest)
     depths = _depth_choices(flat, rest, scale, count, seed)
