@@ -18,6 +18,7 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
     """
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"device: {device}; expected a cpu or cuda device")
+    wp.init()  # does nothing the second time; device_from_torch relies on it
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
         yield warp_device.alias
