@@ -171,20 +171,21 @@ def random_scenes(count: int, seed: int, *, alike: bool, device: torch.device | 
             start_centres = centres[::-1] + rng.uniform(-6, 6, (2, 2))
         goal = place(shapes, centres, (FAR_DEPTH, NEAR_DEPTH))
         start = place(shapes, start_centres, (NEAR_DEPTH, FAR_DEPTH))
-        if _is_fair(start, goal):
+        if _is_fair(start, goal, device):
             starts.append(start)
             goals.append(goal)
     return _scenes(starts, goals, device)
 
 
-def _is_fair(start: np.ndarray, goal: np.ndarray) -> bool:
+def _is_fair(start: np.ndarray, goal: np.ndarray, device: torch.device | str) -> bool:
     """Whether nothing is a sliver or out of the picture, and the triangles overlap as ``random_scenes`` says."""
     both = np.stack([start, goal])
     edges = np.diff(both.reshape(4, 3, 3)[..., :2], axis=1)
     areas = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
     if areas.min() < 150 or both[..., :2].min() < 0 or (both[..., :2] > IMAGE_SIZE[::-1]).any():
         return False
-    labels = rasterize_parts(torch.from_numpy(both), triangles_mesh("cpu"), IMAGE_SIZE).labels.numpy()
+    vertices = torch.from_numpy(both).to(device)
+    labels = rasterize_parts(vertices, triangles_mesh(device), IMAGE_SIZE).labels.cpu().numpy()
     shown_b, shown_a = (labels[0] == 2).sum() / areas[1], (labels[1] == 1).sum() / areas[2]
     return bool(0.2 < shown_b < 0.95 and 0.3 < shown_a < 0.8)
 
@@ -256,7 +257,8 @@ GOOD, BAD = (0, 125, 80), (190, 0, 40)
 MARGIN, GAP, HEAD, SIDE, CAPTION, FOOT = 20, 12, 84, 208, 92, 40  # [px]
 TITLE = f"Two rigid triangles, three supervisions: the same start, Adam and {ITERATIONS} iterations"
 LEGEND = (
-    "White line: edge in sight.   White dashes: edge behind the other triangle.   Black dots: outlines of the target."
+    "White line: edge in sight.   White dashes: edge behind the other triangle.   Black dots: edges of the target.   "
+    "IoU: intersection over union, of the worse part and of the outline."
 )
 
 
@@ -386,7 +388,7 @@ def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Im
         goal = panel(scenes, scenes.goal[0]) if supervision.parts else silhouette_panel(scenes)
         picture.paste(goal, (lefts[-1], top))
         box(lefts[-1], GOOD)
-        caption(lefts[-1], 0, "as the loss is told:", INK, text)
+        caption(lefts[-1], 0, "what the loss sees:", INK, text)
         caption(lefts[-1], 1, "two labels" if supervision.parts else "one label", INK, text)
     return picture
 
@@ -419,8 +421,10 @@ def main() -> None:
     parser.add_argument(
         "--depth-weight", type=float, default=1.0, metavar="LAMBDA", help="eq. 12; default: %(default)s"
     )
-    parser.add_argument("--device", default="cpu", help="default: %(default)s")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     arguments = parser.parse_args()
+    if arguments.scenes < 0:
+        parser.error(f"--scenes: {arguments.scenes}; expected 0 or more")
     supervisions = (FULL, PARTS_WITHOUT_DEPTH, replace(PARTS, depth_weight=arguments.depth_weight))
     scenes = fixed_scene(arguments.device)
     courses = {supervision: optimize(scenes, supervision) for supervision in supervisions}

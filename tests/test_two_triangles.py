@@ -8,6 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
+from warp_partdr.render import label_loss
+
 DEMOS = Path(__file__).resolve().parents[1] / "demos"
 sys.path.insert(0, str(DEMOS))
 
@@ -28,8 +30,6 @@ COUNT = 20
 
 def outline_loss(scenes: Scenes, vertices: torch.Tensor) -> torch.Tensor:
     """Loss of the full silhouette, shape (S,)."""
-    from warp_partdr.render import label_loss
-
     return label_loss(vertices, scenes.mesh.relabel({1: 1, 2: 1}), scenes.target.clamp(max=1))[0]
 
 
@@ -96,10 +96,10 @@ def test_random_scenes_reach_their_target_by_parts_only(device, alike):
         assert parts.in_place.sum() >= 18
 
 
-def test_demo_writes_its_picture(tmp_path):
+def test_demo_writes_its_picture(device, tmp_path):
     """As a user runs it: in a process of its own, where nothing else has started Warp."""
     out = tmp_path / "folder" / "picture.png"
-    command = [sys.executable, str(DEMOS / "two_triangles.py"), "--out", str(out)]
+    command = [sys.executable, str(DEMOS / "two_triangles.py"), "--out", str(out), "--device", device]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert ran.returncode == 0, ran.stderr
     assert "Parts (PartDR): reached" in ran.stdout

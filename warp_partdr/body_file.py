@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,11 +38,12 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "camera_translation": (2,),
     "image_size": (2,),
 }
+_POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
 
 @dataclass(frozen=True)
 class BodyFile:
-    """What ``body.npz`` holds, as float32 arrays of the shapes above."""
+    """What ``body.npz`` holds, as float32 arrays of the shapes above; ``image_size`` is of integers."""
 
     global_orient: np.ndarray
     translation: np.ndarray
@@ -81,18 +81,31 @@ def load_body(path: str | Path) -> BodyFile:
     """Read a ``body.npz``; nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing, no such file, or holds wrong shapes, NaN or infinity.
+        InputError: If the file is missing or no body file, or holds wrong shapes, NaN or infinity.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
-            data = {name: archive[name] for name in (*_SHAPES, "format")}
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; expected a body.npz") from error
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a body file ({error}); expected a body.npz of partdr fit") from error
-    if str(data.pop("format")) != FORMAT:
-        raise InputError(f"{path}: unknown format; expected {FORMAT!r}")
-    for name, shape in _SHAPES.items():
-        if data[name].shape != shape or data[name].dtype.kind not in "fi" or not np.isfinite(data[name]).all():
-            raise InputError(f"{path}: {name}: {data[name].dtype} {data[name].shape}; expected finite numbers {shape}")
-    return BodyFile(**{name: value if name == "image_size" else value.astype(np.float32) for name, value in data.items()})
+            data = {name: np.asarray(archive[name]) for name in (*_SHAPES, "format")}
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; expected a body.npz of partdr fit") from error
+    except Exception as error:  # of many kinds: NumPy, zipfile and zlib each have their own for a damaged file
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a body file ({reason}); expected a body.npz of partdr fit") from error
+    if str(found := data.pop("format")) != FORMAT:
+        raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
+    return BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})
+
+
+def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
+    shape = _SHAPES[name]
+    whole = name == "image_size"
+    if values.shape != shape or values.dtype.kind not in ("iu" if whole else "fiu"):
+        kind = "integers" if whole else "numbers"
+        raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {kind} {shape}")
+    with np.errstate(over="ignore"):  # what is too large becomes infinity, which is refused next
+        values = values.astype(np.int64 if whole else np.float32)
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {shape}")
+    if name in _POSITIVE and values.min() <= 0:
+        raise InputError(f"{where}: {name}: {values.min():g}; expected positive numbers")
+    return values

@@ -30,10 +30,10 @@ class Weights:
     """Weights of the energy's terms; the first four are the paper's."""
 
     proj: float = 1.0
-    seg: float = 1e-2
+    seg: float = 3e-2
     length: float = 1e-3
     thickness: float = 1e-3
-    prior: float = 0.25
+    prior: float = 3.0
     limits: float = 20.0
 
 

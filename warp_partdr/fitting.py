@@ -41,6 +41,7 @@ class Stage:
         iterations: Steps of Adam.
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
+        weights: Of the energy's terms in this stage; None takes the fit's.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Stage:
     iterations: int
     learning_rate: float
     size: int = 0
+    weights: Weights | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,9 @@ def fit_body(
             kept = distinct(bodies, energies, stage.bodies)
             bodies = bodies.select(kept)
             lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
-        weights = options.weights if stage.size else replace(options.weights, seg=0.0)
+        weights = stage.weights or options.weights
+        if not stage.size:
+            weights = replace(weights, seg=0.0)
         energy = Energy(seen, max(stage.size, 1), options.subdivisions, weights, prior)
 
         def step(iteration: int, name: str = stage.name, before: int = done) -> None:

@@ -18,7 +18,7 @@ from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation
 from .parameters import BodyParameters
 
 MIN_CONFIDENCE = 0.3  # keypoints below it raise no hypothesis
-AMBIGUOUS = 0.3  # share of a bone's length that must be hidden in depth for its two ways to differ
+AMBIGUOUS = 0.2  # share of a bone's length that must be hidden in depth for its two ways to differ
 SCALE_QUANTILE = 0.85  # of |bone in the picture| / length: most bones look too short, noise makes a few look too long
 
 _LIMBS = tuple(

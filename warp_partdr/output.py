@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from . import __version__, metrics
 from .body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
 from .body.template import JOINT_NAMES
 from .body_file import BodyFile
+from .cameras import Crop
+from .errors import InputError
 from .export import ellipbody_scene
 from .fitting import FitResult
 from .keypoints import Keypoints2D, person_height
@@ -25,22 +27,55 @@ from .part_files import PartLabels
 from .person import select_person
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", "report.json")
+OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 _LSP6 = "lsp6"
 
 
 @contextmanager
 def replacing(folder: Path) -> Iterator[Path]:
-    """A temporary folder beside ``folder``, whose files take their places in it when all are written.
+    """A temporary folder, whose files take their places in ``folder`` when all are written.
 
-    Files of other names in ``folder`` stay. On an error nothing there changes.
+    Files of other names in ``folder`` stay. On an error nothing there changes, and ``folder`` is not made.
+
+    Raises:
+        InputError: If something can't be written.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as scratch:
-        temporary = Path(scratch)
-        yield temporary
-        folder.mkdir(exist_ok=True)
-        for path in temporary.iterdir():
-            shutil.move(path, folder / path.name)
+    try:
+        # Inside the folder, or the nearest one above that exists: on the same disk, files can take their places by
+        # renaming alone, and nothing but these two folders need be writable.
+        with tempfile.TemporaryDirectory(dir=_existing(folder), prefix=".partdr-") as scratch:
+            temporary = Path(scratch)
+            yield temporary
+            if taken := [path.name for path in temporary.iterdir() if (folder / path.name).is_dir()]:
+                raise InputError(f"{folder / taken[0]}: a folder; expected a file, or nothing")
+            folder.mkdir(parents=True, exist_ok=True)
+            for path in temporary.iterdir():
+                path.replace(folder / path.name)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}; expected a folder to write to") from error
+
+
+def check_folder(folder: Path) -> None:
+    """Raise before the work starts if results can't be written to ``folder``, which need not exist yet.
+
+    Raises:
+        InputError: If it is a file, or lies where nothing can be written.
+    """
+    try:
+        # Tried, not asked: permissions don't tell everything. Nothing of it stays.
+        with tempfile.TemporaryDirectory(dir=_existing(folder), prefix=".partdr-"):
+            pass
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}; expected a folder to write to") from error
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or the nearest one above it that exists."""
+    return next((path for path in (folder, *folder.parents) if path.exists()), folder)
 
 
 def save_fit(
@@ -65,24 +100,24 @@ def save_fit(
     Returns:
         The report.
     """
-    from PIL import Image
-
     size = image_size(keypoints, parts, photo)
-    target = None if parts is None else select_person(parts.groups, keypoints, others)
-    labels = result.draw(size).labels[0].cpu().numpy()
-    report = make_report(result, keypoints, labels, target, None if parts is None else parts.label_set)
-    canvas = np.full((*size, 3), 235, dtype=np.uint8) if photo is None else photo
-    overlay = Image.fromarray(blend(canvas, shade_body(result.posed, result.camera, size), 0.72))
-    draw_keypoints(overlay, keypoints)
+    report = make_report(result, keypoints)
+    comparison = None
+    if parts is not None:
+        target = select_person(parts.groups, keypoints, others)
+        part_groups = parts.label_set.part_groups
+        shown = part_groups[result.draw(size).labels[0].cpu().numpy()]
+        report |= compare_labels(shown, target, parts.label_set)
+        comparison = panels(target, shown, group_colours(part_groups))
+    overlay = draw_overlay(result, keypoints, size, photo)
     with replacing(Path(folder)) as temporary:
         body_file(result, size).save(temporary / "body.npz")
         _write_json(temporary / "body.json", describe_body(result))
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
-        if parts is not None and target is not None:
-            shown = parts.label_set.part_groups[labels]
-            panels(target, shown, group_colours(parts.label_set.part_groups)).save(temporary / "parts.png")
-        loss_chart(result, temporary / "loss.png")
+        if comparison is not None:
+            comparison.save(temporary / "parts.png")
+        loss_chart(result).save(temporary / "loss.png")
         _write_json(temporary / "report.json", report)
     return report
 
@@ -94,6 +129,23 @@ def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarr
             return int(image.shape[0]), int(image.shape[1])
     width, height = np.ceil(keypoints.points[keypoints.visible].max(0) * 1.1 + 1).astype(int)
     return int(max(height, 1)), int(max(width, 1))
+
+
+def draw_overlay(
+    result: FitResult, keypoints: Keypoints2D, size: tuple[int, int], photo: np.ndarray | None = None
+) -> Image:
+    """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    from PIL import Image
+
+    zoom = min(1.0, OVERLAY_SIDE / max(size))
+    height, width = (max(round(side * zoom), 1) for side in size)
+    canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
+    if canvas.size != (width, height):
+        canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
+    camera = result.camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=(height, width)))
+    overlay = Image.fromarray(blend(np.asarray(canvas), shade_body(result.posed, camera, (height, width)), 0.72))
+    draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
+    return overlay
 
 
 def body_file(result: FitResult, size: tuple[int, int]) -> BodyFile:
@@ -134,10 +186,8 @@ def describe_body(result: FitResult) -> dict[str, Any]:
     }
 
 
-def make_report(
-    result: FitResult, keypoints: Keypoints2D, labels: np.ndarray, target: np.ndarray | None, source: LabelSet | None
-) -> dict[str, Any]:
-    """Losses, accuracy and times of a fit."""
+def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
+    """Losses, distance of the keypoints, and times of a fit."""
     sure = keypoints.confident
     names = [name for name, there in zip(keypoints.format.landmarks, sure, strict=True) if there]
     posed, camera = result.posed, result.camera
@@ -146,7 +196,7 @@ def make_report(
     seen = camera.project(LandmarkGather(names, camera.scale.device)(posed))[0, :, :2].detach().cpu().numpy()
     distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
     height = person_height(keypoints)
-    report: dict[str, Any] = {
+    return {
         "energy": {name: round(value, 4) for name, value in result.energy.items()},
         "energy_total": round(sum(result.energy.values()), 4),
         "energy_of_other_finalists": [round(value, 4) for value in result.alternatives],
@@ -160,15 +210,16 @@ def make_report(
         "seconds_total": round(sum(result.stage_seconds.values()), 3),
         "versions": _versions(),
     }
-    if target is not None and source is not None:
-        report["parts"] = {"label_set": source.name, **_scores(source.part_groups[labels], target, source.group_names)}
-        try:
-            table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)
-        except ValueError:
-            pass  # the set is not finer than LSP's six parts
-        else:
-            report["parts_lsp6"] = _scores(table[source.part_groups[labels]], table[target], lsp6.group_names)
-    return report
+
+
+def compare_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
+    """How well group ids of a body match those of the picture, shape (H, W) both; also in LSP's six parts if it can be."""
+    scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
+    try:
+        table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)
+    except ValueError:
+        return scores  # the set is not finer than LSP's six parts
+    return scores | {"parts_lsp6": _scores(table[shown], table[target], lsp6.group_names)}
 
 
 def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:

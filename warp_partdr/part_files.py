@@ -128,7 +128,7 @@ def _read_npy(path: str | Path) -> np.ndarray:
     try:
         with open(path, "rb") as file:
             array = np.lib.format.read_array(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
+    except Exception as error:  # of many kinds: NumPy hands a damaged header to Python's own parser
         raise InputError(f"{path}: {_reason(error)}; expected a .npy array of part labels") from error
     if array.dtype.kind not in "biuf":
         raise InputError(f"{path}: {array.dtype}; expected integers, or probabilities")
@@ -137,7 +137,7 @@ def _read_npy(path: str | Path) -> np.ndarray:
 
 def _reason(error: BaseException) -> str:
     """One line for what went wrong with a file."""
-    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error).splitlines()[0]
+    return (error.strerror or str(error)) if isinstance(error, OSError) else " ".join(str(error).split())
 
 
 def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:

@@ -274,11 +274,14 @@ class _PartMaps(torch.autograd.Function):
         ctx.save_for_backward(vertices, faces, face_labels, edges, labels, face_index, depth)
         ctx.options = tuple(options)
         ctx.mark_non_differentiable(labels, depth, face_index)
+        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
         return maps, labels, depth, face_index
 
     @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor) -> Any:
-        grad_vertices = _maps_backward(ctx.saved_tensors, gradients[0], ctx.options)
+    def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
+        grad_vertices = None
+        if gradients[0] is not None:
+            grad_vertices = _maps_backward(ctx.saved_tensors, gradients[0], ctx.options)
         return grad_vertices, *([None] * (3 + len(ctx.options)))
 
 
@@ -323,11 +326,14 @@ class _LabelLoss(torch.autograd.Function):
         ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
         ctx.options = tuple(options)
         ctx.mark_non_differentiable(labels, depth, face_index)
+        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
         return loss, labels, depth, face_index
 
     @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor) -> Any:
-        grad_vertices = _loss_backward(ctx.saved_tensors, gradients[0], ctx.options)
+    def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
+        grad_vertices = None
+        if gradients[0] is not None:
+            grad_vertices = _loss_backward(ctx.saved_tensors, gradients[0], ctx.options)
         return grad_vertices, *([None] * (5 + len(ctx.options)))
 
 
