@@ -78,10 +78,9 @@ def main() -> None:
         bodies = replace(bodies, shift=bodies.shift + 0.02)
         vertices = bodies.camera(options.size).project(bodies.posed().vertices(1)).detach().requires_grad_()
         batch_target = target.expand(count, -1, -1).contiguous()
-        size = (options.size, options.size)
 
         def forward(v: torch.Tensor = vertices) -> object:
-            return rasterize_parts(v, mesh, size, validate=False)
+            return rasterize_parts(v, mesh, (options.size, options.size), validate=False)
 
         def forward_backward(v: torch.Tensor = vertices, t: torch.Tensor = batch_target) -> object:
             return torch.autograd.grad(label_loss(v, mesh, t, validate=False)[0].sum(), v)

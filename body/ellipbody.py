@@ -158,10 +158,12 @@ class EllipBody:
 
     @property
     def batch_size(self) -> int:
+        """B, the number of bodies."""
         return self.lengths.shape[0]
 
     @property
     def device(self) -> wp.Device:
+        """Where the arrays are."""
         return self.lengths.device
 
     def torch(self) -> dict[str, torch.Tensor]:

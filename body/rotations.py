@@ -65,8 +65,10 @@ def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
-    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3); through the largest quaternion
-    component, so that it holds at pi."""
+    """Axis times angle, in [0, pi], of rotation matrices (..., 3, 3), shape (..., 3).
+
+    Through the largest quaternion component, so that it holds at pi.
+    """
     m = rotation
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     # Rows of the matrix 4 q qᵀ for q = (w, x, y, z) (Shepperd, 1978).

@@ -117,14 +117,18 @@ def push_edges(
     perspective: bool,
     all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
     over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
+    max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     face_index: wp.array3d[int],  # (B, H, W)
     depth: wp.array3d[float],  # (B, H, W) [m]
     gradient: Any,
     grad_vertices: wp.array2d[wp.vec3],  # (B, V)  MODIFIED: x and y are added to
 ):
-    """x and y (paper, eq. 10 and 11): along each pixel row and column that an edge crosses, pixels of background that
-    should show the part pull the edge out, pixels of the part that should not push it in, others do nothing."""
+    """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
+
+    Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
+    others do nothing.
+    """
     b, edge, axis = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
     i0 = edges[edge, 0]
     i1 = edges[edge, 1]
@@ -198,8 +202,10 @@ def push_edges(
                 row = row_of(axis, line, pixel)
                 column = column_of(axis, line, pixel)
                 shown = int(labels[b, row, column])
+                distance = wp.abs(float(pixel) + 0.5 - crossing)
+                if distance > max_distance:
+                    break
                 if shown == 0 or (over_farther and shown != label and depth[b, row, column] > edge_depth):
-                    distance = wp.abs(float(pixel) + 0.5 - crossing)
                     g = gradient_at(gradient, b, label, row, column, shown) * float(step)
                     grad0 += g * inverse_move(distance, w0)
                     grad1 += g * inverse_move(distance, w1)
@@ -216,12 +222,12 @@ def push_edges(
                 row = row_of(axis, line, pixel)
                 column = column_of(axis, line, pixel)
                 shown = int(labels[b, row, column])
-                if shown == 0:
+                distance = wp.abs(float(pixel) + 0.5 - crossing)
+                if shown == 0 or distance > max_distance:
                     break
                 if all_edges and face_index[b, row, column] != face:
                     break
                 if shown == label:
-                    distance = wp.abs(float(pixel) + 0.5 - crossing)
                     g = gradient_at(gradient, b, label, row, column, shown) * float(-step)
                     grad0 += g * inverse_move(distance, w0)
                     grad1 += g * inverse_move(distance, w1)
@@ -315,6 +321,7 @@ for _gradient in (LabelTarget, DenseGradient):
             bool,
             bool,
             bool,
+            float,
             _u8,
             wp.array3d[int],
             wp.array3d[float],
@@ -355,6 +362,7 @@ def launch_part_gradient(
     perspective: bool,
     all_edges: bool,
     over_farther: bool,
+    max_distance: float,
     depth_weight: float,
     labels: wp.array,
     face_index: wp.array,
@@ -382,6 +390,7 @@ def launch_part_gradient(
             perspective,
             all_edges,
             over_farther,
+            max_distance,
             labels,
             face_index,
             depth,

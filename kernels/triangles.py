@@ -54,8 +54,11 @@ def double_area(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 @wp.func
 def edge_value(a: wp.vec3, b: wp.vec3, x: float, y: float):
-    """Twice the signed area of (a, b, pixel). Two faces that share an edge get the same number with opposite signs:
-    its ends are put in one order first, so no pixel on it is drawn twice or missed."""
+    """Twice the signed area of (a, b, pixel).
+
+    Two faces that share an edge get the same number with opposite signs: its ends are put in one order first, so that
+    no pixel on it is drawn twice or missed.
+    """
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
         return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
     return (b[0] - a[0]) * (y - b[1]) - (b[1] - a[1]) * (x - b[0])

@@ -6,28 +6,30 @@ Forward
     1. A face covers a pixel when the pixel's centre is inside it. A centre exactly on an edge belongs to the face for
        which, with vertices in positive orientation, the edge goes down the picture (or, if level, to the left).
     2. Depth is linear in the plane of the picture (weak perspective) or 1/depth is (perspective). The nearest face
-       shows; equal depths go to the lower index. Faces of no area, or with a vertex at or before the near plane, are not
-       drawn.
+       shows; equal depths go to the lower index. Faces of no area, or with a vertex at or before the near plane, are
+       not drawn.
 
-Backward, x and y. g^i(P) is the loss gradient of part i's map at pixel P; the result is linear in g.
+Backward, x and y. Here g^i(P) is the loss gradient of part i's map at pixel P; the result is linear in g.
     3. An edge counts where it bounds its part: it belongs to one face, or its two faces lie on the same side of it.
     4. Along every pixel row (for x) and column (for y) whose centre line it crosses, the edge moves straight along that
        line; a vertex with weight w at the crossing moves the crossing by w times its own way. So the way to a pixel at
        distance d from the crossing is d / w, and at least one pixel: max(d / w, 1).
     5. Where the first pixel outside shows the same label, the edge lies inside its own part's picture: it does nothing.
-    6. Outward, pixels up to the picture's border, or to the next pixel that shows the part, switch on (dI = +1) if they
-       show background. Inward, pixels up to the first that shows background switch off (dI = -1) if they show the part.
+    6. Outward, pixels up to the picture's border, or to the next pixel that shows the part, switch on (dI = +1) if
+       they show background. Inward, pixels up to the first that shows background switch off (dI = -1) if they show the
+       part.
        A pixel that shows another part gives 0 and does not end the walk (eq. 11). With ``over_farther`` that holds for
        occluders only: outward, a part that lies farther away than the edge at its crossing counts as background does.
+       ``max_distance`` [px] ends both walks.
     7. The derivative is dI / (x1 - x0) (eq. 10), signed by the direction, for both ends of the edge.
-    8. ``all_edges`` is NMR's rule: each face's edges alone, where the pixel just inside shows that face; outward over all
-       background to the border, inward over the pixels of this very face.
+    8. ``all_edges`` is NMR's rule: each face's edges alone, where the pixel just inside shows that face; outward over
+       all background to the border, inward over the pixels of this very face.
 
 Backward, z
-    9. At a pixel P that shows part j, for a part i != j with faces behind it, the nearest such face f_i and the face f_j
-       that shows exchange places: A^i(P) gains 1. By eq. 12, each vertex of f_i gets dI/dz = -lambda log(w / dz + 1), with
-       w its barycentric weight in 3D (Delta(M0, Q) / Delta(M0, v_k) is just that) and dz >= 1e-4 m the depth between
-       the two. The vertices of f_j get +lambda log(w / dz + 1) with their own weights: a push and its counter-push.
+    9. At a pixel P that shows part j, for a part i != j with faces behind it, the nearest such face f_i and the face
+       f_j that shows exchange places: A^i(P) gains 1. By eq. 12, each vertex of f_i gets dI/dz = -lambda log(w / dz + 1),
+       with w its barycentric weight in 3D (Delta(M0, Q) / Delta(M0, v_k) is just that) and dz >= 1e-4 m the depth
+       between the two. The vertices of f_j get +lambda log(w / dz + 1) with their own weights: a push and its counter-push.
        Both are multiplied with g^i(P).
 """
 
@@ -123,6 +125,7 @@ def gradient(
     all_edges=False,
     over_farther=False,
     depth=None,
+    max_distance=np.inf,
     depth_weight=1.0,
 ):
     """dL/dvertices (V, 3) of one body, from the picture (labels, face_index) and g of shape (K, H, W)."""
@@ -136,7 +139,18 @@ def gradient(
     for i, j, sides in edges:
         farther = depth if over_farther else np.full(labels.shape, -np.inf)
         grad += edge_gradient(
-            vertices, (i, j), sides, face_labels, labels, face_index, farther, g, perspective, near, all_edges
+            vertices,
+            (i, j),
+            sides,
+            face_labels,
+            labels,
+            face_index,
+            farther,
+            g,
+            perspective,
+            near,
+            all_edges,
+            max_distance,
         )
     if depth_weight:
         grad[:, 2] += depth_gradient(
@@ -145,7 +159,9 @@ def gradient(
     return grad
 
 
-def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, depth, g, perspective, near, all_edges):
+def edge_gradient(
+    vertices, edge, sides, face_labels, labels, face_index, depth, g, perspective, near, all_edges, max_distance
+):
     grad = np.zeros_like(vertices)
     p = vertices[list(edge)]
     if min(p[:, 2].min(), *(vertices[o][2] for _, o in sides)) <= near:
@@ -193,13 +209,15 @@ def edge_gradient(vertices, edge, sides, face_labels, labels, face_index, depth,
             slope = 0.0
             for pixel in outside:
                 shown = lines[line, pixel]
-                if shown == part and not all_edges:
+                if (shown == part and not all_edges) or abs(positions[pixel] - crossing) > max_distance:
                     break
                 if shown == 0 or (shown != part and depths[line, pixel] > edge_depth):
                     slope = slope + wanted[line, pixel] * -toward / moves(positions[pixel] - crossing, weights)
             for pixel in inside:
                 shown = lines[line, pixel]
                 if shown == 0 or (all_edges and faces_on[line, pixel] != face):
+                    break
+                if abs(positions[pixel] - crossing) > max_distance:
                     break
                 if shown == part:
                     slope = slope - wanted[line, pixel] * toward / moves(positions[pixel] - crossing, weights)

@@ -159,9 +159,7 @@ def test_hypotheses_without_a_trunk():
 def test_distinct_keeps_the_best_of_equals():
     body = walker()
     other = replace(body, rotations=body.rotations + 0.5)
-    three = BodyParameters(
-        **{n: torch.cat([t, t + 1e-5, other.tensors()[n]]) for n, t in body.tensors().items()}
-    )
+    three = BodyParameters(**{n: torch.cat([t, t + 1e-5, other.tensors()[n]]) for n, t in body.tensors().items()})
     assert distinct(three, torch.tensor([2.0, 1.0, 3.0]), 3).tolist() == [1, 2]
 
 

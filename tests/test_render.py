@@ -84,10 +84,10 @@ def test_forward_is_the_reference(device, size, perspective):
     assert flips <= pixels * 2e-4
 
 
-@pytest.mark.parametrize("occlusion", ["depth", "paper"])
+@pytest.mark.parametrize(("occlusion", "max_distance"), [("depth", np.inf), ("paper", np.inf), ("depth", 2.5)])
 @pytest.mark.parametrize("edges", ["silhouette", "all"])
 @pytest.mark.parametrize("perspective", [False, True])
-def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion):
+def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion, max_distance):
     for seed, size in enumerate(SIZES):
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
@@ -100,6 +100,7 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion):
             num_maps=4,
             edges=edges,
             occlusion=occlusion,
+            max_distance=max_distance,
             depth_weight=0.7,
             near=0.01,
         )
@@ -117,6 +118,7 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion):
                 all_edges=edges == "all",
                 over_farther=occlusion == "depth",
                 depth=image.depth[b].cpu().numpy(),
+                max_distance=max_distance,
                 depth_weight=0.7,
             )
             have = leaf.grad[b].cpu().numpy()
@@ -349,3 +351,18 @@ def test_bad_calls_name_the_argument(message):
 def test_bad_meshes_name_the_argument(faces, labels, message):
     with pytest.raises(ValueError, match=message):
         PartMesh.from_faces(faces, labels)
+
+
+def test_parts_in_no_group_cost_nothing_but_still_hide(device):
+    """A face relabelled to 255 draws as 255: no loss, no gradient, yet what lies behind it stays hidden."""
+    front = [[2.0, 2.0, 1.0], [12.0, 2.0, 1.0], [6.0, 12.0, 1.0]]
+    back = [[2.0, 2.0, 2.0], [14.0, 2.0, 2.0], [6.0, 14.0, 2.0]]
+    vertices = torch.tensor([front + back], device=device, requires_grad=True)
+    mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device).relabel({1: 255, 2: 1})
+    assert mesh.num_labels == 1
+    loss, image = label_loss(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
+    loss.sum().backward()
+    assert set(image.labels.unique().tolist()) == {0, 1, 255}
+    assert loss.item() == (image.labels == 1).sum().item()
+    assert (vertices.grad[0, :3] == 0).all()
+    assert (vertices.grad[0, 3:] != 0).any()

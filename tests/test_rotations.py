@@ -19,9 +19,11 @@ vectors = st.lists(st.floats(-20, 20, allow_subnormal=False), min_size=3, max_si
 
 def is_rotation(matrix: torch.Tensor, tolerance: float = 1e-5) -> bool:
     identity = torch.eye(3, dtype=matrix.dtype)
-    return bool(torch.isfinite(matrix).all()) and torch.allclose(
-        matrix.mT @ matrix, identity, atol=tolerance
-    ) and torch.allclose(torch.linalg.det(matrix), torch.ones((), dtype=matrix.dtype), atol=tolerance)
+    return (
+        bool(torch.isfinite(matrix).all())
+        and torch.allclose(matrix.mT @ matrix, identity, atol=tolerance)
+        and torch.allclose(torch.linalg.det(matrix), torch.ones((), dtype=matrix.dtype), atol=tolerance)
+    )
 
 
 @given(vectors)

@@ -18,7 +18,12 @@ _EXPORTS = {
     "LabelSet": "body.labels",
     "label_set": "body.labels",
     "regroup": "body.labels",
+    "rotation_from_6d": "body.rotations",
+    "rotation_from_axis_angle": "body.rotations",
+    "rotation_to_6d": "body.rotations",
+    "rotation_to_axis_angle": "body.rotations",
     "Skeleton": "body.skeletons",
+    "skeleton": "body.skeletons",
     "JOINT_NAMES": "body.template",
     "LENGTH_NAMES": "body.template",
     "PART_NAMES": "body.template",
@@ -28,11 +33,16 @@ _EXPORTS = {
     "Crop": "cameras",
     "Perspective": "cameras",
     "WeakPerspective": "cameras",
+    "Energy": "energy",
+    "Observation": "energy",
+    "Weights": "energy",
     "InputError": "errors",
     "ellipbody_scene": "export",
     "FitOptions": "fitting",
     "FitResult": "fitting",
+    "Stage": "fitting",
     "fit_body": "fitting",
+    "observe": "fitting",
     "read_keypoints": "keypoint_files",
     "Keypoints2D": "keypoints",
     "choose_person": "keypoints",
@@ -45,8 +55,10 @@ _EXPORTS = {
     "read_parts": "part_files",
     "read_photo": "part_files",
     "PosePrior": "pose_prior",
+    "up_direction": "pose_prior",
     "Posed": "posing",
     "pose": "posing",
+    "Refined": "refinement",
     "refine": "refinement",
     "PartImage": "render",
     "label_loss": "render",
@@ -61,7 +73,12 @@ if TYPE_CHECKING:
     from .body.labels import LabelSet as LabelSet
     from .body.labels import label_set as label_set
     from .body.labels import regroup as regroup
+    from .body.rotations import rotation_from_6d as rotation_from_6d
+    from .body.rotations import rotation_from_axis_angle as rotation_from_axis_angle
+    from .body.rotations import rotation_to_6d as rotation_to_6d
+    from .body.rotations import rotation_to_axis_angle as rotation_to_axis_angle
     from .body.skeletons import Skeleton as Skeleton
+    from .body.skeletons import skeleton as skeleton
     from .body.template import JOINT_NAMES as JOINT_NAMES
     from .body.template import LENGTH_NAMES as LENGTH_NAMES
     from .body.template import PART_NAMES as PART_NAMES
@@ -71,11 +88,16 @@ if TYPE_CHECKING:
     from .cameras import Crop as Crop
     from .cameras import Perspective as Perspective
     from .cameras import WeakPerspective as WeakPerspective
+    from .energy import Energy as Energy
+    from .energy import Observation as Observation
+    from .energy import Weights as Weights
     from .errors import InputError as InputError
     from .export import ellipbody_scene as ellipbody_scene
     from .fitting import FitOptions as FitOptions
     from .fitting import FitResult as FitResult
+    from .fitting import Stage as Stage
     from .fitting import fit_body as fit_body
+    from .fitting import observe as observe
     from .keypoint_files import read_keypoints as read_keypoints
     from .keypoints import Keypoints2D as Keypoints2D
     from .keypoints import choose_person as choose_person
@@ -88,8 +110,10 @@ if TYPE_CHECKING:
     from .part_files import read_parts as read_parts
     from .part_files import read_photo as read_photo
     from .pose_prior import PosePrior as PosePrior
+    from .pose_prior import up_direction as up_direction
     from .posing import Posed as Posed
     from .posing import pose as pose
+    from .refinement import Refined as Refined
     from .refinement import refine as refine
     from .render import PartImage as PartImage
     from .render import label_loss as label_loss

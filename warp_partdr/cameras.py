@@ -31,7 +31,9 @@ class WeakPerspective:
 
     def in_crop(self, crop: Crop) -> WeakPerspective:
         """The camera of the crop's own picture."""
-        return WeakPerspective(self.scale * crop.zoom, (self.translation - crop.origin_of(self.translation)) * crop.zoom)
+        return WeakPerspective(
+            self.scale * crop.zoom, (self.translation - crop.origin_of(self.translation)) * crop.zoom
+        )
 
     def in_full(self, crop: Crop) -> WeakPerspective:
         """The camera of the full picture, where this one is the crop's."""
@@ -53,9 +55,7 @@ class WeakPerspective:
         shift = (self.translation - image_size / 2) / self.scale[:, None]
         return torch.cat([self.scale[:, None] / (image_size / 2), shift], dim=1)
 
-    def to_perspective(
-        self, focal: torch.Tensor, centre: torch.Tensor
-    ) -> tuple[Perspective, torch.Tensor]:
+    def to_perspective(self, focal: torch.Tensor, centre: torch.Tensor) -> tuple[Perspective, torch.Tensor]:
         """A perspective camera that sees the frame's origin at the same place and size.
 
         Args:

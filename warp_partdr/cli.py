@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from .body.label_sets import LABEL_SETS
+from .body.skeletons import SKELETONS
 from .errors import InputError
+
+_UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+_FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
+
+Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14 --out fitted`
+
+**Keypoints**, in pixels of the picture: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, a plain list,
+OpenPose's own JSON, COCO annotations, or MMPose predictions. Formats: {", ".join(SKELETONS)}.
+
+**Part labels**, as large as the picture: an image of ids, or a network's probabilities. Label sets:
+{", ".join(LABEL_SETS)}; or a JSON file of your own: `{{"groups": {{"head": ["head", "neck"], ...}}, "ids": {{"0":
+"background", "1": "head", ...}}}}`, whose parts are those of ellipbody20. Id 255 is ignored. Without --parts, the
+keypoints alone are fitted.
+
+**Results** in FOLDER: overlay.png (look at this first), parts.png, body.npz (parameters), body.json (measurements in
+cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json. Older results there are replaced.
+"""
 
 
 @app.callback()
@@ -23,77 +46,113 @@ def _root() -> None:
     """Differentiable rendering of body parts, and reconstruction of human pose and shape."""
 
 
-@app.command()
+@app.command(help=_FIT_HELP)
 def fit(
-    photo: Annotated[Path | None, typer.Argument(help="The picture, for the overlay; optional.", metavar="[PHOTO]")] = None,
-    keypoints: Annotated[Path, typer.Option(help="2D keypoints, JSON.", metavar="FILE.json")] = ...,  # type: ignore[assignment]
+    keypoints: Annotated[Path, typer.Option(help="2D keypoints, JSON.", metavar="FILE.json")],
+    photo: Annotated[
+        Path | None, typer.Argument(help="The picture, for the overlay; optional.", metavar="PHOTO", show_default=False)
+    ] = None,
     parts: Annotated[
-        Path | None, typer.Option(help="Part labels: ids as 8-bit PNG or .npy, or probabilities as .npy.", metavar="FILE")
+        Path | None, typer.Option(help="Part labels: ids as PNG or .npy, or probabilities as .npy.", metavar="FILE")
     ] = None,
     labels: Annotated[
-        str, typer.Option(help="What the ids of --parts mean: a label set's name, or a JSON of your own.", metavar="NAME")
+        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
     ] = "ellipbody20",
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     keypoint_format: Annotated[
-        str | None, typer.Option(help="Skeleton of the keypoints, if the file does not say.", metavar="NAME")
+        str | None, typer.Option(help="Format of the keypoints, if the file does not say.", metavar="NAME")
     ] = None,
     person: Annotated[
-        int | None, typer.Option(help="Which person of the keypoint file, 0 = first; default: the largest.", metavar="N")
+        int | None,
+        typer.Option(help="Whom to fit, of the people with keypoints: 0 = first; default: the largest.", metavar="N"),
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.")] = 0,
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+    seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.", metavar="N")] = 0,
 ) -> None:
-    """Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
+    """Fit a body to one person; see ``_FIT_HELP``."""
+    # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
+    from .inputs import check_inside, check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
 
-    **Keypoints**: `{"format": "coco17", "keypoints": [[x, y, confidence], ...]}`, OpenPose's own JSON, COCO annotations,
-    or a plain list. Formats: coco17, body25, blazepose33, h36m17, lsp14, mpii16.
-
-    **Label sets**: ellipbody20, body14, lsp6, surreal14, cdcl14, densepose24, lip20, atr18, pascal6, sapiens28, up3d31,
-    full1. Id 255 is ignored. Without --parts, the keypoints alone are fitted.
-
-    **Results** in FOLDER: overlay.png (look at this first), parts.png, body.npz (parameters), body.json (measurements in
-    cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json.
-
-    Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14 --out fitted`
-    """
-    # loaded here, so that --help is quick
-    import warp as wp
-
-    wp.config.quiet = True
-    from .fitting import FitOptions, fit_body
-    from .inputs import check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
-    from .output import save_fit
-    from .progress import FitProgress
-
-    where = _device(device)
     picture = None if photo is None else read_photo(photo)
     label_set = read_label_set(labels)
     image = None if parts is None else read_parts(parts, label_set)
-    check_sizes(
-        photo=None if picture is None else picture.shape[:2], parts=None if image is None else image.groups.shape
-    )
+    groups = None if image is None else image.groups
+    check_sizes(photo=None if picture is None else picture.shape[:2], parts=None if groups is None else groups.shape)
     people = read_keypoints(keypoints, keypoint_format)
-    chosen = choose_person(people, None if image is None else image.groups, person)
+    chosen = choose_person(people, groups, person)
     others = tuple(other for other in people if other is not chosen)
+    check_inside(chosen, next((seen.shape[:2] for seen in (picture, groups) if seen is not None), None))
+
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from .fitting import FitOptions, fit_body
+    from .output import RESULT_FILES, check_folder, save_fit
+    from .progress import FitProgress
+
+    check_folder(out)
+    for given in filter(None, (photo, keypoints, parts, Path(labels))):
+        if any(given.resolve() == (out / name).resolve() for name in RESULT_FILES):
+            raise InputError(f"--out: {out}: the result would replace {given}; expected another folder")
+    where = _device(device)
+    if where == "cpu":
+        # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
+        # cores: 20 s instead of 1.6 s).
+        torch.set_num_threads(1)
     with FitProgress() as progress:
-        result = fit_body(
-            chosen, image, others=others, options=FitOptions(seed=seed), device=where, progress=progress
-        )
+        _load_kernels(where)
+        result = fit_body(chosen, image, others=others, options=FitOptions(seed=seed), device=where, progress=progress)
+        progress("writing results", 1, 1)
         report = save_fit(result, out, keypoints=chosen, parts=image, photo=picture, others=others)
     _summarise(report, out)
 
 
 def _device(name: str) -> str:
     import torch
+    import warp as wp
 
+    with _without_driver_warning():
+        wp.init()
+    count = min(torch.cuda.device_count(), wp.get_cuda_device_count())
     if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    if name != "cpu" and not (name.split(":")[0] == "cuda" and torch.cuda.is_available()):
-        raise InputError(f"--device: {name}; expected cpu, or cuda on a machine that has it")
+        return "cuda" if count else "cpu"
+    devices = ["cpu", *(["cuda"] if count else []), *(f"cuda:{index}" for index in range(count))]
+    if name not in devices:
+        raise InputError(f"--device: {name}; expected auto or {' or '.join(devices)}, which is what this machine has")
     return name
 
 
-def _summarise(report: dict, out: Path) -> None:  # type: ignore[type-arg]
+@contextmanager
+def _without_driver_warning() -> Iterator[None]:
+    """Keep from stderr that Warp finds no CUDA driver, which its library writes there past all of Python's settings."""
+    stderr = os.dup(2)
+    with tempfile.TemporaryFile() as written:
+        os.dup2(written.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            written.seek(0)
+            for line in written:
+                if b"find or load the NVIDIA CUDA driver" not in line:
+                    os.write(2, line)
+
+
+def _load_kernels(device: str) -> None:
+    """Compile all kernels, or load them: later, a stage of the fit would seem to take so long."""
+    import warp as wp
+
+    from .kernels import kinematics, part_gradient, rasterize
+
+    for module in (kinematics, rasterize, part_gradient):
+        wp.load_module(module, device=device)
+
+
+def _summarise(report: dict[str, Any], out: Path) -> None:
     share = report["keypoints"]["mean_distance_share_of_person_height"]
     lines = [
         f"{report['hypotheses']} hypotheses, {report['seconds_total']:.1f} s",
@@ -110,7 +169,16 @@ def _summarise(report: dict, out: Path) -> None:  # type: ignore[type-arg]
 def main() -> None:
     """Run the command; bad input is one line on stderr and exit code 2."""
     try:
-        app()
+        code = app(sys.argv[1:] or ["--help"], prog_name="partdr", standalone_mode=False)
     except InputError as error:
-        typer.echo(f"partdr: {error}", err=True)
-        sys.exit(2)
+        code = _complain(str(error))
+    except _UsageError as error:
+        code = _complain(f"{error.format_message().rstrip('.')}; see partdr fit --help")
+    except typer.Abort:
+        code = 130
+    sys.exit(code)
+
+
+def _complain(message: str) -> int:
+    typer.echo(f"partdr: {' '.join(message.split())}", err=True)
+    return 2

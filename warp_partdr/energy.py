@@ -6,6 +6,7 @@ in pixels of the same (whatever size is drawn), L_l and L_t in square millimetre
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -70,6 +71,7 @@ class Energy:
         subdivisions: Level of the drawn mesh, 0 to 3.
         weights: Of the terms.
         prior: The pose prior.
+        max_distance: How far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
     """
 
     observation: Observation
@@ -77,6 +79,7 @@ class Energy:
     subdivisions: int = 1
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
+    max_distance: float = math.inf
 
     def __post_init__(self) -> None:
         seen = self.observation
@@ -118,13 +121,18 @@ class Energy:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
         if self._maps is not None and self._known is not None:
             shown = rasterize_parts(
-                vertices, mesh, (self.size, self.size), num_maps=len(self._maps), validate=False
+                vertices,
+                mesh,
+                (self.size, self.size),
+                num_maps=len(self._maps),
+                max_distance=self.max_distance,
+                validate=False,
             ).maps
             assert shown is not None
             return ((shown - self._maps).square() * self._known).sum((1, 2, 3))
         assert self._target is not None
         target = self._target.expand(vertices.shape[0], -1, -1)
-        return label_loss(vertices, mesh, target, validate=False)[0]
+        return label_loss(vertices, mesh, target, max_distance=self.max_distance, validate=False)[0]
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
     from .posing import Posed
 
+# glTF's colour factors are linear light, the palette is sRGB
+_LINEAR_COLOURS = np.where(
+    PART_COLOURS <= 10, PART_COLOURS / 255 / 12.92, ((PART_COLOURS / 255 + 0.055) / 1.055) ** 2.4
+)
 _GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to glTF's (y up, z toward the viewer)
 
 
@@ -28,20 +32,23 @@ def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> t
     """
     import trimesh
 
-    _, faces = icosphere(subdivisions)
+    sphere, faces = icosphere(subdivisions)
     points = posed.vertices(subdivisions)[index].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
     points = points @ _GLTF_FROM_CAMERA.T
     points = points - [0.0, points[..., 1].min(), 0.0]
+    # Exact, and so that trimesh need not average those of faces, for which it wants SciPy.
+    axes, semi_axes = posed.axes[index].detach().cpu().numpy(), posed.semi_axes[index].detach().cpu().numpy()
+    normals = (sphere / semi_axes[:, None]) @ axes.transpose(0, 2, 1) @ _GLTF_FROM_CAMERA.T
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     scene = trimesh.Scene()
     for k, name in enumerate(PART_NAMES):
         material = trimesh.visual.material.PBRMaterial(
             name=name,
-            baseColorFactor=[*PART_COLOURS[k + 1].tolist(), 255],
+            baseColorFactor=[*_LINEAR_COLOURS[k + 1].tolist(), 1.0],
             metallicFactor=0.0,
             roughnessFactor=0.7,
         )
-        mesh = trimesh.Trimesh(points[k], faces, process=False)
+        mesh = trimesh.Trimesh(points[k], faces, vertex_normals=normals[k], process=False)
         mesh.visual = trimesh.visual.TextureVisuals(material=material)
-        mesh.vertex_normals  # noqa: B018  computed here, so that the file holds them and ellipsoids look smooth
         scene.add_geometry(mesh, node_name=name, geom_name=name)
     return scene

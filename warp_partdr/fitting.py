@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,10 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from .body.labels import BACKGROUND, IGNORE
+from .body.labels import IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
-from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Weights, resize_nearest
+from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Weights
 from .errors import InputError
 from .hypotheses import LiftEnergy, hypothesize
 from .keypoints import Keypoints2D
@@ -42,6 +43,8 @@ class Stage:
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
         weights: Of the energy's terms in this stage; None takes the fit's.
+        max_distance: How far from an edge a pixel may move it [px of the drawn crop].
+        subdivisions: Level of the drawn mesh, 0 to 3.
     """
 
     name: str
@@ -50,6 +53,14 @@ class Stage:
     learning_rate: float
     size: int = 0
     weights: Weights | None = None
+    max_distance: float = math.inf
+    subdivisions: int = 1
+
+
+# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
+# disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
+# with lengths and pose held harder, thicknesses freer, and pixels acting on near edges alone.
+_OUTLINE = Weights(seg=0.3, prior=10.0, length=1e-2, thickness=3e-4)
 
 
 @dataclass(frozen=True)
@@ -58,8 +69,7 @@ class FitOptions:
 
     Attributes:
         stages: In order; the first one lifts the hypotheses into 3D.
-        subdivisions: Level of the drawn mesh, 0 to 3.
-        weights: Of the energy's terms.
+        weights: Of the energy's terms, where a stage has none of its own.
         seed: Of the random choice of hypotheses, where there are too many.
     """
 
@@ -69,8 +79,8 @@ class FitOptions:
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
         Stage("labels, fine", 4, 50, 0.01, 256),
+        Stage("outline", 1, 150, 0.02, 256, _OUTLINE, max_distance=2.0),
     )
-    subdivisions: int = 1
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
 
@@ -83,23 +93,23 @@ class FitResult:
         parameters: The body and its camera in the crop, B = 1.
         crop: Where the crop lies in the picture.
         observation: What was fitted, in the crop.
-        options: How.
+        stages: The rounds it took.
         energy: Weighted terms of the energy at the end, by name.
         history: Energy of the winner's lineage before each iteration, one row a stage.
         stage_seconds: Wall time of each stage.
         hypotheses: How many starts there were.
-        alternatives: Energies of the other finalists, best first.
+        finalists: Energies at the end of the last stage that compared several bodies, best first.
     """
 
     parameters: BodyParameters
     crop: Crop
     observation: Observation
-    options: FitOptions
+    stages: tuple[Stage, ...]
     energy: dict[str, float]
     history: list[np.ndarray]
     stage_seconds: dict[str, float]
     hypotheses: int
-    alternatives: list[float]
+    finalists: list[float]
 
     @property
     def camera(self) -> WeakPerspective:
@@ -151,24 +161,29 @@ def fit_body(
     options = options or FitOptions()
     seen, crop = observe(keypoints, parts, others=others, device=device)
     prior = PosePrior().to(device)
-    total = sum(stage.iterations for stage in options.stages)
-    done = 0
-    bodies, targets, known = hypothesize(seen, options.stages[0].bodies, seed=options.seed)
+    # Without labels, the stages that draw them have nothing to add.
+    stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
+    if not stages:
+        raise ValueError("options.stages: none without labels; expected at least one of size 0")
+    bodies, targets, known = hypothesize(seen, stages[0].bodies, seed=options.seed)
     bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-    count = bodies.batch_size
+    hypotheses = bodies.batch_size
+    energies = torch.zeros(hypotheses, device=seen.points.device)
+    terms: dict[str, torch.Tensor] = {}
     seconds: dict[str, float] = {}
-    lineage: list[np.ndarray] = []
-    energies: torch.Tensor | None = None
-    for index, stage in enumerate(options.stages):
+    lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
+    finalists: list[float] = []
+    done, total = 0, sum(stage.iterations for stage in stages)
+    for index, stage in enumerate(stages):
         started = time.perf_counter()
-        if energies is not None:
+        if index > 0:
             kept = distinct(bodies, energies, stage.bodies)
             bodies = bodies.select(kept)
             lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
         weights = stage.weights or options.weights
-        if not stage.size:
+        if stage.size == 0:
             weights = replace(weights, seg=0.0)
-        energy = Energy(seen, max(stage.size, 1), options.subdivisions, weights, prior)
+        energy = Energy(seen, max(stage.size, 1), stage.subdivisions, weights, prior, stage.max_distance)
 
         def step(iteration: int, name: str = stage.name, before: int = done) -> None:
             if progress is not None:
@@ -181,22 +196,23 @@ def fit_body(
             learning_rate=stage.learning_rate,
             on_iteration=step,
         )
-        bodies, energies = refined.parameters, refined.energy
+        bodies, energies, terms = refined.parameters, refined.energy, refined.terms
         lineage.append(refined.history.cpu().numpy())
+        if len(energies) > 1:
+            finalists = energies.sort().values.tolist()
         done += stage.iterations
         seconds[stage.name] = time.perf_counter() - started
-    order = energies.argsort()
-    winner = order[:1]
+    winner = int(energies.argmin())
     return FitResult(
-        parameters=bodies.select(winner),
+        parameters=bodies.select(torch.tensor([winner], device=energies.device)),
         crop=crop,
         observation=seen,
-        options=options,
-        energy={name: float(term[winner]) for name, term in refined.terms.items()},
-        history=[rows[:, int(winner)] for rows in lineage],
+        stages=stages,
+        energy={name: float(term[winner]) for name, term in terms.items()},
+        history=[rows[:, winner] for rows in lineage],
         stage_seconds=seconds,
-        hypotheses=count,
-        alternatives=energies[order[1:]].tolist(),
+        hypotheses=hypotheses,
+        finalists=finalists,
     )
 
 

@@ -1,8 +1,8 @@
 """Where a fit may start: from 2D keypoints through bone lengths to many 3D hypotheses.
 
-Seen by a weak-perspective camera, a bone of known length points toward the viewer or away from it by as much as it looks
-too short (Taylor, 2000). Every combination is one hypothesis: each limb bone either way, the body turned either way,
-the trunk upright or leaning either way. Bones seen in full length have no second way.
+Seen by a weak-perspective camera, a bone of known length points toward the viewer or away from it by as much as it
+looks too short (Taylor, 2000). Every combination is one hypothesis: each limb bone either way, the body turned either
+way, the trunk upright or leaning either way. Bones seen in full length have no second way.
 """
 
 from __future__ import annotations

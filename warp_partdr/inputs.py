@@ -9,12 +9,13 @@ from .errors import InputError
 from .keypoint_files import parse_keypoints, read_keypoints
 from .keypoints import Keypoints2D, choose_person, person_height
 from .part_files import PartLabels, check_sizes, read_label_set, read_parts, read_photo
-from .person import crop_keypoints, crop_nearest, crop_size, person_crop, select_person
+from .person import check_inside, crop_keypoints, crop_nearest, crop_size, person_crop, select_person
 
 __all__ = [
     "InputError",
     "Keypoints2D",
     "PartLabels",
+    "check_inside",
     "check_sizes",
     "choose_person",
     "crop_keypoints",

@@ -30,9 +30,7 @@ class PartMesh:
     edges: torch.Tensor
 
     @classmethod
-    def from_faces(
-        cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu"
-    ) -> PartMesh:
+    def from_faces(cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu") -> PartMesh:
         """Build the edges of any triangle mesh.
 
         Args:
@@ -50,7 +48,7 @@ class PartMesh:
             raise ValueError(f"face_labels: shape {face_labels.shape}; expected ({len(faces)},)")
         if faces.size and faces.min() < 0:
             raise ValueError(f"faces: index {faces.min()}; expected 0 or more")
-        if face_labels.size and not (1 <= face_labels.min() and face_labels.max() <= MAX_LABEL):
+        if face_labels.size and (face_labels.min() < 1 or face_labels.max() > MAX_LABEL):
             raise ValueError(f"face_labels: {face_labels.min()} to {face_labels.max()}; expected 1 to {MAX_LABEL}")
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         return cls(
@@ -65,8 +63,9 @@ class PartMesh:
 
     @cached_property
     def num_labels(self) -> int:
-        """The highest label of a face; 0 without faces."""
-        return int(self.face_labels.max()) if self.face_labels.numel() else 0
+        """The highest label of a face, 255 aside; 0 without faces."""
+        labels = self.face_labels[self.face_labels <= MAX_LABEL]
+        return int(labels.max()) if labels.numel() else 0
 
     @cached_property
     def num_vertices(self) -> int:
@@ -85,6 +84,7 @@ class PartMesh:
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
 
+        A face with the new label 255 still hides what is behind it, but costs nothing where it shows.
         The edges stay those of the ellipsoids or parts that the mesh was built from.
         """
         old = self.face_labels.cpu().numpy()
@@ -92,9 +92,7 @@ class PartMesh:
         return replace(self, face_labels=torch.from_numpy(new).to(self.faces.device))
 
 
-def ellipbody_mesh(
-    subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu"
-) -> PartMesh:
+def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
     """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
     return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
 

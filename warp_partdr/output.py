@@ -18,6 +18,7 @@ from .body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
 from .body.template import JOINT_NAMES
 from .body_file import BodyFile
 from .cameras import Crop
+from .energy import LandmarkGather
 from .errors import InputError
 from .export import ellipbody_scene
 from .fitting import FitResult
@@ -190,16 +191,14 @@ def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
     """Losses, distance of the keypoints, and times of a fit."""
     sure = keypoints.confident
     names = [name for name, there in zip(keypoints.format.landmarks, sure, strict=True) if there]
-    posed, camera = result.posed, result.camera
-    from .energy import LandmarkGather
-
-    seen = camera.project(LandmarkGather(names, camera.scale.device)(posed))[0, :, :2].detach().cpu().numpy()
+    landmarks = LandmarkGather(names, result.camera.scale.device)(result.posed)
+    seen = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
     distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
     height = person_height(keypoints)
     return {
         "energy": {name: round(value, 4) for name, value in result.energy.items()},
         "energy_total": round(sum(result.energy.values()), 4),
-        "energy_of_other_finalists": [round(value, 4) for value in result.alternatives],
+        "energy_of_finalists": [round(value, 4) for value in result.finalists],
         "hypotheses": result.hypotheses,
         "keypoints": {
             "confident": int(sure.sum()),
@@ -213,7 +212,7 @@ def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
 
 
 def compare_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
-    """How well group ids of a body match those of the picture, shape (H, W) both; also in LSP's six parts if it can be."""
+    """How well a body's group ids match the picture's, shape (H, W) both; also in LSP's six parts where those exist."""
     scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
     try:
         table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)

@@ -1,7 +1,7 @@
 """The colours of body parts, the same in every picture and file.
 
-Left limbs are warm, right limbs are cool, the trunk is gray to violet and the head yellow, so sides can be told apart without
-telling red from green; along a limb, the colours grow lighter towards its end.
+Left limbs are warm, right limbs are cool, the trunk is gray to violet and the head yellow, so sides can be told apart
+without telling red from green; along a limb, the colours grow lighter towards its end.
 """
 
 from __future__ import annotations

@@ -50,6 +50,7 @@ class BodyParameters:
 
     @property
     def batch_size(self) -> int:
+        """B, the number of bodies."""
         return self.log_scale.shape[0]
 
     def global_orient(self) -> torch.Tensor:

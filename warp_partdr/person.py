@@ -23,7 +23,35 @@ _REACH = 0.25  # Farther than this from any bone, nothing is the person's; half 
 _LOOSE_REACH = 0.6  # The same around a joint whose next joint is missing: a whole limb may hang there.
 _MIN_SEED_RADIUS = 1.5  # [px]
 
+# Shares of the picture's longer side: networks guess that far where the border cuts a person off, not farther.
+_BEYOND = 2.0
+_LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
+
 _LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
+
+
+def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
+    """Raise unless the keypoints may be of a picture of this size; some may lie beyond its border.
+
+    Args:
+        keypoints: The person's.
+        size: (H, W) [px]; None if there is no picture.
+
+    Raises:
+        InputError: If no confident keypoint is in the picture, or one is very far from it.
+    """
+    width, height = size[::-1] if size else (_LARGEST, _LARGEST)
+    shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
+    reach = _BEYOND * max(width, height)
+    sure = np.flatnonzero(keypoints.confident)
+    points = keypoints.points[sure]
+    far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
+    if far.size:
+        name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
+        raise InputError(f"keypoints: {name} at ({x:g}, {y:g}); expected it in {shown}, or near them")
+    if not ((points >= 0) & (points <= [width, height])).all(axis=1).any():
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
 
 
 def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> np.ndarray:

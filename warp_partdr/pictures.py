@@ -17,8 +17,6 @@ from .posing import Posed
 from .render import rasterize_parts
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from PIL.Image import Image
 
     from .fitting import FitResult
@@ -120,68 +118,107 @@ def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
     counted = target != 255
     wrong = counted & (shown != target)
     difference = np.full((*target.shape, 3), 255, dtype=np.uint8)
-    difference[counted & (target > 0) & ~wrong] = (205, 205, 205)
-    difference[wrong & (shown == 0)] = _MISSING
-    difference[wrong & (target == 0)] = _EXTRA
-    difference[wrong & (shown > 0) & (target > 0)] = _CONFUSED
-    difference[~counted] = (120, 120, 120)
+    for colour, pixels in (
+        (_RIGHT, counted & (target > 0) & ~wrong),
+        (_MISSING, wrong & (shown == 0)),
+        (_EXTRA, wrong & (target == 0)),
+        (_CONFUSED, wrong & (shown > 0) & (target > 0)),
+        (_IGNORED, ~counted),
+    ):
+        difference[pixels] = colour
+    colours = colours.copy()
+    colours[0], colours[255] = 255, _IGNORED
 
     rows, columns = np.nonzero((counted & (target > 0)) | (shown > 0))
-    if rows.size:
-        margin = 12
-        box = (columns.min() - margin, rows.min() - margin, columns.max() + margin + 1, rows.max() + margin + 1)
-    else:
-        box = (0, 0, target.shape[1], target.shape[0])
-    box = (max(box[0], 0), max(box[1], 0), min(box[2], target.shape[1]), min(box[3], target.shape[0]))
-    width, height = int(box[2] - box[0]), int(box[3] - box[1])
-    zoom = max(1, round(480 / max(width, height)))
-    width, height, bar = width * zoom, height * zoom, 34
-    names = ("target", "result", "difference")
-    sheet = PilImage.new("RGB", (3 * max(width, 180) + 40, height + 2 * bar), "white")
+    top, bottom = (int(rows.min()), int(rows.max()) + 1) if rows.size else (0, target.shape[0])
+    left, right = (int(columns.min()), int(columns.max()) + 1) if rows.size else (0, target.shape[1])
+    margin = round(0.03 * max(bottom - top, right - left)) + 1
+    box = (
+        max(left - margin, 0),
+        max(top - margin, 0),
+        min(right + margin, target.shape[1]),
+        min(bottom + margin, target.shape[0]),
+    )
+    zoom = _PANEL_SIDE / max(box[2] - box[0], box[3] - box[1])
+    # Enlarged by whole numbers, so that every pixel is of one size.
+    zoom = max(1, round(zoom)) if zoom > 0.7 else zoom
+    width, height = max(round((box[2] - box[0]) * zoom), 1), max(round((box[3] - box[1]) * zoom), 1)
+    resample = PilImage.Resampling.NEAREST if zoom >= 1 else PilImage.Resampling.BOX
+
+    font, gap, bar = ImageFont.load_default(15), 12, 34
+    legend = {"right": _RIGHT, "missing": _MISSING, "too much": _EXTRA, "another part": _CONFUSED, "ignored": _IGNORED}
+    entries = [(text, colour, round(font.getlength(text)) + 38) for text, colour in legend.items()]
+    step = max(width, (sum(entry[2] for entry in entries) - gap) // 3) + gap
+    sheet = PilImage.new("RGB", (gap + 3 * step, height + 2 * bar), "white")
     draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(15)
-    left = 10
-    for name, image in zip(names, (colours[target], colours[shown], difference), strict=True):
-        picture = PilImage.fromarray(image).crop(tuple(map(int, box))).resize((width, height), PilImage.Resampling.NEAREST)
-        sheet.paste(picture, (left, bar))
-        draw.text((left, 8), name, fill="black", font=font)
-        left += max(width, 180) + 10
-    left = 10
-    for text, colour in (
-        ("missing", _MISSING),
-        ("too much", _EXTRA),
-        ("another part", _CONFUSED),
-        ("ignored", (120, 120, 120)),
-    ):
-        draw.rectangle([left, bar + height + 10, left + 14, bar + height + 24], fill=colour)
-        draw.text((left + 20, bar + height + 8), text, fill="black", font=font)
-        left += 40 + 8 * len(text)
+    named = {"target": colours[target], "result": colours[shown], "difference": difference}
+    for column, (name, image) in enumerate(named.items()):
+        x = gap + column * step
+        draw.text((x, 9), name, fill="black", font=font)
+        sheet.paste(PilImage.fromarray(image).crop(box).resize((width, height), resample), (x, bar))
+        draw.rectangle([x - 1, bar - 1, x + width, bar + height], outline=(190, 190, 190))
+    x, y = gap, bar + height + 10
+    for text, colour, advance in entries:
+        draw.rectangle([x, y, x + 14, y + 14], fill=colour, outline=(120, 120, 120))
+        draw.text((x + 20, y - 2), text, fill="black", font=font)
+        x += advance
     return sheet
 
 
+_PANEL_SIDE = 480  # [px]
+
 # of the difference picture; told apart by colour-blind people too
+_RIGHT = (215, 215, 215)
 _MISSING = (0, 90, 181)
 _EXTRA = (220, 50, 32)
 _CONFUSED = (255, 194, 10)
+_IGNORED = (150, 150, 150)
 
 
-def loss_chart(result: FitResult, path: Path) -> None:
-    """The energy of the winner and its ancestors over all iterations, one panel a stage, as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def loss_chart(result: FitResult) -> Image:
+    """The energy of the winner and its ancestors over all iterations, one band a stage, on a logarithmic scale."""
+    from PIL import Image as PilImage
+    from PIL import ImageDraw, ImageFont
 
-    figure = Figure(figsize=(9, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    stages = result.options.stages
-    axes = figure.subplots(1, len(stages), squeeze=False, width_ratios=[stage.iterations for stage in stages])[0]
+    smooth = 2  # drawn so much larger, for smooth lines
+    width, height = 900 * smooth, 380 * smooth
+    left, right, top, bottom = 62 * smooth, width - 14 * smooth, 66 * smooth, height - 44 * smooth
+    chart = PilImage.new("RGB", (width, height), "white")
+    draw = ImageDraw.Draw(chart)
+    font, small = ImageFont.load_default(14 * smooth), ImageFont.load_default(12 * smooth)
+
+    values = np.concatenate(result.history)
+    powers = np.log10(values[values > 0]) if (values > 0).any() else np.zeros(1)
+    high = powers.max() + 0.05
+    low = max(powers.min() - 0.05, high - 4)  # no stage falls by more decades
+    total = max(sum(map(len, result.history)), 1)
+
+    def at(iteration: float, energy: float) -> tuple[float, float]:
+        share = (np.log10(max(energy, 10**low)) - low) / (high - low)
+        return left + (right - left) * iteration / total, bottom - (bottom - top) * float(share)
+
     first = 0
-    for axis, stage, energies in zip(axes, stages, result.history, strict=True):
-        axis.plot(np.arange(first, first + len(energies)), energies, color="black", linewidth=1.2)
-        axis.set_title(f"{stage.name}\n{stage.size or 'no'} px", fontsize=9)
-        axis.set_ylim(bottom=0)
-        axis.grid(alpha=0.3)
-        axis.tick_params(labelsize=8)
-        first += stage.iterations
-    axes[0].set_ylabel("energy of the winner")
-    figure.supxlabel("iteration", fontsize=10)
-    figure.savefig(path, dpi=110)
+    for index, (stage, energies) in enumerate(zip(result.stages, result.history, strict=True)):
+        (start, _), (end, _) = at(first, 1.0), at(first + len(energies), 1.0)
+        draw.rectangle([start, top, end, bottom], fill=((246, 246, 246), (232, 237, 243))[index % 2])
+        size = f"{stage.size} px" if stage.size and result.observation.labels is not None else "no labels"
+        for line, text in enumerate((stage.name, size)):
+            if small.getlength(text) < end - start:
+                draw.text(((start + end) / 2, top - (26 - 16 * line) * smooth), text, "black", small, anchor="mm")
+        first += len(energies)
+        draw.text((end, bottom + 6 * smooth), str(first), "black", small, anchor="ma")
+    ticks = [digit * 10.0**power for power in range(-6, 9) for digit in (1, 2, 5)]
+    for tick in ticks:
+        if low <= np.log10(tick) <= high:
+            y = at(0, tick)[1]
+            draw.line([left, y, right, y], fill=(205, 205, 205), width=1)
+            draw.text((left - 6 * smooth, y), f"{tick:g}", "black", small, anchor="rm")
+    first = 0
+    for energies in result.history:
+        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies)]
+        draw.line(points, fill=(20, 70, 140), width=2 * smooth, joint="curve")
+        first += len(energies)
+    draw.rectangle([left, top, right, bottom], outline=(120, 120, 120), width=smooth)
+    draw.text((left, 6 * smooth), "energy of the winner", "black", font)
+    draw.text(((left + right) / 2, height - 8 * smooth), "iteration", "black", font, anchor="ms")
+    return chart.resize((width // smooth, height // smooth), PilImage.Resampling.LANCZOS)

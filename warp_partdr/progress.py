@@ -22,7 +22,7 @@ class FitProgress:
             disable=not console.is_terminal,
             transient=True,
         )
-        self._task = self._bar.add_task("compiling kernels", total=None)
+        self._task = self._bar.add_task("compiling kernels, once for this machine", total=None)
 
     def __enter__(self) -> FitProgress:
         self._bar.start()

@@ -59,7 +59,7 @@ def refine(
     shape = [bodies.lengths, bodies.thicknesses]
     rest = [bodies.orientation, bodies.rotations, bodies.log_scale, bodies.shift]
     groups = [{"params": rest, "lr": learning_rate}, {"params": shape, "lr": learning_rate * _SHAPE_RATE}]
-    optimizer = torch.optim.Adam(groups)  # type: ignore[arg-type]
+    optimizer = torch.optim.Adam(groups)
     half_turn = math.pi / max(iterations, 1)
     schedule = torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda step: final_rate + (1 - final_rate) * (1 + math.cos(half_turn * step)) / 2

@@ -53,6 +53,7 @@ def rasterize_parts(
     num_maps: int = 0,
     edges: Edges = "silhouette",
     occlusion: Occlusion = "depth",
+    max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
 ) -> PartImage:
@@ -69,6 +70,8 @@ def rasterize_parts(
         edges: Which edges the x, y gradient moves: "silhouette", or "all" as the Neural Mesh Renderer does.
         occlusion: Whether an edge is pulled over pixels that show another part: "depth", where that part lies farther
             away than the edge, which then covers it; "paper", never (eq. 11).
+        max_distance: Pixels farther than this from an edge do not move it [px]. The paper has no limit, which finds far
+            targets; near the target a few pixels come closer to the true derivative of the covered area.
         depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
         validate: Look for NaN and infinity; on CUDA that waits for the device.
 
@@ -90,7 +93,17 @@ def rasterize_parts(
             )
         return PartImage(labels, depth, face_index)
     walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
-    options = (num_maps, height, width, near, perspective, edges == "all", occlusion == "depth", float(depth_weight))
+    options = (
+        num_maps,
+        height,
+        width,
+        near,
+        perspective,
+        edges == "all",
+        occlusion == "depth",
+        float(max_distance),
+        float(depth_weight),
+    )
     function = torch.ops.warp_partdr.part_maps if torch.compiler.is_compiling() else _PartMaps.apply
     maps, labels, depth, face_index = function(vertices.float(), mesh.faces, mesh.face_labels, walked, *options)
     return PartImage(labels, depth, face_index, maps)
@@ -106,6 +119,7 @@ def label_loss(
     near: float | None = None,
     edges: Edges = "silhouette",
     occlusion: Occlusion = "depth",
+    max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
 ) -> tuple[torch.Tensor, PartImage]:
@@ -116,8 +130,13 @@ def label_loss(
         mesh: Topology and labels, on the same device.
         target: Wanted label of each pixel, shape (B, H, W), uint8; 0 = background, 255 = ignore.
         label_weights: Weight of each label's map, shape (L,), label 0 first and without meaning; 1 by default.
-        perspective: As ``rasterize_parts``; so are ``near``, ``edges``, ``occlusion``, ``depth_weight`` and
-            ``validate``.
+        perspective: As in ``rasterize_parts``, like all that follow.
+        near: Near plane [m].
+        edges: "silhouette" or "all".
+        occlusion: "depth" or "paper".
+        max_distance: Pixels farther than this from an edge do not move it [px].
+        depth_weight: The paper's lambda of the z gradient.
+        validate: Look for NaN and infinity.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture.
@@ -131,7 +150,7 @@ def label_loss(
     if label_weights is not None:
         check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
         weights[: label_weights.shape[0]] = label_weights.to(weights)
-    weights[0] = 0.0  # background has no map
+    weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
     if validate and not torch.compiler.is_compiling():
         strange = target[(target > mesh.num_labels) & (target != IGNORE_LABEL)]
         if strange.numel():
@@ -139,7 +158,15 @@ def label_loss(
                 f"target: label {int(strange[0])}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore"
             )
     walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
-    options = (mesh.num_labels, near, perspective, edges == "all", occlusion == "depth", float(depth_weight))
+    options = (
+        mesh.num_labels,
+        near,
+        perspective,
+        edges == "all",
+        occlusion == "depth",
+        float(max_distance),
+        float(depth_weight),
+    )
     function = torch.ops.warp_partdr.label_loss if torch.compiler.is_compiling() else _LabelLoss.apply
     loss, labels, depth, face_index = function(
         vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
@@ -219,10 +246,10 @@ def _gradient(
     depth: torch.Tensor,
     gradient: Any,
     wanted: list[wp.array],
-    options: tuple[float, bool, bool, bool, float],
+    options: tuple[float, bool, bool, bool, float, float],
 ) -> torch.Tensor:
     """Gradient with respect to the vertices, shape (B, V, 3)."""
-    near, perspective, all_edges, over_farther, depth_weight = options
+    near, perspective, all_edges, over_farther, max_distance, depth_weight = options
     grad_vertices = torch.zeros(vertices.shape, device=vertices.device)
     with on_torch_stream(vertices.device) as device:
         part_gradient.launch_part_gradient(
@@ -234,6 +261,7 @@ def _gradient(
             perspective=perspective,
             all_edges=all_edges,
             over_farther=over_farther,
+            max_distance=max_distance,
             depth_weight=depth_weight,
             labels=_wp(labels, wp.uint8),
             face_index=_wp(face_index, wp.int32),
@@ -353,6 +381,7 @@ def _part_maps_op(
     perspective: bool,
     all_edges: bool,
     over_farther: bool,
+    max_distance: float,
     depth_weight: float,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return _maps_forward(vertices, faces, face_labels, (num_maps, height, width, near, perspective))
@@ -380,11 +409,12 @@ def _part_maps_backward_op(
     perspective: bool,
     all_edges: bool,
     over_farther: bool,
+    max_distance: float,
     depth_weight: float,
 ) -> torch.Tensor:
     saved = (vertices, faces, face_labels, edges, labels, face_index, depth)
     return _maps_backward(
-        saved, grad_maps, (None, None, None, near, perspective, all_edges, over_farther, depth_weight)
+        saved, grad_maps, (None, None, None, near, perspective, all_edges, over_farther, max_distance, depth_weight)
     )
 
 
@@ -420,6 +450,7 @@ def _label_loss_op(
     perspective: bool,
     all_edges: bool,
     over_farther: bool,
+    max_distance: float,
     depth_weight: float,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return _loss_forward(vertices, faces, face_labels, target, weights, (num_labels, near, perspective))
@@ -448,10 +479,13 @@ def _label_loss_backward_op(
     perspective: bool,
     all_edges: bool,
     over_farther: bool,
+    max_distance: float,
     depth_weight: float,
 ) -> torch.Tensor:
     saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
-    return _loss_backward(saved, grad_loss, (num_labels, near, perspective, all_edges, over_farther, depth_weight))
+    return _loss_backward(
+        saved, grad_loss, (num_labels, near, perspective, all_edges, over_farther, max_distance, depth_weight)
+    )
 
 
 @_label_loss_backward_op.register_fake

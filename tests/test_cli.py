@@ -1,0 +1,460 @@
+"""``partdr`` as users call it: what it says, what it leaves behind, and what it does with bad input."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from warp_partdr import cli, fitting, output
+from warp_partdr.body.label_sets import LABEL_SETS
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.skeletons import SKELETONS, convert
+from warp_partdr.body_file import load_body
+from warp_partdr.fitting import FitOptions, Stage
+
+EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
+QUICK = (Stage("lift", 8, 6, 0.1), Stage("labels", 2, 4, 0.02, 64))
+GOOD = "photo.png --keypoints k.json --parts p.png --labels cdcl14 --out out"
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The packaged example at a quarter of its size: photo.png, p.png and k.json in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    for source, name in (("photo.png", "photo.png"), ("parts.png", "p.png")):
+        with Image.open(EXAMPLE / source) as image:
+            image.resize((image.width // 4, image.height // 4), Image.Resampling.NEAREST).save(name)
+    data = json.loads((EXAMPLE / "keypoints.json").read_text())
+    data["keypoints"] = [[x / 4, y / 4, confidence] for x, y, confidence in data["keypoints"]]
+    write("k.json", data)
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
+    monkeypatch.setattr(fitting, "FitOptions", partial(FitOptions, stages=QUICK))
+
+    def call(line: str, **environment: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["partdr", *line.split()])
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+        return left.value.code or 0, *capfd.readouterr()
+
+    return call
+
+
+def write(name: str, data: Any) -> None:
+    Path(name).write_text(data if isinstance(data, str) else json.dumps(data))
+
+
+def keypoints() -> dict[str, Any]:
+    return json.loads(Path("k.json").read_text())
+
+
+def ids() -> np.ndarray:
+    return np.array(Image.open("p.png"))
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+# --- help ----------------------------------------------------------------------------------------------------------
+
+
+def test_help_teaches(run: Run) -> None:
+    code, said, complaint = run("--help", COLUMNS="100")
+    assert (code, complaint) == (0, "")
+    assert "fit" in said
+    assert run("", COLUMNS="100") == (0, said, "")
+    code, said, complaint = run("fit --help", COLUMNS="100")
+    assert (code, complaint) == (0, "")
+    assert "Usage: partdr fit [OPTIONS] [PHOTO]" in said
+    assert '{"format": "coco17", "keypoints": [[x, y, confidence], ...]}' in said  # not taken for markup
+    for name in (*LABEL_SETS, *SKELETONS, *output.RESULT_FILES, "--parts", "--person", "Example"):
+        assert name in said, name
+    assert max(map(len, said.splitlines())) <= 100
+
+
+def test_help_is_quick(tmp_path: Path) -> None:
+    """It loads none of the large packages."""
+    heavy = {"torch", "warp", "pyvista", "PIL", "trimesh", "matplotlib"}
+    code = (
+        f"import sys; sys.argv = ['partdr', 'fit', '--help']\nfrom warp_partdr import cli\n"
+        f"try: cli.main()\nexcept SystemExit as left: sys.exit(left.code or repr({heavy} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.stderr.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("fit", "--keypoints"),
+        ("fit --keypoints", "--keypoints"),
+        ("fit --keypoints k.json --nonsense", "--nonsense"),
+        ("fit --keypoints k.json --person first", "--person"),
+        ("fit --keypoints k.json --seed 1.5", "--seed"),
+        ("fit a.png b.png --keypoints k.json", "b.png"),
+        ("fti", "fti"),
+    ],
+)
+def test_usage_errors_are_one_line(line: str, says: str, run: Run, files: Path) -> None:
+    code, said, complaint = run(line)
+    assert (code, said) == (2, "")
+    assert complaint.startswith("partdr: ")
+    assert complaint.count("\n") == 1
+    assert says in complaint
+
+
+# --- bad input -----------------------------------------------------------------------------------------------------
+
+
+def cut(name: str, share: float) -> None:
+    data = Path(name).read_bytes()
+    Path(name).write_bytes(data[: int(len(data) * share)])
+
+
+def change_keypoints(change: Callable[[list[list[Any]]], object]) -> None:
+    data = keypoints()
+    change(data["keypoints"])
+    write("k.json", data)
+
+
+def set_all(rows: list[list[Any]], column: int, value: float) -> None:
+    for row in rows:
+        row[column] = value
+
+
+def move(rows: list[list[Any]], x: float, y: float) -> None:
+    for row in rows:
+        row[0], row[1] = row[0] + x, row[1] + y
+
+
+def save_ids(image: np.ndarray) -> None:
+    Image.fromarray(image).save("p.png")
+
+
+def soft_maps(spoil: Callable[[np.ndarray], object] | None = None) -> np.ndarray:
+    """The ids as a network's probabilities, (15, H, W)."""
+    maps = np.moveaxis(np.eye(15, dtype=np.float32)[ids()], -1, 0) * 0.9 + 0.1 / 15
+    if spoil is not None:
+        spoil(maps)
+    np.save("maps.npy", maps)
+    return maps
+
+
+def put_nan(maps: np.ndarray) -> None:
+    maps[3, 5, 5] = np.nan
+
+
+BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
+    # name: (arguments, what is done to the good files, what the error must say)
+    "no keypoint file": (GOOD.replace("k.json", "none.json"), lambda: None, ["none.json", "No such file"]),
+    "no label file": (GOOD.replace("p.png", "none.png"), lambda: None, ["none.png", "No such file"]),
+    "no photo": (GOOD.replace("photo.png", "none.png"), lambda: None, ["none.png", "No such file"]),
+    "keypoints are a folder": (GOOD.replace("k.json", "."), lambda: None, [".", "directory"]),
+    "keypoints are no JSON": (GOOD, lambda: write("k.json", "{]"), ["k.json", "JSON"]),
+    "keypoints are no text": (GOOD, lambda: Path("k.json").write_bytes(b"\xff\xfe\x00"), ["k.json", "JSON"]),
+    "keypoints are something else": (GOOD, lambda: write("k.json", {"a": 1}), ["k.json", "keypoints"]),
+    "nobody": (GOOD, lambda: write("k.json", {"people": []}), ["k.json", "nobody"]),
+    "photo is no picture": (GOOD, lambda: write("photo.png", "no picture"), ["photo.png", "expected a picture"]),
+    "truncated photo": (GOOD, lambda: cut("photo.png", 0.5), ["photo.png", "expected a picture"]),
+    "truncated labels": (GOOD, lambda: cut("p.png", 0.5), ["p.png", "expected"]),
+    "labels of a suffix": (GOOD.replace("p.png", "k.json"), lambda: None, ["k.json", ".png or .npy"]),
+    "labels in colour": (GOOD.replace("p.png", "photo.png"), lambda: None, ["photo.png", "one channel"]),
+    "label set": (GOOD.replace("cdcl14", "cdcl15"), lambda: None, ["cdcl15", "cdcl14, ", "JSON"]),
+    "label set file": (GOOD.replace("cdcl14", "own.json"), lambda: None, ["own.json", "No such file"]),
+    "label set JSON": (
+        GOOD.replace("cdcl14", "own.json"),
+        lambda: write("own.json", {"groups": {"head": ["haed"]}, "ids": {"0": "background"}}),
+        ["own.json", "haed", "head"],
+    ),
+    "keypoint format": (GOOD + " --keypoint-format coco18", lambda: None, ["coco18", "coco17"]),
+    "keypoint format in the file": (
+        GOOD,
+        lambda: write("k.json", keypoints() | {"format": "coco18"}),
+        ["k.json", "coco18", "coco17"],
+    ),
+    "number of keypoints": (GOOD, lambda: change_keypoints(lambda rows: rows.pop()), ["k.json", "16", "17"]),
+    "label values": (GOOD, lambda: save_ids(ids() + 100), ["p.png", "100", "cdcl14", "0 to 14"]),
+    "sizes": (GOOD, lambda: save_ids(ids()[:-1]), ["photo", "parts", "96x128", "96x127"]),
+    "no visible keypoint": (GOOD, lambda: change_keypoints(lambda rows: set_all(rows, 2, 0)), ["k.json", "visible"]),
+    "one point": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: (set_all(rows, 0, 30), set_all(rows, 1, 40))),
+        ["k.json", "one point", "(30, 40)"],
+    ),
+    "shares of the size": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: [row.__setitem__(slice(2), [row[0] / 96, row[1] / 128]) for row in rows]),
+        ["k.json", "pixels"],
+    ),
+    "NaN in keypoints": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: rows[3].__setitem__(0, float("nan"))),
+        ["k.json", "keypoint 3", "left_ear", "nan"],
+    ),
+    "infinity in keypoints": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: rows[3].__setitem__(1, float("inf"))),
+        ["k.json", "left_ear", "inf"],
+    ),
+    "words in keypoints": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: rows[3].__setitem__(1, "here")),
+        ["k.json", "left_ear", "here"],
+    ),
+    "confidence": (GOOD, lambda: change_keypoints(lambda rows: set_all(rows, 2, 70.0)), ["k.json", "70", "0 to 1"]),
+    "empty labels": (GOOD, lambda: save_ids(ids() * 0), ["p.png", "empty"]),
+    "one part": (GOOD, lambda: save_ids((ids() == 2) * np.uint8(2)), ["p.png", "one part only (torso)", "full1"]),
+    "NaN in maps": (GOOD.replace("p.png", "maps.npy"), lambda: soft_maps(put_nan), ["maps.npy", "nan", "0 to 1"]),
+    "channels of maps": (
+        GOOD.replace("p.png", "maps.npy"),
+        lambda: np.save("maps.npy", soft_maps()[1:]),
+        ["maps.npy", "(14, 128, 96)", "(15, H, W)"],
+    ),
+    "no probabilities": (
+        GOOD.replace("p.png", "maps.npy"),
+        lambda: np.save("maps.npy", soft_maps() * 5),
+        ["maps.npy", "probabilities"],
+    ),
+    "pickled labels": (
+        GOOD.replace("p.png", "p.npy"),
+        lambda: np.save("p.npy", np.array([[{}]]), allow_pickle=True),
+        ["p.npy", "expected"],
+    ),
+    "damaged .npy header": (
+        GOOD.replace("p.png", "p.npy"),
+        lambda: Path("p.npy").write_bytes(b"\x93NUMPY\x01\x00\x08\x00('''\n(((("),
+        ["p.npy", "expected"],
+    ),
+    "device": (GOOD + " --device tpu", lambda: None, ["--device", "tpu", "cpu"]),
+    "CUDA device": (GOOD + " --device cuda:99", lambda: None, ["--device", "cuda:99", "cpu"]),
+    "person": (GOOD + " --person 1", lambda: None, ["person", "1", "0 to 0"]),
+    "negative person": (GOOD + " --person -1", lambda: None, ["person", "-1", "0 to 0"]),
+    "out is a file": (GOOD.replace("--out out", "--out k.json"), lambda: None, ["k.json", "folder"]),
+    "out is in a file": (GOOD.replace("--out out", "--out k.json/out"), lambda: None, ["k.json/out", "folder"]),
+    "result in place of input": (
+        GOOD.replace("p.png", "parts.png").replace("--out out", "--out ."),
+        lambda: Path("p.png").rename("parts.png"),
+        ["--out", "parts.png", "another folder"],
+    ),
+    "keypoints beside the picture": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: move(rows, 100, 0)),
+        ["keypoints", "96x128"],
+    ),
+    "keypoints beside the photo, no labels": (
+        "photo.png --keypoints k.json --out out",
+        lambda: change_keypoints(lambda rows: move(rows, -100, -200)),
+        ["keypoints", "96x128"],
+    ),
+    "a keypoint very far away": (
+        "photo.png --keypoints k.json --out out",
+        lambda: change_keypoints(lambda rows: rows[9].__setitem__(0, 1e6)),
+        ["keypoints", "left_wrist", "1e+06", "96x128"],
+    ),
+    "a keypoint very far away, no picture": (
+        "--keypoints k.json --out out",
+        lambda: change_keypoints(lambda rows: rows[9].__setitem__(0, 1e30)),
+        ["keypoints", "left_wrist", "1e+30"],
+    ),
+    "keypoints beside the labels": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: move(rows, 55, 0)),
+        ["keypoints", "labels to agree"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_leaves_nothing(case: str, run: Run, files: Path) -> None:
+    line, spoil, says = BAD[case]
+    spoil()
+    before = tree(files)
+    code, said, complaint = run(f"fit {line}")
+    assert (code, said) == (2, "")
+    assert complaint.startswith("partdr: ")
+    assert complaint.count("\n") == 1
+    assert complaint.endswith("\n")
+    for words in says:
+        assert words in complaint, complaint
+    assert tree(files) == before
+
+
+@pytest.mark.parametrize("stage", ["before", "while writing"])
+def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (files / "out").mkdir()
+    (files / "out" / "overlay.png").write_text("old")
+    before = tree(files)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    if stage == "before":  # tests may run as root, who is refused nothing
+        monkeypatch.setattr(output.tempfile, "TemporaryDirectory", refuse)
+        monkeypatch.setattr(fitting, "fit_body", lambda *_, **__: pytest.fail("must be found out before the fit"))
+    else:
+        monkeypatch.setattr(output, "loss_chart", refuse)
+    code, said, complaint = run(f"fit {GOOD}")
+    assert (code, said) == (2, "")
+    assert complaint == "partdr: out: Permission denied; expected a folder to write to\n"
+    assert tree(files) == before
+
+
+def test_a_real_process_prints_one_line_too(files: Path) -> None:
+    code = "from warp_partdr.cli import main; main()"
+    line = [*GOOD.split(), "--device", "tpu"]  # found out last, when torch and Warp are loaded
+    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("partdr: --device: tpu; expected auto or cpu")
+    assert not (files / "out").exists()
+
+
+# --- good input ----------------------------------------------------------------------------------------------------
+
+
+def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
+    """Neither Warp's greeting, nor what it compiles, nor that it looked for a CUDA driver."""
+    code = (
+        "from functools import partial\nfrom warp_partdr import cli, fitting\n"
+        "fitting.FitOptions = partial(fitting.FitOptions, stages=[fitting.Stage('labels', 2, 4, 0.02, 64)])\ncli.main()"
+    )
+    line = [*GOOD.split(), "--device", "cpu"]
+    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    first, second = done.stdout.splitlines()
+    assert "hypotheses" in first
+    assert "foreground F1 0." in first
+    assert Path("out", "overlay.png").as_posix() in second
+    assert {path.name for path in Path("out").iterdir()} == set(output.RESULT_FILES)
+
+
+def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path) -> None:
+    Path("out").mkdir()
+    for name in ("report.json", "notes.txt", "parts.png"):
+        Path("out", name).write_text("old")
+    assert run("fit photo.png --keypoints k.json --out out")[0] == 0
+    assert Path("out", "notes.txt").read_text() == "old"
+    assert Path("out", "parts.png").read_text() == "old"  # not a file of this run
+    assert "energy" in json.loads(Path("out", "report.json").read_text())
+    assert {path.name for path in files.iterdir()} == {"photo.png", "p.png", "k.json", "out"}
+
+
+def openpose() -> None:
+    rows = convert(np.array(keypoints()["keypoints"]), "coco17", "body25", missing=0.0)
+    write("k.json", {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}]})
+
+
+def two_people() -> None:
+    me = keypoints()["keypoints"]
+    other = [[0.5 * x, 0.5 * y, confidence] for x, y, confidence in me]
+    write("k.json", {"format": "coco17", "keypoints": [other, me]})
+
+
+def own_labels() -> None:
+    groups = {"head": ["head", "neck"], "rest": ["chest", "abdomen", "left_upper_arm", "right_upper_arm"]}
+    write("own.json", {"groups": groups, "ids": {"0": "background", "1": "head", "2": "rest", "9": "ignore"}})
+    image = ids()
+    np.save("p.npy", np.where(image > 4, 9, np.minimum(image, 2)))
+
+
+TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
+    "everything": (GOOD, lambda: None),
+    "keypoints alone": ("--keypoints k.json --out out", lambda: None),
+    "no photo": (GOOD.replace("photo.png ", ""), lambda: None),
+    "no labels": ("photo.png --keypoints k.json --out out", lambda: None),
+    "OpenPose": (GOOD, openpose),
+    "soft maps": (GOOD.replace("p.png", "maps.npy"), soft_maps),
+    "soft maps, channels last": (
+        GOOD.replace("p.png", "maps.npy"),
+        lambda: np.save("maps.npy", np.moveaxis(soft_maps(), 0, -1).astype(np.float16)),
+    ),
+    "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
+    "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
+    "16 bits": (GOOD, lambda: Image.fromarray(ids().astype(np.uint16)).save("p.png")),
+    "wide picture": (
+        GOOD,
+        lambda: [Image.open(name).crop((0, 0, 250, 128)).save(name) for name in ("photo.png", "p.png")],
+    ),
+    "gray photo": (GOOD, lambda: Image.open("photo.png").convert("L").save("photo.png")),
+    "the second person": (GOOD + " --person 1", two_people),
+    "the largest person": (GOOD, two_people),
+    "cut off by the border": (
+        GOOD,
+        lambda: [Image.open(name).crop((0, 0, 96, 80)).save(name) for name in ("photo.png", "p.png")],
+    ),
+    "missing keypoints": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: [row.__setitem__(2, 0) for row in rows[7:11]]),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TAKEN)
+def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
+    line, prepare = TAKEN[case]
+    prepare()
+    code, said, complaint = run(f"fit {line}")
+    assert (code, complaint) == (0, "")
+    assert said.count("\n") == 2
+    assert ("F1" in said) == ("--parts" in line)
+    expected = set(output.RESULT_FILES) - (set() if "--parts" in line else {"parts.png"})
+    assert {path.name for path in Path("out").iterdir()} == expected
+    for name in (name for name in expected if name.endswith(".png")):
+        with Image.open(Path("out", name)) as image:
+            image.load()
+            if name == "overlay.png" and "photo.png" in line:
+                assert image.size == Image.open("photo.png").size
+    body = load_body("out/body.npz")
+    assert body.image_size.tolist() == list(Image.open("out/overlay.png").size[::-1])
+    report = json.loads(Path("out", "report.json").read_text())
+    assert np.isfinite(report["energy_total"])
+    if "person" in case:  # the small one's head is at half the height
+        assert report["keypoints"]["mean_distance_px"] < 10
+        joints = json.loads(Path("out", "body.json").read_text())["joints"]
+        assert np.ptp(np.array(joints["pixels"])[:, 1]) > 70
+
+
+def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
+    image = np.zeros(label_set("cdcl14").num_groups + 1, dtype=np.uint8)
+    for group, members in enumerate(label_set("cdcl14").groups.values(), start=1):
+        image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
+    np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
+    code, _, complaint = run("fit photo.png --keypoints k.json --parts p.npy --out out")  # ellipbody20 is the default
+    assert (code, complaint) == (0, "")
+    assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"
+
+
+def test_a_bar_shows_the_stages(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes stderr for a terminal then
+    from warp_partdr.progress import FitProgress
+
+    with FitProgress() as progress:
+        pass
+    assert "compiling kernels" in capfd.readouterr().err
+    with FitProgress() as progress:
+        progress("labels, fine", 3, 4)
+    said = capfd.readouterr().err
+    assert "labels, fine" in said
+    assert "75%" in said
