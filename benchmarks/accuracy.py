@@ -85,10 +85,21 @@ def silhouette(parts: PartLabels) -> PartLabels:
     return PartLabels(label_set("full1"), np.where(person, 1, parts.groups).astype(np.uint8))
 
 
-SUPERVISIONS: dict[str, Callable[[PartLabels], PartLabels | None]] = {
-    "keypoints only": lambda parts: None,
-    "full silhouette": silhouette,
-    "parts": lambda parts: parts,
+def _same(parts: PartLabels) -> PartLabels:
+    return parts
+
+
+def _nothing(parts: PartLabels) -> None:
+    return None
+
+
+# What a fit gets to see, and how it goes. Joints are compared without the outline stage, which trades them for outlines.
+SUPERVISIONS: dict[str, tuple[Callable[[PartLabels], PartLabels | None], FitOptions]] = {
+    "keypoints only": (_nothing, FitOptions()),
+    "full silhouette, no outline": (silhouette, FitOptions().without_outline()),
+    "parts, no outline": (_same, FitOptions().without_outline()),
+    "full silhouette": (silhouette, FitOptions()),
+    "parts": (_same, FitOptions()),
 }
 
 
@@ -204,7 +215,8 @@ def prepare() -> None:
 def fit_case(case: Case, supervision: str, pictures: Path | None) -> Score:
     """Fit one person under one supervision."""
     started = time.perf_counter()
-    result = fit_body(case.keypoints, SUPERVISIONS[supervision](case.parts), others=case.others)
+    see, options = SUPERVISIONS[supervision]
+    result = fit_body(case.keypoints, see(case.parts), others=case.others, options=options)
     seconds = time.perf_counter() - started
     if pictures is not None and case.photo is not None and supervision == "parts":
         contact_sheet(case, result).save(pictures / f"{case.name}.png", optimize=True)
@@ -428,8 +440,8 @@ def main() -> None:
         console.print()
         console.print(table(title.format(len(group)), rows))
         if source == "anny":
-            for other in ("keypoints only", "full silhouette"):
-                console.print(gain(mine, "parts", other))
+            for other in ("keypoints only", "full silhouette, no outline", "parts"):
+                console.print(gain(mine, "parts, no outline", other))
         summaries[source] = pooled
 
     if arguments.out is not None:

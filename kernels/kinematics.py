@@ -1,8 +1,8 @@
 """Forward kinematics of EllipBody and its adjoint, written by hand: one thread a body, so nothing is added atomically.
 
 ``R_k = R_parent r_k``, ``end_k = start_k + l_k R_k O_k`` (paper, eq. 14, with O as a unit direction), the ellipsoid
-sits on the bone's midpoint with axes ``A_k = R_k Q_k`` (bone, first thickness, second thickness). Every kernel exists in
-float32 and float64; the second one is for tests by finite differences and for users who ask for it.
+sits on the bone's midpoint with axes ``A_k = R_k Q_k`` (bone, first thickness, second thickness). Every kernel exists
+in float32 and float64; the second one is for tests by finite differences and for users who ask for it.
 """
 
 from collections.abc import Sequence

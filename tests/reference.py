@@ -27,10 +27,10 @@ Backward, x and y. Here g^i(P) is the loss gradient of part i's map at pixel P; 
 
 Backward, z
     9. At a pixel P that shows part j, for a part i != j with faces behind it, the nearest such face f_i and the face
-       f_j that shows exchange places: A^i(P) gains 1. By eq. 12, each vertex of f_i gets dI/dz = -lambda log(w / dz + 1),
-       with w its barycentric weight in 3D (Delta(M0, Q) / Delta(M0, v_k) is just that) and dz >= 1e-4 m the depth
-       between the two. The vertices of f_j get +lambda log(w / dz + 1) with their own weights: a push and its counter-push.
-       Both are multiplied with g^i(P).
+       f_j that shows exchange places: A^i(P) gains 1. By eq. 12, each vertex of f_i gets
+       dI/dz = -lambda log(w / dz + 1), with w its barycentric weight in 3D (Delta(M0, Q) / Delta(M0, v_k) is just that)
+       and dz >= 1e-4 m the depth between the two. The vertices of f_j get +lambda log(w / dz + 1) with their own
+       weights: a push and its counter-push. Both are multiplied with g^i(P).
 """
 
 from __future__ import annotations

@@ -69,6 +69,12 @@ def fit(
     device: Annotated[
         str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
     ] = "auto",
+    outline: Annotated[
+        bool,
+        typer.Option(
+            help="End with a stage that fills the labels' outlines; without it, joints are nearer to the truth."
+        ),
+    ] = True,
     seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.", metavar="N")] = 0,
 ) -> None:
     """Fit a body to one person; see ``_FIT_HELP``."""
@@ -104,7 +110,8 @@ def fit(
         torch.set_num_threads(1)
     with FitProgress() as progress:
         _load_kernels(where)
-        result = fit_body(chosen, image, others=others, options=FitOptions(seed=seed), device=where, progress=progress)
+        options = FitOptions(seed=seed) if outline else FitOptions(seed=seed).without_outline()
+        result = fit_body(chosen, image, others=others, options=options, device=where, progress=progress)
         progress("writing results", 1, 1)
         report = save_fit(result, out, keypoints=chosen, parts=image, photo=picture, others=others)
     _summarise(report, out)
