@@ -93,7 +93,7 @@ def _nothing(parts: PartLabels) -> None:
     return None
 
 
-# What a fit gets to see, and how it goes. Joints are compared without the outline stage, which trades them for outlines.
+# What a fit gets to see, and how it goes. Joints are compared without the outline stage, which costs some accuracy.
 SUPERVISIONS: dict[str, tuple[Callable[[PartLabels], PartLabels | None], FitOptions]] = {
     "keypoints only": (_nothing, FitOptions()),
     "full silhouette, no outline": (silhouette, FitOptions().without_outline()),

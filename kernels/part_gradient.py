@@ -118,6 +118,7 @@ def push_edges(
     all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
     over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
     max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
+    lanes: int,
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     face_index: wp.array3d[int],  # (B, H, W)
     depth: wp.array3d[float],  # (B, H, W) [m]
@@ -129,7 +130,7 @@ def push_edges(
     Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
     others do nothing.
     """
-    b, edge, axis = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
+    b, edge, axis, lane = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
     i0 = edges[edge, 0]
     i1 = edges[edge, 1]
     face = edges[edge, 2]
@@ -164,7 +165,7 @@ def push_edges(
     high = wp.max(p0[across], p1[across])
     grad0 = float(0.0)
     grad1 = float(0.0)
-    line = first_pixel(low, count_across)
+    line = first_pixel(low, count_across) + lane
     while line < count_across and float(line) + 0.5 < high:
         w1 = (float(line) + 0.5 - p0[across]) / length
         w0 = 1.0 - w1
@@ -232,7 +233,7 @@ def push_edges(
                     grad0 += g * inverse_move(distance, w0)
                     grad1 += g * inverse_move(distance, w1)
                 pixel += step
-        line += 1
+        line += lanes
 
     if axis == 0:
         wp.atomic_add(grad_vertices, b, i0, wp.vec3(grad0, 0.0, 0.0))
@@ -308,42 +309,10 @@ def add_depth(
     wp.atomic_add(grad_vertices, b, i2, wp.vec3(0.0, 0.0, amount * wp.log(weights[2] / delta_z + 1.0)))
 
 
+# Registered up front: an overload that appears later would compile the module again.
 for _gradient in (LabelTarget, DenseGradient):
-    _mesh = [wp.array2d[wp.vec3], wp.array[wp.vec3i]]
-    _u8 = wp.array3d[wp.uint8]
-    wp.overload(
-        push_edges,
-        [
-            *_mesh,
-            wp.array[wp.uint8],
-            wp.array2d[int],
-            float,
-            bool,
-            bool,
-            bool,
-            float,
-            _u8,
-            wp.array3d[int],
-            wp.array3d[float],
-            _gradient,
-            wp.array2d[wp.vec3],
-        ],
-    )
-    wp.overload(
-        push_depths,
-        [
-            *_mesh,
-            float,
-            bool,
-            float,
-            _u8,
-            wp.array3d[int],
-            wp.array3d[wp.uint64],
-            _u8,
-            _gradient,
-            wp.array2d[wp.vec3],
-        ],
-    )
+    wp.overload(push_edges, {"gradient": _gradient})
+    wp.overload(push_depths, {"gradient": _gradient})
 
 
 def launch_find_reach(target: wp.array, reach: wp.array) -> None:
@@ -378,9 +347,10 @@ def launch_part_gradient(
     a part map. ``keys`` is scratch; with ``depth_weight`` 0 no depth is looked at.
     """
     device = vertices.device
+    lanes = row_lanes(device)
     wp.launch(
         push_edges,
-        (vertices.shape[0], edges.shape[0], 2),
+        (vertices.shape[0], edges.shape[0], 2, lanes),
         [
             vertices,
             faces,
@@ -391,6 +361,7 @@ def launch_part_gradient(
             all_edges,
             over_farther,
             max_distance,
+            lanes,
             labels,
             face_index,
             depth,
@@ -401,7 +372,6 @@ def launch_part_gradient(
     )
     if depth_weight == 0.0:
         return
-    lanes = row_lanes(device)
     for want in wanted:
         keys.fill_(EMPTY_KEY)
         wp.launch(

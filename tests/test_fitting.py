@@ -19,7 +19,7 @@ from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pose_prior import PosePrior
-from warp_partdr.refinement import refine
+from warp_partdr.refinement import LENGTH_BOUNDS, THICKNESS_BOUNDS, refine
 from warp_partdr.render import rasterize_parts
 
 SIZE = (200, 160)
@@ -215,3 +215,20 @@ def test_fit_is_reproducible():
     first, second = (fit_body(keypoints, parts, options=QUICK) for _ in range(2))
     for name, tensor in first.parameters.tensors().items():
         assert torch.equal(tensor, second.parameters.tensors()[name]), name
+
+
+def test_sizes_stay_within_human_bounds():
+    """A target that no human fills (everything is the head) must not blow the body up."""
+    seen = observation_of(walker(), "cpu")
+    flooded = replace(seen, labels=torch.full_like(seen.labels, 8))
+    refined = refine(walker(), Energy(flooded, size=64, weights=Weights(seg=1.0)), iterations=40, learning_rate=0.1)
+    mean = BodyParameters.mean(1)
+    assert (refined.parameters.thicknesses <= mean.thicknesses * THICKNESS_BOUNDS[1] + 1e-6).all()
+    assert (refined.parameters.lengths >= mean.lengths * LENGTH_BOUNDS[0] - 1e-6).all()
+    assert refined.parameters.thicknesses[0, 6] > 1.2 * mean.thicknesses[0, 6]
+
+
+def test_without_outline_leaves_out_that_stage_alone():
+    options = FitOptions()
+    assert [stage.name for stage in options.without_outline().stages] == [s.name for s in options.stages][:-1]
+    assert options.without_outline().weights == options.weights

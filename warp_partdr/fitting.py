@@ -59,9 +59,9 @@ class Stage:
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
 # disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
-# with lengths and pose held harder, thicknesses freer, and pixels acting on near edges alone.
+# with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
 OUTLINE = "outline"
-_OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=3e-4)
+_OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class FitOptions:
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
         Stage("labels, fine", 4, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 150, 0.02, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
+        Stage(OUTLINE, 1, 250, 0.02, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
     )
     weights: Weights = field(default_factory=Weights)
     seed: int = 0

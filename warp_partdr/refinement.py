@@ -13,7 +13,10 @@ from .parameters import BodyParameters
 
 LEARNING_RATE = 1e-2  # the paper's
 _SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
-_SMALLEST_LENGTH = 0.02  # [m]; a step of Adam must not turn an ellipsoid inside out
+# Shares of the mean adult's sizes that a body keeps within. A torso's depth can't be seen from the front, and would
+# take any value that fills a gap in the labels.
+LENGTH_BOUNDS = (0.6, 1.4)
+THICKNESS_BOUNDS = (0.4, 1.6)
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,8 @@ def refine(
         on_iteration: Called with the number of steps done, for a progress bar.
 
     Returns:
-        The best state of each body, not the last: PartDR's estimate does not promise descent.
+        The best state of each body, not the last: PartDR's estimate does not promise descent. Lengths stay within 60
+        and 140 % of the mean adult's, thicknesses within 40 and 160 %.
     """
     bodies = start.leaves()
     shape = [bodies.lengths, bodies.thicknesses]
@@ -64,6 +68,14 @@ def refine(
     schedule = torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda step: final_rate + (1 - final_rate) * (1 + math.cos(half_turn * step)) / 2
     )
+    mean = BodyParameters.mean(1, device=bodies.lengths.device)
+    bounds = [
+        (sizes, low * usual, high * usual)
+        for sizes, usual, (low, high) in (
+            (bodies.lengths, mean.lengths, LENGTH_BOUNDS),
+            (bodies.thicknesses, mean.thicknesses, THICKNESS_BOUNDS),
+        )
+    ]
     best: BodyParameters | None = None
     best_energy = torch.empty(0)
     best_terms: dict[str, torch.Tensor] = {}
@@ -91,8 +103,8 @@ def refine(
         optimizer.step()
         schedule.step()
         with torch.no_grad():
-            bodies.lengths.clamp_(min=_SMALLEST_LENGTH)
-            bodies.thicknesses.clamp_(min=_SMALLEST_LENGTH)
+            for sizes, low, high in bounds:
+                sizes.clamp_(low, high)
         if on_iteration is not None:
             on_iteration(iteration + 1)
     assert best is not None
