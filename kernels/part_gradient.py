@@ -118,7 +118,6 @@ def push_edges(
     all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
     over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
     max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
-    lanes: int,
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     face_index: wp.array3d[int],  # (B, H, W)
     depth: wp.array3d[float],  # (B, H, W) [m]
@@ -130,7 +129,7 @@ def push_edges(
     Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
     others do nothing.
     """
-    b, edge, axis, lane = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
+    b, edge, axis = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
     i0 = edges[edge, 0]
     i1 = edges[edge, 1]
     face = edges[edge, 2]
@@ -165,7 +164,7 @@ def push_edges(
     high = wp.max(p0[across], p1[across])
     grad0 = float(0.0)
     grad1 = float(0.0)
-    line = first_pixel(low, count_across) + lane
+    line = first_pixel(low, count_across)
     while line < count_across and float(line) + 0.5 < high:
         w1 = (float(line) + 0.5 - p0[across]) / length
         w0 = 1.0 - w1
@@ -233,7 +232,7 @@ def push_edges(
                     grad0 += g * inverse_move(distance, w0)
                     grad1 += g * inverse_move(distance, w1)
                 pixel += step
-        line += lanes
+        line += 1
 
     if axis == 0:
         wp.atomic_add(grad_vertices, b, i0, wp.vec3(grad0, 0.0, 0.0))
@@ -347,10 +346,9 @@ def launch_part_gradient(
     a part map. ``keys`` is scratch; with ``depth_weight`` 0 no depth is looked at.
     """
     device = vertices.device
-    lanes = row_lanes(device)
     wp.launch(
         push_edges,
-        (vertices.shape[0], edges.shape[0], 2, lanes),
+        (vertices.shape[0], edges.shape[0], 2),
         [
             vertices,
             faces,
@@ -361,7 +359,6 @@ def launch_part_gradient(
             all_edges,
             over_farther,
             max_distance,
-            lanes,
             labels,
             face_index,
             depth,
@@ -372,6 +369,7 @@ def launch_part_gradient(
     )
     if depth_weight == 0.0:
         return
+    lanes = row_lanes(device)
     for want in wanted:
         keys.fill_(EMPTY_KEY)
         wp.launch(
