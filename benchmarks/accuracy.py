@@ -96,7 +96,7 @@ def _nothing(parts: PartLabels) -> None:
 # What a fit gets to see, and how it goes. Joints are compared without the outline stage, which costs some accuracy.
 SUPERVISIONS: dict[str, tuple[Callable[[PartLabels], PartLabels | None], FitOptions]] = {
     "keypoints only": (_nothing, FitOptions()),
-    "full silhouette, no outline": (silhouette, FitOptions().without_outline()),
+    "silhouette, no outline": (silhouette, FitOptions().without_outline()),
     "parts, no outline": (_same, FitOptions().without_outline()),
     "full silhouette": (silhouette, FitOptions()),
     "parts": (_same, FitOptions()),
@@ -426,7 +426,7 @@ def main() -> None:
     measured_with = about(arguments.jobs)
     scores = run([case for group in cases.values() for case in group], arguments.jobs, arguments.pictures)
 
-    console = Console(width=160, highlight=False, markup=False)
+    console = Console(width=200, highlight=False, markup=False)
     console.print(", ".join(f"{key} {value}" for key, value in measured_with.items()))
     summaries: dict[str, dict[str, Any]] = {}
     for title, group in cases.items():
@@ -440,7 +440,7 @@ def main() -> None:
         console.print()
         console.print(table(title.format(len(group)), rows))
         if source == "anny":
-            for other in ("keypoints only", "full silhouette, no outline", "parts"):
+            for other in ("keypoints only", "silhouette, no outline", "parts"):
                 console.print(gain(mine, "parts, no outline", other))
         summaries[source] = pooled
 

@@ -80,7 +80,7 @@ class FitOptions:
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
         Stage("labels, fine", 4, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 250, 0.02, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
+        Stage(OUTLINE, 1, 250, 0.01, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
     )
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
