@@ -56,4 +56,5 @@ def test_alignment_is_a_proper_rotation(rng):
 
 def test_mpjpe_by_hand():
     points = np.zeros((2, 3))
-    assert metrics.mpjpe(points + [[3, 4, 0], [0, 0, 0]], points) == pytest.approx(2.5)
+    moved = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
+    assert metrics.mpjpe(moved, points) == pytest.approx(2.5)
