@@ -1,7 +1,7 @@
 """The label sets of common data sets and networks, as tables.
 
-Ids are those of the data sets' own files; left and right are the person's own, as all of them say or show, but ATR,
-which says nothing. Two rules hold in all tables:
+Ids are those of the data sets' own files. Left and right are the person's own: most sets say so or show it, CIHP and
+Sapiens let it be read off their class names, ATR says nothing. Two rules hold in all tables:
 
 * Clothes that may lie over several of a set's regions (a shirt over torso and arms, trousers over both legs) are
   ignored: a wrong pull is worse than none. The background around them still bounds the body.
