@@ -3,7 +3,8 @@
     python scripts/measure_mean_body.py [--pictures FOLDER]
 
 The person is Anny with every phenotype value (gender, age, muscle, weight, height, proportions) at its neutral 0.5:
-an adult between the sexes, 1.625 m tall as Anny stands and 1.630 m when posed in EllipBody's rest pose (T-pose, palms down).
+an adult between the sexes, 1.625 m tall as Anny stands and 1.630 m when posed in EllipBody's rest pose (T-pose, palms
+down).
 
 Lengths and directions are distances between joints:
 
