@@ -8,11 +8,10 @@ from .triangles import (
     covers,
     depth_at,
     depth_key,
-    first_pixel,
     key_depth,
     key_face,
-    last_pixel,
     load_triangle,
+    pixel_box,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -38,16 +37,11 @@ def draw_faces(
     t = load_triangle(vertices, faces, b, face, near)
     if t.valid == 0:
         return
-    height = keys.shape[1]
-    width = keys.shape[2]
-    row_first = first_pixel(wp.min(t.a[1], wp.min(t.b[1], t.c[1])), height)
-    row_last = last_pixel(wp.max(t.a[1], wp.max(t.b[1], t.c[1])), height)
-    column_first = first_pixel(wp.min(t.a[0], wp.min(t.b[0], t.c[0])), width)
-    column_last = last_pixel(wp.max(t.a[0], wp.max(t.b[0], t.c[0])), width)
-    row = row_first + lane
-    while row <= row_last:
+    box = pixel_box(t, keys.shape[1], keys.shape[2])
+    row = box[0] + lane
+    while row <= box[1]:
         y = float(row) + 0.5
-        for column in range(column_first, column_last + 1):
+        for column in range(box[2], box[3] + 1):
             x = float(column) + 0.5
             if covers(t, x, y):
                 depth = depth_at(t, barycentric(t, x, y, perspective))
@@ -73,16 +67,11 @@ def draw_hidden_faces(
     t = load_triangle(vertices, faces, b, face, near)
     if t.valid == 0:
         return
-    height = keys.shape[1]
-    width = keys.shape[2]
-    row_first = first_pixel(wp.min(t.a[1], wp.min(t.b[1], t.c[1])), height)
-    row_last = last_pixel(wp.max(t.a[1], wp.max(t.b[1], t.c[1])), height)
-    column_first = first_pixel(wp.min(t.a[0], wp.min(t.b[0], t.c[0])), width)
-    column_last = last_pixel(wp.max(t.a[0], wp.max(t.b[0], t.c[0])), width)
-    row = row_first + lane
-    while row <= row_last:
+    box = pixel_box(t, keys.shape[1], keys.shape[2])
+    row = box[0] + lane
+    while row <= box[1]:
         y = float(row) + 0.5
-        for column in range(column_first, column_last + 1):
+        for column in range(box[2], box[3] + 1):
             shown = labels[b, row, column]
             if shown != wp.uint8(0) and shown != label:
                 want = wanted[b % wanted.shape[0], row % wanted.shape[1], column % wanted.shape[2]]

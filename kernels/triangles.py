@@ -117,6 +117,17 @@ def last_pixel(high: float, size: int):
 
 
 @wp.func
+def pixel_box(t: Triangle, height: int, width: int):
+    """First and last row, first and last column whose centres the triangle can cover; empty where last < first."""
+    return wp.vec4i(
+        first_pixel(wp.min(t.a[1], wp.min(t.b[1], t.c[1])), height),
+        last_pixel(wp.max(t.a[1], wp.max(t.b[1], t.c[1])), height),
+        first_pixel(wp.min(t.a[0], wp.min(t.b[0], t.c[0])), width),
+        last_pixel(wp.max(t.a[0], wp.max(t.b[0], t.c[0])), width),
+    )
+
+
+@wp.func
 def depth_key(depth: float, face: int):
     """Sorts by depth, then by face index: the float's bits in an order-preserving form, then the face."""
     bits = wp.cast(depth, wp.uint32)
