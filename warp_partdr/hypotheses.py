@@ -15,9 +15,9 @@ import torch
 
 from .body.rotations import rotation_to_6d
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation
+from .keypoints import MIN_CONFIDENCE
 from .parameters import BodyParameters
 
-MIN_CONFIDENCE = 0.3  # keypoints below it raise no hypothesis
 AMBIGUOUS = 0.2  # share of a bone's length that must be hidden in depth for its two ways to differ
 SCALE_QUANTILE = 0.85  # of |bone in the picture| / length: most bones look too short, noise makes a few look too long
 
@@ -89,11 +89,12 @@ class LiftEnergy:
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,)."""
-        points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
+        posed = parameters.posed()
+        points = self._gather(posed) * parameters.log_scale.exp()[:, None, None]
         points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]
         lift = ((points - self._targets).abs() * self._known).sum((1, 2)) * (REFERENCE_SIZE / 2)
-        terms = self._energy(parameters)
+        terms = self._energy(parameters, posed)
         return {"lift": self._energy.weights.proj * lift, **terms}
 
 

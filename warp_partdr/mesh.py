@@ -72,6 +72,7 @@ class PartMesh:
         """How many vertices the faces ask for at least."""
         return int(self.faces.max()) + 1 if self.faces.numel() else 0
 
+    @cached_property
     def every_edge(self) -> torch.Tensor:
         """Each face's three edges alone, shape (3 F, 6): what NMR's rule (``edges="all"``) walks over."""
         count = self.faces.shape[0]

@@ -30,10 +30,10 @@ _SAMPLES = 2  # a side, for smooth outlines
 def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int]) -> np.ndarray:
     """The first body, coloured by part and lit, on nothing: RGBA, shape (H, W, 4), uint8."""
     height, width = image_size
-    fine = WeakPerspective(camera.scale[:1] * _SAMPLES, camera.translation[:1] * _SAMPLES)
     mesh = ellipbody_mesh(_SUBDIVISIONS)
     points = posed.vertices(_SUBDIVISIONS)[:1].detach().cpu()
-    fine = WeakPerspective(fine.scale.detach().cpu(), fine.translation.detach().cpu())
+    scale, translation = (tensor[:1].detach().cpu() * _SAMPLES for tensor in (camera.scale, camera.translation))
+    fine = WeakPerspective(scale, translation)
     image = rasterize_parts(fine.project(points), mesh, (height * _SAMPLES, width * _SAMPLES))
     corners = points[0].numpy()[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -44,7 +44,6 @@ def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int
     rgba = np.zeros((*labels.shape, 4), dtype=np.float32)
     rgba[..., :3] = PART_COLOURS[labels] * brightness[index][..., None]
     rgba[..., 3] = 255.0 * (labels > 0)
-    rgba[..., :3] *= rgba[..., 3:] > 0
     # Colours count by how much of them is there, or outlines would turn dark.
     blocks = rgba.reshape(height, _SAMPLES, width, _SAMPLES, 4)
     alpha = blocks[..., 3].sum((1, 3))

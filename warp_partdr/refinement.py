@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import torch
 
-from .energy import Energy
 from .parameters import BodyParameters
 
 LEARNING_RATE = 1e-2  # the paper's
@@ -38,7 +37,7 @@ class Refined:
 
 def refine(
     start: BodyParameters,
-    energy: Callable[[BodyParameters], dict[str, torch.Tensor]] | Energy,
+    energy: Callable[[BodyParameters], dict[str, torch.Tensor]],
     *,
     iterations: int = 50,
     learning_rate: float = LEARNING_RATE,

@@ -92,7 +92,7 @@ def rasterize_parts(
                 vertices.float(), mesh.faces, mesh.face_labels, height, width, near, perspective
             )
         return PartImage(labels, depth, face_index)
-    walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
+    walked = mesh.edges if edges == "silhouette" else mesh.every_edge
     options = (
         num_maps,
         height,
@@ -157,7 +157,7 @@ def label_loss(
             raise ValueError(
                 f"target: label {int(strange[0])}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore"
             )
-    walked = mesh.edges if edges == "silhouette" else mesh.every_edge()
+    walked = mesh.edges if edges == "silhouette" else mesh.every_edge
     options = (
         mesh.num_labels,
         near,
