@@ -99,10 +99,10 @@ class Energy:
         self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
-    def __call__(self, parameters: BodyParameters, posed: Posed | None = None) -> dict[str, torch.Tensor]:
-        """Each weighted term by name, shape (B,); ``posed`` are the same bodies, where they are posed already."""
+    def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
+        """Each weighted term by name, shape (B,)."""
         weights = self.weights
-        posed = parameters.posed() if posed is None else posed
+        posed = parameters.posed()
         terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
         if self._mesh is not None:
             vertices = parameters.camera(self.size).project(posed.vertices(self.subdivisions))

@@ -89,12 +89,11 @@ class LiftEnergy:
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,)."""
-        posed = parameters.posed()
-        points = self._gather(posed) * parameters.log_scale.exp()[:, None, None]
+        points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
         points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]
         lift = ((points - self._targets).abs() * self._known).sum((1, 2)) * (REFERENCE_SIZE / 2)
-        terms = self._energy(parameters, posed)
+        terms = self._energy(parameters)
         return {"lift": self._energy.weights.proj * lift, **terms}
 
 
