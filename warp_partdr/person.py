@@ -82,7 +82,7 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
         )
     near = np.isfinite(distances)
     for x, y in keypoints.points[_loose_ends(keypoints)]:
-        _lower(near, np.array([x, y, x, y]), _LOOSE_REACH * height)
+        lower_near(near, np.array([x, y, x, y]), _LOOSE_REACH * height)
     for other in others:
         near &= distances <= _bone_distances(other, groups.shape, reach)
     kept = _connected(foreground & near, seeds & near)
@@ -96,12 +96,18 @@ def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float)
     bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
     alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
     for start, end in [*bones, *((joint, joint) for joint in alone)]:
-        _lower(distances, np.concatenate([keypoints.points[start], keypoints.points[end]]), reach)
+        lower_near(distances, np.concatenate([keypoints.points[start], keypoints.points[end]]), reach)
     return distances
 
 
-def _lower(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
-    """Within ``reach`` of a segment (x, y, x, y), lower distances to those to the segment, or set a mask."""
+def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
+    """Within ``reach`` of a line segment, lower distances to those to the segment, or set a mask.
+
+    Args:
+        image: Distances [px] or a mask, shape (H, W), float32 or bool; changed in place.
+        segment: Its two ends, (x, y, x, y) [px].
+        reach: How far from the segment [px].
+    """
     x0, y0, x1, y1 = map(float, segment)
     rows, columns = image.shape
     top, bottom = _clip(min(y0, y1) - reach, rows), _clip(max(y0, y1) + reach + 1, rows)
