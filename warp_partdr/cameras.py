@@ -24,6 +24,11 @@ class WeakPerspective:
 
     perspective = False
 
+    @property
+    def intrinsics(self) -> torch.Tensor:
+        """(f_x, f_y, c_x, c_y) for ``u = f_x X + c_x``, shape (B, 4)."""
+        return torch.cat([self.scale[:, None].expand(-1, 2), self.translation], dim=1)
+
     def project(self, points: torch.Tensor) -> torch.Tensor:
         """Points in the camera frame [m], shape (B, N, 3), to (u [px], v [px], z [m])."""
         image = points[..., :2] * self.scale[:, None, None] + self.translation[:, None]
@@ -84,6 +89,11 @@ class Perspective:
     centre: torch.Tensor
 
     perspective = True
+
+    @property
+    def intrinsics(self) -> torch.Tensor:
+        """(f_x, f_y, c_x, c_y), shape (B, 4)."""
+        return torch.cat([self.focal, self.centre], dim=1)
 
     def project(self, points: torch.Tensor) -> torch.Tensor:
         """Points in the camera frame [m], shape (B, N, 3), to (u [px], v [px], z [m]).

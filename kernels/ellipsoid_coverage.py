@@ -1,0 +1,460 @@
+"""The true derivative of the area that each ellipsoid's label covers, weighed by what a pixel's area costs.
+
+The loss is the integral of cost(label(x), pixel of x) over the picture. It changes where the labels' borders move, by
+(cost inside - cost outside) times the way along the normal. Borders are of two kinds: outlines, which one ellipsoid
+owns and which are walked in steps of a share of a pixel, and creases, where two ellipsoids that meet in space are
+equally near; those are found between neighbouring pixels that show the two. One block of threads owns an ellipsoid and
+adds in a fixed order.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from .ellipsoids import Seen, Silhouette, lowest_bit, middle_at, room_at
+from .surface_forces import Ellipsoid, SurfaceForces, add_image_force, add_nearness_force, from_unit
+from .targets import DenseGradient, LabelTarget, cost_at, target_of
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+BLOCK = 128  # threads that share one ellipsoid on CUDA
+_ROOT_STEPS = wp.constant(4)  # of false position within a pixel
+_STRIP_SAMPLES = wp.constant(4)  # places where a crease's cost is looked up in its row or column
+_TINY = wp.constant(1.0e-20)
+
+
+@wp.struct
+class Circle:
+    """The outline on the unit sphere: offset + first cos + second sin."""
+
+    offset: wp.vec3
+    first: wp.vec3
+    second: wp.vec3
+
+
+@wp.func
+def outline_circle(e: Ellipsoid, perspective: bool):
+    """Where rays of the camera touch the ellipsoid."""
+    # The direction away from the camera in the space where the ellipsoid is the unit sphere.
+    away = wp.cw_div(wp.vec3(e.axes[2, 0], e.axes[2, 1], e.axes[2, 2]), e.semi_axes)
+    if perspective:
+        away = wp.cw_div(wp.transpose(e.axes) * e.centre, e.semi_axes)
+    direction = wp.normalize(away)
+    circle = Circle()
+    radius = float(1.0)
+    if perspective:
+        cosine = 1.0 / wp.length(away)
+        circle.offset = -cosine * direction
+        radius = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0))
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(direction[0]) > 0.7:
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    first = wp.normalize(wp.cross(direction, helper))
+    circle.first = radius * first
+    circle.second = radius * wp.cross(direction, first)
+    return circle
+
+
+@wp.func
+def nearness_slope(s: Silhouette, x: float, y: float):
+    """Gradient in the picture of the front surface's nearness."""
+    dx = x - s.mean[0]
+    dy = y - s.mean[1]
+    root = wp.sqrt(wp.max(room_at(s, x, y), _TINY))
+    return s.slope - wp.vec2(s.conic[0] * dx + s.conic[1] * dy, s.conic[1] * dx + s.conic[2] * dy) / root
+
+
+@wp.func
+def lead(one: Silhouette, other: Silhouette, x: float, y: float):
+    """How much nearer one front surface is than another."""
+    root = wp.sqrt(wp.max(room_at(one, x, y), 0.0)) - wp.sqrt(wp.max(room_at(other, x, y), 0.0))
+    return middle_at(one, x, y) - middle_at(other, x, y) + root
+
+
+@wp.func
+def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
+    """Where the line through (x, y) along an axis leaves (side 1) or enters (side -1) the outline."""
+    across = wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
+    along = wp.where(axis == 0, s.conic[0], s.conic[2])
+    lean = s.conic[1] * across
+    root = lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
+    return wp.where(axis == 0, s.mean[0], s.mean[1]) + (side * wp.sqrt(wp.max(root, 0.0)) - lean) / along
+
+
+@wp.struct
+class OutlinePoint:
+    """One point of an outline, and what the loss says about the border there."""
+
+    unit: wp.vec3
+    image: wp.vec2  # [px]
+    excess: float  # cost of area inside minus cost of area outside, 0 where the outline is no border of labels
+
+
+@wp.func
+def look_at_outline(
+    e: Ellipsoid,
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    neighbours: wp.array3d[wp.uint32],
+    circle: Circle,
+    b: int,
+    t: int,
+    k: int,
+    angle: float,
+    perspective: bool,
+    gradient: Any,
+    height: int,
+    width: int,
+):
+    """An outline is a border where nothing hides it and another label, or none, lies behind."""
+    found = OutlinePoint()
+    found.unit = circle.offset + wp.cos(angle) * circle.first + wp.sin(angle) * circle.second
+    point = e.centre + from_unit(e, found.unit)
+    if perspective:
+        point = point / point[2]
+    x = e.camera[0] * point[0] + e.camera[2]
+    y = e.camera[1] * point[1] + e.camera[3]
+    found.image = wp.vec2(x, y)
+    if x < 0.0 or y < 0.0 or x >= float(width) or y >= float(height):
+        return found
+    nearness = middle_at(s, x, y)
+    behind = float(-wp.inf)
+    label = int(0)
+    for word in range(neighbours.shape[2]):
+        bits = neighbours[b, k, word]
+        while bits != wp.uint32(0):
+            j = 32 * word + lowest_bit(bits)
+            bits &= bits - wp.uint32(1)
+            other = silhouettes[b, j]
+            room = room_at(other, x, y)
+            if room > 0.0:
+                there = middle_at(other, x, y) + wp.sqrt(room)
+                if there > behind:
+                    behind = there
+                    label = other.label
+    if behind < nearness and label != s.label:
+        row = int(y)
+        column = int(x)
+        found.excess = cost_at(gradient, t, s.label, row, column) - cost_at(gradient, t, label, row, column)
+    return found
+
+
+@wp.func
+def push_outline(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    start: OutlinePoint,
+    end: OutlinePoint,
+    excess: float,
+    perspective: bool,
+):
+    """Force of a bit of outline: cost times the outward normal times length, which is its chord turned by a quarter."""
+    normal = wp.vec2(end.image[1] - start.image[1], start.image[0] - end.image[0])
+    middle = 0.5 * (start.image + end.image) - s.mean
+    if wp.dot(normal, middle) < 0.0:
+        normal = -normal
+    unit = 0.5 * (start.unit + end.unit)
+    return add_image_force(sums, e, unit, excess * normal[0], excess * normal[1], perspective)
+
+
+@wp.func
+def walk_outline(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    neighbours: wp.array3d[wp.uint32],
+    b: int,
+    k: int,
+    lane: int,
+    lanes: int,
+    steps_per_pixel: float,
+    halvings: int,
+    perspective: bool,
+    gradient: Any,
+    height: int,
+    width: int,
+):
+    """Forces of an ellipsoid's own outline; each thread walks one piece of it."""
+    circle = outline_circle(e, perspective)
+    t = target_of(gradient, b)
+    half = 0.5 * (s.high - s.low)
+    # The root mean square of the radii bounds the perimeter from above.
+    count = int(wp.ceil(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5))) + 8
+    each = (count + lanes - 1) // lanes
+    step = 2.0 * wp.pi / float(each * lanes)
+    n = lane * each
+    start = look_at_outline(
+        e, s, silhouettes, neighbours, circle, b, t, k, float(n) * step, perspective, gradient, height, width
+    )
+    for i in range(each):
+        low = float(n + i) * step
+        high = low + step
+        end = look_at_outline(
+            e, s, silhouettes, neighbours, circle, b, t, k, high, perspective, gradient, height, width
+        )
+        if start.excess == end.excess or halvings == 0:
+            if start.excess != 0.0 or end.excess != 0.0:
+                sums = push_outline(sums, e, s, start, end, 0.5 * (start.excess + end.excess), perspective)
+        else:
+            # The cost changes in between: find where.
+            middle = OutlinePoint()
+            for _ in range(halvings):
+                angle = 0.5 * (low + high)
+                middle = look_at_outline(
+                    e, s, silhouettes, neighbours, circle, b, t, k, angle, perspective, gradient, height, width
+                )
+                if middle.excess == start.excess:
+                    low = angle
+                else:
+                    high = angle
+            if start.excess != 0.0:
+                sums = push_outline(sums, e, s, start, middle, start.excess, perspective)
+            if end.excess != 0.0:
+                sums = push_outline(sums, e, s, middle, end, end.excess, perspective)
+        start = end
+    return sums
+
+
+@wp.func
+def cross_crease(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    other: Silhouette,
+    t: int,
+    axis: int,
+    row: int,
+    column: int,
+    s_first: bool,
+    height: int,
+    width: int,
+    perspective: bool,
+    gradient: Any,
+):
+    """Force on an ellipsoid where a pixel shows it and the next one another, or the other way round (``s_first``)."""
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    begin = wp.where(axis == 0, x, y)
+    along_x = wp.where(axis == 0, 1.0, 0.0)
+    along_y = 1.0 - along_x
+    # On the way from the first pixel's centre to the next, both are there from ``low`` to ``high``.
+    first_side = wp.where(s_first, 1.0, -1.0)
+    low = wp.max(outline_end(wp.where(s_first, other, s), x, y, axis, -1.0) - begin, 0.0)
+    high = wp.min(outline_end(wp.where(s_first, s, other), x, y, axis, 1.0) - begin, 1.0)
+    low_lead = first_side * lead(s, other, x + along_x * low, y + along_y * low)
+    high_lead = first_side * lead(s, other, x + along_x * high, y + along_y * high)
+    if low >= high or low_lead <= 0.0 or high_lead >= 0.0:
+        return sums  # an outline lies between the two, in front of what is behind
+    place = float(0.0)
+    for _ in range(_ROOT_STEPS):
+        place = low + (high - low) * low_lead / (low_lead - high_lead)
+        here = first_side * lead(s, other, x + along_x * place, y + along_y * place)
+        if here > 0.0:
+            low = place
+            low_lead = here
+            high_lead *= 0.5  # Illinois: or one end would stay where it is
+        else:
+            high = place
+            high_lead = here
+            low_lead *= 0.5
+    x += along_x * place
+    y += along_y * place
+    slope = nearness_slope(s, x, y)
+    away = slope - nearness_slope(other, x, y)
+    # A row and a column that cross a border at one place share it by the squares of its normal, so that each bit counts
+    # once. Over the height of its row the border runs along its tangent.
+    across = wp.abs(wp.where(axis == 0, away[0], away[1]))
+    length2 = wp.dot(away, away)
+    if across * across < 1.0e-6 * length2 or length2 == 0.0:
+        return sums
+    lean = wp.where(axis == 0, -away[1] / away[0], -away[0] / away[1])
+    excess = float(0.0)
+    for i in range(_STRIP_SAMPLES):
+        off = (float(i) + 0.5) / float(_STRIP_SAMPLES) - 0.5
+        shift = wp.clamp(lean * off, -1.0, 1.0)
+        at_row = wp.clamp(int(wp.floor(y + wp.where(axis == 0, off, shift))), 0, height - 1)
+        at_column = wp.clamp(int(wp.floor(x + wp.where(axis == 0, shift, off))), 0, width - 1)
+        excess += cost_at(gradient, t, s.label, at_row, at_column)
+        excess -= cost_at(gradient, t, other.label, at_row, at_column)
+    if excess == 0.0:
+        return sums
+    amount = excess / float(_STRIP_SAMPLES) * across / length2
+    nearness = middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+    return add_nearness_force(sums, e, x, y, nearness, slope, amount, perspective)
+
+
+@wp.func
+def walk_creases(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    creases: wp.array3d[wp.uint32],
+    parts: wp.array3d[wp.uint8],
+    b: int,
+    k: int,
+    lane: int,
+    lanes: int,
+    perspective: bool,
+    gradient: Any,
+):
+    """Forces of the creases between an ellipsoid and those that it meets in space."""
+    height = parts.shape[1]
+    width = parts.shape[2]
+    t = target_of(gradient, b)
+    for word in range(creases.shape[2]):
+        bits = creases[b, k, word]
+        # Pixels are dealt to the threads as one line over all boxes. Each thread looks for its next border, then all
+        # threads work on one each: looking is quick, working is not.
+        n = int(lane)
+        begin = int(0)
+        end = int(0)
+        left = int(0)
+        top = int(0)
+        columns = int(1)
+        row = int(0)
+        column = int(0)
+        j = int(-1)
+        axis = int(1)
+        searching = bool(True)
+        first = bool(False)
+        while searching:
+            found = bool(False)
+            while searching and not found:
+                if axis == 0:
+                    axis = 1
+                else:
+                    axis = 0
+                    while n >= end and bits != wp.uint32(0):
+                        j = 32 * word + lowest_bit(bits)
+                        bits &= bits - wp.uint32(1)
+                        low = silhouettes[b, j].low
+                        high = silhouettes[b, j].high
+                        # Where both are, and one pixel more on either side, clamped in float against overflow.
+                        left = int(wp.clamp(wp.max(s.low[0], low[0]) - 1.0, 0.0, float(width)))
+                        right = int(wp.clamp(wp.min(s.high[0], high[0]) + 1.0, -1.0, float(width - 1)))
+                        top = int(wp.clamp(wp.max(s.low[1], low[1]) - 1.0, 0.0, float(height)))
+                        bottom = int(wp.clamp(wp.min(s.high[1], high[1]) + 1.0, -1.0, float(height - 1)))
+                        columns = right - left + 1
+                        begin = end
+                        end = begin + wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
+                    if n >= end:
+                        searching = False
+                    else:
+                        row = top + (n - begin) // columns
+                        column = left + (n - begin) % columns
+                        n += lanes
+                if searching:
+                    here = int(parts[b, row, column])
+                    next_row = row + axis
+                    next_column = column + 1 - axis
+                    if (here == k + 1 or here == j + 1) and next_row < height and next_column < width:
+                        there = int(parts[b, next_row, next_column])
+                        found = there == k + j + 2 - here
+                        first = here == k + 1
+            if found:
+                sums = cross_crease(
+                    sums, e, s, silhouettes[b, j], t, axis, row, column, first, height, width, perspective, gradient
+                )
+    return sums
+
+
+@wp.kernel
+def coverage_forces(
+    centres: wp.array2d[wp.vec3],  # (B, P)
+    axes: wp.array2d[wp.mat33],  # (B, P)
+    semi_axes: wp.array2d[wp.vec3],  # (B, P)
+    camera: wp.array[wp.vec4],  # (B,)
+    silhouettes: wp.array2d[Silhouette],  # (B, P)
+    neighbours: wp.array3d[wp.uint32],  # (B, P, N) from ``find_neighbours``
+    creases: wp.array3d[wp.uint32],  # (B, P, N)
+    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown
+    perspective: bool,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,
+    force: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    moment: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
+    camera_force: wp.array2d[wp.vec4],  # (B, P)  OUTPUT
+):
+    """Sums over the forces on each ellipsoid."""
+    b, k, lane = wp.tid()
+    lanes = wp.block_dim()
+    s = silhouettes[b, k]
+    sums = SurfaceForces()
+    height = parts.shape[1]
+    width = parts.shape[2]
+    if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
+        e = Ellipsoid()
+        e.centre = centres[b, k]
+        e.axes = axes[b, k]
+        e.semi_axes = semi_axes[b, k]
+        e.camera = camera[b]
+        sums = walk_outline(
+            sums,
+            e,
+            s,
+            silhouettes,
+            neighbours,
+            b,
+            k,
+            lane,
+            lanes,
+            steps_per_pixel,
+            halvings,
+            perspective,
+            gradient,
+            height,
+            width,
+        )
+        sums = walk_creases(sums, e, s, silhouettes, creases, parts, b, k, lane, lanes, perspective, gradient)
+    if lanes == 1:
+        force[b, k] = sums.force
+        moment[b, k] = sums.moment
+        camera_force[b, k] = sums.camera
+    else:
+        total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
+        total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
+        total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
+        if lane == 0:
+            force[b, k] = total_force[0]
+            moment[b, k] = total_moment[0]
+            camera_force[b, k] = total_camera[0]
+
+
+for _gradient in (LabelTarget, DenseGradient):
+    wp.overload(coverage_forces, {"gradient": _gradient})
+
+
+def launch_coverage_forces(
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
+    *,
+    perspective: bool,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,  # LabelTarget or DenseGradient
+    force: wp.array,
+    moment: wp.array,
+    camera_force: wp.array,
+) -> None:
+    """Fill the sums of forces on every ellipsoid."""
+    device = parts.device
+    lanes = 1 if device.is_cpu else BLOCK
+    inputs = [
+        *ellipsoids,
+        seen.silhouettes,
+        seen.neighbours,
+        seen.creases,
+        parts,
+        perspective,
+        steps_per_pixel,
+        halvings,
+        gradient,
+    ]
+    outputs = [force, moment, camera_force]
+    wp.launch(coverage_forces, (*seen.silhouettes.shape, lanes), inputs, outputs, device=device, block_dim=lanes)

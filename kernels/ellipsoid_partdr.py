@@ -1,0 +1,313 @@
+"""PartDR's long-range rule (paper, eq. 10 to 12) on exact ellipsoids: the mesh's rule for ever finer meshes.
+
+A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
+silhouette edge is, and the force acts on that point of the surface. ``tests/ellipsoid_reference.py`` is the definition.
+One block of threads owns an ellipsoid and adds in a fixed order.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
+from .surface_forces import Ellipsoid, SurfaceForces, add_force, add_image_force, to_unit, unproject
+from .targets import DenseGradient, LabelTarget, column_of, gradient_at, pull_range, row_of, target_of
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+BLOCK = 128  # threads that share one ellipsoid on CUDA
+MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
+
+
+@wp.func
+def front_at(s: Silhouette, x: float, y: float):
+    """Nearness of the front surface, where the ellipsoid covers (x, y)."""
+    return middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+
+
+@wp.func
+def label_at(silhouettes: wp.array2d[Silhouette], b: int, part: int):
+    """Label of an entry of the image of parts."""
+    if part == 0:
+        return 0
+    return silhouettes[b, part - 1].label
+
+
+@wp.func
+def walk_line(
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    parts: wp.array3d[wp.uint8],
+    b: int,
+    axis: int,
+    line: int,
+    side: int,  # -1: the outline's low end on this line, 1: its high end
+    crossing: float,
+    edge_nearness: float,
+    over_farther: bool,
+    max_distance: float,
+    gradient: Any,
+):
+    """Slope of the loss when the outline moves along one line where it crosses it."""
+    count = parts.shape[2 - axis]
+    t = target_of(gradient, b)
+    # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
+    place = wp.clamp(crossing, -1.0, float(count) + 1.0)
+    inside = int(wp.floor(place - 0.5))
+    outside = inside + 1
+    if side < 0:
+        inside = int(wp.ceil(place - 0.5))
+        outside = inside - 1
+    slope = float(0.0)
+    if outside >= 0 and outside < count:
+        # An outline inside its own label's picture bounds nothing.
+        if (
+            label_at(silhouettes, b, int(parts[b, row_of(axis, line, outside), column_of(axis, line, outside)]))
+            == s.label
+        ):
+            return slope
+    pulls = pull_range(gradient, t, axis, s.label, line, count)
+    pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
+    while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
+        distance = wp.abs(float(pixel) + 0.5 - crossing)
+        if distance > max_distance:
+            break
+        row = row_of(axis, line, pixel)
+        column = column_of(axis, line, pixel)
+        part = int(parts[b, row, column])
+        shown = label_at(silhouettes, b, part)
+        if part > 0 and shown == s.label:
+            break
+        switches = part == 0
+        if part > 0 and over_farther:
+            switches = front_at(silhouettes[b, part - 1], float(column) + 0.5, float(row) + 0.5) < edge_nearness
+        if switches:
+            slope += float(side) * gradient_at(gradient, t, s.label, row, column, shown) / wp.max(distance, 1.0)
+        pixel += side
+    pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
+    while pixel >= 0 and pixel < count:
+        distance = wp.abs(float(pixel) + 0.5 - crossing)
+        row = row_of(axis, line, pixel)
+        column = column_of(axis, line, pixel)
+        part = int(parts[b, row, column])
+        if part == 0 or distance > max_distance:
+            break
+        if label_at(silhouettes, b, part) == s.label:
+            slope += float(side) * gradient_at(gradient, t, s.label, row, column, s.label) / wp.max(distance, 1.0)
+        pixel -= side
+    return slope
+
+
+@wp.func
+def walk_lines(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    parts: wp.array3d[wp.uint8],
+    b: int,
+    lane: int,
+    lanes: int,
+    perspective: bool,
+    over_farther: bool,
+    max_distance: float,
+    gradient: Any,
+):
+    """x and y: rows and columns that meet the outline, two ends each."""
+    height = parts.shape[1]
+    width = parts.shape[2]
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
+    rows = wp.max(int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1))) - top + 1, 0)
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
+    columns = wp.max(int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1))) - left + 1, 0)
+    n = int(lane)
+    while n < 2 * (rows + columns):
+        side = 2 * (n % 2) - 1
+        axis = 0
+        line = top + n // 2
+        if n >= 2 * rows:
+            axis = 1
+            line = left + (n - 2 * rows) // 2
+        across = float(line) + 0.5 - wp.where(axis == 0, s.mean[1], s.mean[0])
+        along = wp.where(axis == 0, s.conic[0], s.conic[2])
+        lean = s.conic[1] * across
+        root = lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
+        if root > 0.0:
+            offset = (float(side) * wp.sqrt(root) - lean) / along
+            crossing = wp.where(axis == 0, s.mean[0], s.mean[1]) + offset
+            x = wp.where(axis == 0, crossing, float(line) + 0.5)
+            y = wp.where(axis == 0, float(line) + 0.5, crossing)
+            nearness = middle_at(s, x, y)
+            slope = walk_line(
+                s, silhouettes, parts, b, axis, line, side, crossing, nearness, over_farther, max_distance, gradient
+            )
+            if slope != 0.0:
+                unit = to_unit(e, unproject(e, x, y, nearness, perspective))
+                fx = wp.where(axis == 0, slope, 0.0)
+                fy = wp.where(axis == 0, 0.0, slope)
+                sums = add_image_force(sums, e, unit, fx, fy, perspective)
+        n += lanes
+    return sums
+
+
+@wp.func
+def push_depth(
+    sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float, perspective: bool
+):
+    """A force along z on the surface point at (x, y)."""
+    unit = to_unit(e, unproject(e, x, y, nearness, perspective))
+    return add_force(sums, wp.vec3(0.0, 0.0, amount), unit)
+
+
+@wp.func
+def is_nearest_of_label(silhouettes: wp.array2d[Silhouette], b: int, k: int, nearness: float, x: float, y: float):
+    """Whether no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
+    label = silhouettes[b, k].label
+    for j in range(silhouettes.shape[1]):
+        if j != k and silhouettes[b, j].label == label and in_box(silhouettes[b, j], x, y):
+            if room_at(silhouettes[b, j], x, y) > 0.0:
+                there = front_at(silhouettes[b, j], x, y)
+                if there > nearness or (there == nearness and j < k):
+                    return False
+    return True
+
+
+@wp.func
+def depth_between(front: float, back: float, perspective: bool):
+    """Distance in depth of two nearnesses [m], never 0."""
+    between = front - back
+    if perspective:
+        between = 1.0 / back - 1.0 / front
+    return wp.max(between, MIN_DELTA_Z)
+
+
+@wp.func
+def walk_depths(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    silhouettes: wp.array2d[Silhouette],
+    parts: wp.array3d[wp.uint8],
+    b: int,
+    k: int,
+    lane: int,
+    lanes: int,
+    perspective: bool,
+    depth_weight: float,
+    gradient: Any,
+):
+    """z: where this ellipsoid is hidden and wanted it comes forward, where it hides a wanted one it goes back."""
+    height = parts.shape[1]
+    width = parts.shape[2]
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
+    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1)))
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
+    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1)))
+    columns = right - left + 1
+    t = target_of(gradient, b)
+    n = int(lane)
+    while n < columns * (bottom - top + 1):
+        row = top + n // columns
+        column = left + n % columns
+        n += lanes
+        part = int(parts[b, row, column])
+        if part == 0:
+            continue
+        x = float(column) + 0.5
+        y = float(row) + 0.5
+        shown = silhouettes[b, part - 1].label
+        if part == k + 1:
+            front = front_at(s, x, y)
+            for j in range(silhouettes.shape[1]):
+                other = silhouettes[b, j].label
+                if other != shown and in_box(silhouettes[b, j], x, y):
+                    g = gradient_at(gradient, t, other, row, column, shown)
+                    if g != 0.0 and room_at(silhouettes[b, j], x, y) > 0.0:
+                        back = front_at(silhouettes[b, j], x, y)
+                        if is_nearest_of_label(silhouettes, b, j, back, x, y):
+                            between = depth_between(front, back, perspective)
+                            amount = depth_weight * g * wp.log(1.0 / between + 1.0)
+                            sums = push_depth(sums, e, x, y, front, amount, perspective)
+        elif shown != s.label and room_at(s, x, y) > 0.0:
+            g = gradient_at(gradient, t, s.label, row, column, shown)
+            if g != 0.0:
+                back = front_at(s, x, y)
+                if is_nearest_of_label(silhouettes, b, k, back, x, y):
+                    between = depth_between(front_at(silhouettes[b, part - 1], x, y), back, perspective)
+                    amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
+                    sums = push_depth(sums, e, x, y, back, amount, perspective)
+    return sums
+
+
+@wp.kernel
+def partdr_forces(
+    centres: wp.array2d[wp.vec3],  # (B, P)
+    axes: wp.array2d[wp.mat33],  # (B, P)
+    semi_axes: wp.array2d[wp.vec3],  # (B, P)
+    camera: wp.array[wp.vec4],  # (B,)
+    silhouettes: wp.array2d[Silhouette],  # (B, P)
+    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown
+    perspective: bool,
+    over_farther: bool,
+    max_distance: float,  # [px]
+    depth_weight: float,
+    gradient: Any,
+    force: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    moment: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
+    camera_force: wp.array2d[wp.vec4],  # (B, P)  OUTPUT
+):
+    """Sums over the forces on each ellipsoid."""
+    b, k, lane = wp.tid()
+    lanes = wp.block_dim()
+    s = silhouettes[b, k]
+    sums = SurfaceForces()
+    if s.low[0] <= s.high[0]:
+        e = Ellipsoid()
+        e.centre = centres[b, k]
+        e.axes = axes[b, k]
+        e.semi_axes = semi_axes[b, k]
+        e.camera = camera[b]
+        sums = walk_lines(
+            sums, e, s, silhouettes, parts, b, lane, lanes, perspective, over_farther, max_distance, gradient
+        )
+        if depth_weight != 0.0:
+            sums = walk_depths(sums, e, s, silhouettes, parts, b, k, lane, lanes, perspective, depth_weight, gradient)
+    if lanes == 1:
+        force[b, k] = sums.force
+        moment[b, k] = sums.moment
+        camera_force[b, k] = sums.camera
+    else:
+        total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
+        total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
+        total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
+        if lane == 0:
+            force[b, k] = total_force[0]
+            moment[b, k] = total_moment[0]
+            camera_force[b, k] = total_camera[0]
+
+
+for _gradient in (LabelTarget, DenseGradient):
+    wp.overload(partdr_forces, {"gradient": _gradient})
+
+
+def launch_partdr_forces(
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
+    *,
+    perspective: bool,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    gradient: Any,  # LabelTarget or DenseGradient
+    force: wp.array,
+    moment: wp.array,
+    camera_force: wp.array,
+) -> None:
+    """Fill the sums of forces on every ellipsoid."""
+    device = parts.device
+    lanes = 1 if device.is_cpu else BLOCK
+    inputs = [*ellipsoids, seen.silhouettes, parts, perspective, over_farther, max_distance, depth_weight, gradient]
+    outputs = [force, moment, camera_force]
+    wp.launch(partdr_forces, (*seen.silhouettes.shape, lanes), inputs, outputs, device=device, block_dim=lanes)

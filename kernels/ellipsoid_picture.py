@@ -1,0 +1,249 @@
+"""Which ellipsoid each pixel shows, how deep, and what that costs: one algorithm for CUDA, one for the CPU device.
+
+Both decide with the same functions: an ellipsoid covers a pixel where ``room_at`` its centre is positive, the nearest
+shows, and of equal ones that with the lower index.
+"""
+
+import warp as wp
+
+from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
+from .targets import LabelTarget, cost_at, target_of
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+# On CUDA a block draws a tile of the picture; each of its threads draws four neighbouring pixels in every eighth row.
+_TILE = wp.constant(32)
+_QUAD = wp.constant(4)
+_QUADS = wp.constant(8)  # a row of a tile
+_BLOCK = wp.constant(64)
+_Sets = wp.types.vector(length=8, dtype=wp.uint32)  # a bit for each of 255 ellipsoids
+
+
+@wp.func
+def depth_of(nearness: float, perspective: bool):
+    """Depth [m] of a nearness."""
+    return wp.where(perspective, 1.0 / nearness, -nearness)
+
+
+@wp.func
+def pack(values: wp.vec4i):
+    """Four bytes as one word, in the order of memory."""
+    return (
+        wp.uint32(values[0])
+        | (wp.uint32(values[1]) << wp.uint32(8))
+        | (wp.uint32(values[2]) << wp.uint32(16))
+        | (wp.uint32(values[3]) << wp.uint32(24))
+    )
+
+
+@wp.func
+def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, values: wp.vec4i):
+    """Write up to four pixels of a row."""
+    for i in range(_QUAD):
+        if column + i < image.shape[2]:
+            image[b, row, column + i] = wp.uint8(values[i])
+
+
+@wp.kernel
+def draw_tiles(
+    silhouettes: wp.array2d[Silhouette],  # (B, P)
+    perspective: bool,
+    target: LabelTarget,
+    in_words: bool,  # whether the pictures below are read and written four pixels at once
+    target_words: wp.array3d[wp.uint32],  # (B or 1, H, W / 4) ``target.target``, if in words
+    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background  OUTPUT
+    parts_words: wp.array3d[wp.uint32],  # (B, H, W / 4) the same memory
+    labels: wp.array3d[wp.uint8],  # (B, H, W) or empty  OUTPUT
+    labels_words: wp.array3d[wp.uint32],
+    depth: wp.array3d[float],  # (B, H, W) [m], inf = background, or empty  OUTPUT
+    losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
+):
+    """CUDA: a block looks only at the ellipsoids whose boxes meet its tile."""
+    b, tile, lane = wp.tid()
+    height = parts.shape[1]
+    width = parts.shape[2]
+    tiles = (width + _TILE - 1) // _TILE
+    left = (tile % tiles) * _TILE
+    top = (tile // tiles) * _TILE
+    column = left + (lane % _QUADS) * _QUAD
+    x = float(column) + 0.5
+    count = silhouettes.shape[1]
+    t = target_of(target, b)
+    loss = float(0.0)
+    words = (count + 31) // 32
+    sets = _Sets()
+    for word in range(words):
+        hit = wp.uint32(0)
+        k = 32 * word + lane
+        if lane < 32 and k < count:
+            low = silhouettes[b, k].low
+            high = silhouettes[b, k].high
+            if (
+                low[0] < float(left + _TILE)
+                and high[0] > float(left)
+                and low[1] < float(top + _TILE)
+                and high[1] > float(top)
+            ):
+                hit = wp.uint32(1) << wp.uint32(lane)
+        hits = wp.tile_sum(wp.tile(hit))
+        sets[word] = hits[0]
+    row = top + lane // _QUADS
+    while row < wp.min(top + _TILE, height) and column < width:
+        y = float(row) + 0.5
+        best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
+        shown = wp.vec4i(0, 0, 0, 0)
+        label = wp.vec4i(0, 0, 0, 0)
+        for word in range(words):
+            bits = sets[word]
+            while bits != wp.uint32(0):
+                k = 32 * word + lowest_bit(bits)
+                bits &= bits - wp.uint32(1)
+                s = silhouettes[b, k]
+                for i in range(_QUAD):
+                    room = room_at(s, x + float(i), y)
+                    if room > 0.0:
+                        nearness = middle_at(s, x + float(i), y) + wp.sqrt(room)
+                        if nearness > best[i]:
+                            best[i] = nearness
+                            shown[i] = k + 1
+                            label[i] = s.label
+        if in_words:
+            parts_words[b, row, column // _QUAD] = pack(shown)
+            if labels.shape[0] > 0:
+                labels_words[b, row, column // _QUAD] = pack(label)
+        else:
+            write_bytes(parts, b, row, column, shown)
+            if labels.shape[0] > 0:
+                write_bytes(labels, b, row, column, label)
+        if depth.shape[0] > 0:
+            for i in range(_QUAD):
+                if column + i < width:
+                    depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
+        if losses.shape[0] > 0:
+            wrong = bool(True)
+            if in_words:
+                wrong = target_words[t, row, column // _QUAD] != pack(label)
+            if wrong:
+                for i in range(_QUAD):
+                    if column + i < width:
+                        loss += cost_at(target, t, label[i], row, column + i)
+        row += _BLOCK // _QUADS
+    if losses.shape[0] > 0:
+        total = wp.tile_sum(wp.tile(loss))
+        if lane == 0:
+            losses[b, tile] = total[0]
+
+
+@wp.kernel
+def draw_rows(
+    silhouettes: wp.array2d[Silhouette],
+    perspective: bool,
+    target: LabelTarget,
+    nearest: wp.array3d[float],  # (B, H, W) scratch
+    parts: wp.array3d[wp.uint8],
+    labels: wp.array3d[wp.uint8],
+    depth: wp.array3d[float],
+    losses: wp.array2d[float],  # (B, H)
+):
+    """CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
+    b, row = wp.tid()
+    width = parts.shape[2]
+    y = float(row) + 0.5
+    first = int(width)
+    last = int(-1)
+    for column in range(width):
+        parts[b, row, column] = wp.uint8(0)
+    for k in range(silhouettes.shape[1]):
+        if y > silhouettes[b, k].low[1] and y < silhouettes[b, k].high[1]:
+            s = silhouettes[b, k]
+            dy = y - s.mean[1]
+            half_b = s.conic[1] * dy
+            root = half_b * half_b + s.conic[0] * (s.room - s.conic[2] * dy * dy)
+            if root > 0.0:
+                middle = s.mean[0] - half_b / s.conic[0]
+                reach = wp.sqrt(root) / s.conic[0]
+                # One pixel more on either side: ``room_at`` has the last word.
+                left = int(wp.clamp(middle - reach - 1.0, 0.0, float(width)))
+                right = int(wp.clamp(middle + reach + 1.0, -1.0, float(width - 1)))
+                # The nearness of background is set where an ellipsoid may be, and nowhere else.
+                if last < first:
+                    for column in range(left, right + 1):
+                        nearest[b, row, column] = -wp.inf
+                    first = left
+                    last = right
+                else:
+                    for column in range(left, first):
+                        nearest[b, row, column] = -wp.inf
+                    for column in range(last + 1, right + 1):
+                        nearest[b, row, column] = -wp.inf
+                    first = wp.min(first, left)
+                    last = wp.max(last, right)
+                for column in range(left, right + 1):
+                    x = float(column) + 0.5
+                    room = room_at(s, x, y)
+                    if room > 0.0:
+                        nearness = middle_at(s, x, y) + wp.sqrt(room)
+                        if nearness > nearest[b, row, column]:
+                            nearest[b, row, column] = nearness
+                            parts[b, row, column] = wp.uint8(k + 1)
+    if labels.shape[0] > 0 or depth.shape[0] > 0 or losses.shape[0] > 0:
+        loss = float(0.0)
+        t = target_of(target, b)
+        for column in range(width):
+            part = int(parts[b, row, column])
+            label = int(0)
+            if part > 0:
+                label = silhouettes[b, part - 1].label
+            if labels.shape[0] > 0:
+                labels[b, row, column] = wp.uint8(label)
+            if depth.shape[0] > 0:
+                depth[b, row, column] = wp.inf
+                if part > 0:
+                    depth[b, row, column] = depth_of(nearest[b, row, column], perspective)
+            if losses.shape[0] > 0:
+                loss += cost_at(target, t, label, row, column)
+        if losses.shape[0] > 0:
+            losses[b, row] = loss
+
+
+def num_partial_losses(device: wp.Device, height: int, width: int) -> int:
+    """T, how many sums of a picture's loss ``launch_draw`` fills."""
+    if device.is_cpu:
+        return height
+    return -(-height // _TILE) * -(-width // _TILE)
+
+
+def launch_draw(
+    silhouettes: wp.array,
+    *,
+    perspective: bool,
+    target: LabelTarget,
+    nearest: wp.array,
+    parts: wp.array,
+    labels: wp.array,
+    depth: wp.array,
+    losses: wp.array,
+) -> None:
+    """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
+
+    ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses`` only.
+    """
+    device = silhouettes.device
+    batch, height, width = parts.shape
+    if device.is_cpu:
+        inputs = [silhouettes, perspective, target, nearest]
+        wp.launch(draw_rows, (batch, height), inputs, [parts, labels, depth, losses], device=device)
+        return
+    bytes_ = [target.target if losses.size else parts, parts, labels if labels.size else parts]
+    in_words = width % _QUAD == 0 and all(image.ptr % 4 == 0 for image in bytes_)
+    words = [_words(image) if in_words else wp.empty((0, 0, 0), dtype=wp.uint32, device=device) for image in bytes_]
+    inputs = [silhouettes, perspective, target, in_words, words[0]]
+    outputs = [parts, words[1], labels, words[2], depth, losses]
+    dim = (batch, num_partial_losses(device, height, width), _BLOCK)
+    wp.launch(draw_tiles, dim, inputs, outputs, device=device, block_dim=_BLOCK)
+
+
+def _words(image: wp.array) -> wp.array:
+    """The same memory, four pixels a word."""
+    *rest, width = image.shape
+    return wp.array(ptr=image.ptr, shape=(*rest, width // _QUAD), dtype=wp.uint32, device=image.device)

@@ -1,0 +1,246 @@
+"""Ellipsoids in closed form: outline, coverage and depth of each, for weak-perspective and perspective cameras.
+
+With X = c + A diag(a) u (u on the unit sphere) and the camera (f_x, f_y, c_x, c_y), every ellipsoid is seen as an
+ellipse and a nearness, which is -z (weak perspective) or 1/z (perspective), so that larger is nearer:
+
+    room(p) = room - (p - mean)^T conic (p - mean)              positive where the ellipsoid covers p
+    nearness(p) = nearness + slope . (p - mean) + sqrt(room(p)) of its front surface
+
+Both cameras take this one form, so everything after ``see_ellipsoids`` is the same code.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+_FEW = 32  # threads a block: a launch has few, and more blocks share more of the GPU
+_FAR = wp.constant(1.0e30)  # [px] an empty bounding box's bounds
+
+
+@wp.struct
+class Silhouette:
+    """One ellipsoid as a picture shows it."""
+
+    mean: wp.vec2  # centre of the outline [px]
+    low: wp.vec2  # bounding box of the outline [px]; low > high: not drawn
+    high: wp.vec2
+    conic: wp.vec3  # xx, xy, yy of the quadratic form
+    room: float
+    slope: wp.vec2  # [nearness/px]
+    nearness: float
+    farthest: float  # nearness of the farthest and of the closest point of the front surface
+    closest: float
+    label: int  # what it shows, 1 to 254; 255 hides what is behind and means nothing
+
+
+@wp.func
+def room_at(s: Silhouette, x: float, y: float):
+    """Positive where the ellipsoid covers (x, y); 0 on its outline."""
+    dx = x - s.mean[0]
+    dy = y - s.mean[1]
+    return s.room - (s.conic[0] * dx + 2.0 * s.conic[1] * dy) * dx - s.conic[2] * dy * dy
+
+
+@wp.func
+def middle_at(s: Silhouette, x: float, y: float):
+    """Nearness without the root: of the outline, and of the plane through it that halves front and back."""
+    return s.nearness + s.slope[0] * (x - s.mean[0]) + s.slope[1] * (y - s.mean[1])
+
+
+@wp.func
+def in_box(s: Silhouette, x: float, y: float):
+    """A cheap first test."""
+    return x > s.low[0] and x < s.high[0] and y > s.low[1] and y < s.high[1]
+
+
+@wp.func
+def half_axes_row(axes: wp.mat33, semi_axes: wp.vec3, row: int):
+    """Row of A diag(a), in double."""
+    return wp.vec3d(
+        wp.float64(axes[row, 0]) * wp.float64(semi_axes[0]),
+        wp.float64(axes[row, 1]) * wp.float64(semi_axes[1]),
+        wp.float64(axes[row, 2]) * wp.float64(semi_axes[2]),
+    )
+
+
+@wp.func
+def see_ellipsoid(
+    centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3, camera: wp.vec4, label: int, near: float, perspective: bool
+):
+    """The silhouette of one ellipsoid; not drawn where it reaches the near plane, or where it has no area.
+
+    In double, for a thin or far ellipsoid is a small difference of large numbers; and in forms that cancel little:
+    determinants as cross products of the rows of A diag(a).
+    """
+    s = Silhouette()
+    s.label = label
+    s.low = wp.vec2(_FAR, _FAR)
+    s.high = wp.vec2(-_FAR, -_FAR)
+    s.room = -1.0
+    rx = half_axes_row(axes, semi_axes, 0)
+    ry = half_axes_row(axes, semi_axes, 1)
+    rz = half_axes_row(axes, semi_axes, 2)
+    cx = wp.float64(centre[0])
+    cy = wp.float64(centre[1])
+    cz = wp.float64(centre[2])
+    fx = wp.float64(camera[0])
+    fy = wp.float64(camera[1])
+    one = wp.float64(1.0)
+    volume = wp.float64(semi_axes[0]) * wp.float64(semi_axes[1]) * wp.float64(semi_axes[2])
+    volume = volume * volume  # the determinant of A diag(a^2) A^T
+    if not (volume > wp.float64(0.0) and cz - wp.length(rz) > wp.float64(near)):
+        return s
+
+    # Normalised image plane: mean (mx, my), covariance of the outline (vxx, vxy, vyy) and its determinant.
+    mx = cx
+    my = cy
+    vxx = wp.dot(rx, rx)
+    vxy = wp.dot(rx, ry)
+    vyy = wp.dot(ry, ry)
+    normal = wp.cross(rx, ry)
+    det = wp.dot(normal, normal)
+    nearness = -cz
+    slope_x = wp.float64(0.0)
+    slope_y = wp.float64(0.0)
+    room = wp.float64(0.0)
+    if perspective:
+        # The outline's dual conic is c c^T - Sigma. The camera is outside where e = c^T Sigma^-1 c - 1 is positive.
+        d33 = cz * cz - wp.dot(rz, rz)
+        gx = cz * rx - cx * rz
+        gy = cz * ry - cy * rz
+        hx = wp.cross(rx, rz)
+        hy = wp.cross(ry, rz)
+        mx = (cx * cz - wp.dot(rx, rz)) / d33
+        my = (cy * cz - wp.dot(ry, rz)) / d33
+        vxx = (wp.dot(gx, gx) - wp.dot(hx, hx)) / (d33 * d33)
+        vxy = (wp.dot(gx, gy) - wp.dot(hx, hy)) / (d33 * d33)
+        vyy = (wp.dot(gy, gy) - wp.dot(hy, hy)) / (d33 * d33)
+        # Sigma^-1 c by Cramer's rule: columns of (A diag(a))^-1 are cross products of its rows over the determinant.
+        inside = (cx * wp.cross(ry, rz) + cy * wp.cross(rz, rx) + cz * wp.cross(rx, ry)) / wp.sqrt(volume)
+        e = wp.dot(inside, inside) - one
+        if not e > wp.float64(0.0):
+            return s
+        det = volume * e / (d33 * d33 * d33)
+        pull = wp.vec3d(
+            wp.dot(wp.cross(ry, rz), inside), wp.dot(wp.cross(rz, rx), inside), wp.dot(wp.cross(rx, ry), inside)
+        ) / wp.sqrt(volume)
+        slope_x = pull[0] / e
+        slope_y = pull[1] / e
+        nearness = (pull[0] * mx + pull[1] * my + pull[2]) / e
+        room = one / (d33 * e)
+    else:
+        room = volume / det
+        rzx = wp.dot(rz, rx)
+        rzy = wp.dot(rz, ry)
+        slope_x = -(rzx * vyy - rzy * vxy) / det
+        slope_y = -(rzy * vxx - rzx * vxy) / det
+    conic_xx = room * vyy / (det * fx * fx)
+    conic_xy = -room * vxy / (det * fx * fy)
+    conic_yy = room * vxx / (det * fy * fy)
+    # Too thin for float32, or not finite: it covers no pixel.
+    if not (float(room) > 0.0 and float(conic_xx) < _FAR and float(conic_yy) < _FAR):
+        return s
+    s.mean = wp.vec2(float(fx * mx + wp.float64(camera[2])), float(fy * my + wp.float64(camera[3])))
+    half = wp.vec2(float(wp.abs(fx) * wp.sqrt(vxx)), float(wp.abs(fy) * wp.sqrt(vyy)))
+    s.low = s.mean - half
+    s.high = s.mean + half
+    s.conic = wp.vec3(float(conic_xx), float(conic_xy), float(conic_yy))
+    s.room = float(room)
+    s.slope = wp.vec2(float(slope_x / fx), float(slope_y / fy))
+    s.nearness = float(nearness)
+    # |C^1/2 slope|^2, with C the outline's covariance: how much the rim and the front differ from the middle.
+    tilt = slope_x * slope_x * vxx + wp.float64(2.0) * slope_x * slope_y * vxy + slope_y * slope_y * vyy
+    s.farthest = float(nearness - wp.sqrt(tilt))
+    s.closest = float(nearness + wp.sqrt(tilt + room))
+    return s
+
+
+@wp.kernel
+def see_ellipsoids(
+    centres: wp.array2d[wp.vec3],  # (B, P) camera frame [m]
+    axes: wp.array2d[wp.mat33],  # (B, P), columns
+    semi_axes: wp.array2d[wp.vec3],  # (B, P) [m]
+    camera: wp.array[wp.vec4],  # (B,) f_x, f_y, c_x, c_y
+    part_labels: wp.array[wp.uint8],  # (P,)
+    near: float,  # [m]
+    perspective: bool,
+    silhouettes: wp.array2d[Silhouette],  # (B, P)  OUTPUT
+):
+    """Every ellipsoid's silhouette."""
+    b, k = wp.tid()
+    silhouettes[b, k] = see_ellipsoid(
+        centres[b, k], axes[b, k], semi_axes[b, k], camera[b], int(part_labels[k]), near, perspective
+    )
+
+
+@wp.kernel
+def find_neighbours(
+    silhouettes: wp.array2d[Silhouette],  # (B, P)
+    neighbours: wp.array3d[wp.uint32],  # (B, P, N) bit j: the boxes of the two outlines overlap  OUTPUT
+    creases: wp.array3d[wp.uint32],  # (B, P, N) bit j: and they may be equally near, with different labels  OUTPUT
+):
+    """Which ellipsoids may hide one another or meet: a bit each, 32 to a word."""
+    b, k = wp.tid()
+    s = silhouettes[b, k]
+    for word in range(neighbours.shape[2]):
+        near_bits = wp.uint32(0)
+        crease_bits = wp.uint32(0)
+        for bit in range(wp.min(32, silhouettes.shape[1] - 32 * word)):
+            j = 32 * word + bit
+            if j != k:
+                low = silhouettes[b, j].low
+                high = silhouettes[b, j].high
+                if low[0] < s.high[0] and low[1] < s.high[1] and high[0] > s.low[0] and high[1] > s.low[1]:
+                    one = wp.uint32(1) << wp.uint32(bit)
+                    near_bits |= one
+                    other = silhouettes[b, j]
+                    if other.label != s.label and other.closest > s.farthest and s.closest > other.farthest:
+                        crease_bits |= one
+        neighbours[b, k, word] = near_bits
+        creases[b, k, word] = crease_bits
+
+
+@wp.func
+def lowest_bit(bits: wp.uint32):
+    """Index of the lowest bit that is set."""
+    return wp.bit_count((bits & (~bits + wp.uint32(1))) - wp.uint32(1))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What ``launch_see`` fills: B bodies of P ellipsoids as their cameras see them.
+
+    Attributes:
+        silhouettes: Shape (B, P).
+        neighbours: Sets of ellipsoids that may hide or be hidden, shape (B, P, N), uint32, a bit each.
+        creases: Sets of those that may meet it, the same.
+    """
+
+    silhouettes: wp.array
+    neighbours: wp.array
+    creases: wp.array
+
+    @classmethod
+    def empty(cls, batch: int, parts: int, device: wp.DeviceLike) -> "Seen":
+        """Allocate."""
+        sets = (batch, parts, (parts + 31) // 32)
+        return cls(
+            wp.empty((batch, parts), dtype=Silhouette, device=device),
+            wp.empty(sets, dtype=wp.uint32, device=device),
+            wp.empty(sets, dtype=wp.uint32, device=device),
+        )
+
+
+def launch_see(
+    ellipsoids: Sequence[wp.array], part_labels: wp.array, *, near: float, perspective: bool, seen: Seen
+) -> None:
+    """Fill ``seen`` from centres, axes, semi-axes and camera."""
+    device, shape = part_labels.device, seen.silhouettes.shape
+    inputs = [*ellipsoids, part_labels, near, perspective]
+    wp.launch(see_ellipsoids, shape, inputs, [seen.silhouettes], device=device, block_dim=_FEW)
+    wp.launch(
+        find_neighbours, shape, [seen.silhouettes], [seen.neighbours, seen.creases], device=device, block_dim=_FEW
+    )

@@ -1,0 +1,167 @@
+"""Gradients as forces F = dL/dX on surface points X = c + A diag(a) u of an ellipsoid (u on the unit sphere).
+
+Whatever moves an ellipsoid moves its surface points, so two sums say all that a loss tells about it: force = sum F and
+moment = sum F u^T. Hence dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Ellipsoid:
+    """One posed ellipsoid before its camera."""
+
+    centre: wp.vec3  # [m]
+    axes: wp.mat33  # columns
+    semi_axes: wp.vec3  # [m]
+    camera: wp.vec4  # f_x, f_y, c_x, c_y
+
+
+@wp.struct
+class SurfaceForces:
+    """Sums over the forces on one ellipsoid."""
+
+    force: wp.vec3
+    moment: wp.mat33
+    camera: wp.vec4  # dL/d(f_x, f_y, c_x, c_y)
+
+
+@wp.func
+def from_unit(e: Ellipsoid, unit: wp.vec3):
+    """The point of the unit sphere on the ellipsoid, seen from its centre."""
+    return e.axes * wp.cw_mul(e.semi_axes, unit)
+
+
+@wp.func
+def to_unit(e: Ellipsoid, point: wp.vec3):
+    """Where a surface point is on the unit sphere."""
+    return wp.cw_div(wp.transpose(e.axes) * (point - e.centre), e.semi_axes)
+
+
+@wp.func
+def unproject(e: Ellipsoid, x: float, y: float, nearness: float, perspective: bool):
+    """The camera-frame point of a pixel position and a nearness."""
+    rx = (x - e.camera[2]) / e.camera[0]
+    ry = (y - e.camera[3]) / e.camera[1]
+    if perspective:
+        return wp.vec3(rx, ry, 1.0) / nearness
+    return wp.vec3(rx, ry, -nearness)
+
+
+@wp.func
+def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
+    """Add a force in the camera frame."""
+    sums.force += force
+    sums.moment += wp.outer(force, unit)
+    return sums
+
+
+@wp.func
+def add_image_force(sums: SurfaceForces, e: Ellipsoid, unit: wp.vec3, fx: float, fy: float, perspective: bool):
+    """Add dL/d(u, v) = (fx, fy) of the picture of a surface point [1/px]."""
+    point = e.centre + from_unit(e, unit)
+    ray = wp.vec2(point[0], point[1])
+    force = wp.vec3(e.camera[0] * fx, e.camera[1] * fy, 0.0)
+    if perspective:
+        ray = ray / point[2]
+        force = wp.vec3(force[0], force[1], -(force[0] * ray[0] + force[1] * ray[1])) / point[2]
+    sums = add_force(sums, force, unit)
+    sums.camera += wp.vec4(fx * ray[0], fy * ray[1], fx, fy)
+    return sums
+
+
+@wp.func
+def add_nearness_force(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    x: float,
+    y: float,
+    nearness: float,
+    slope: wp.vec2,
+    amount: float,
+    perspective: bool,
+):
+    """Add dL/dn = amount of the nearness that the surface has at a fixed place of the picture.
+
+    The surface there moves with the normal part of its points' motion: dn = -N.dX / N_z for n = -z, and
+    dn = -N.dX / (z N.X) for n = 1/z. ``slope`` is the nearness' gradient in the picture, along which the camera moves
+    it.
+    """
+    point = unproject(e, x, y, nearness, perspective)
+    unit = to_unit(e, point)
+    normal = e.axes * wp.cw_div(unit, e.semi_axes)
+    ray = wp.vec2(point[0], point[1])
+    along = normal[2]
+    if perspective:
+        ray = ray / point[2]
+        along = point[2] * wp.dot(normal, point)
+    if along != 0.0:
+        sums = add_force(sums, -amount / along * normal, unit)
+        sums.camera -= amount * wp.vec4(slope[0] * ray[0], slope[1] * ray[1], slope[0], slope[1])
+    return sums
+
+
+@wp.kernel
+def spread_forces(
+    axes: wp.array2d[wp.mat33],  # (B, P)
+    semi_axes: wp.array2d[wp.vec3],  # (B, P)
+    force: wp.array2d[wp.vec3],  # (B, P)
+    moment: wp.array2d[wp.mat33],  # (B, P)
+    camera_force: wp.array2d[wp.vec4],  # (B, P)
+    grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
+    grad_semi_axes: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    grad_camera: wp.array[wp.vec4],  # (B,)  OUTPUT
+):
+    """Gradients with respect to centres, axes, semi-axes and camera."""
+    b, k = wp.tid()
+    m = moment[b, k]
+    grad_centres[b, k] = force[b, k]
+    grad_axes[b, k] = m * wp.diag(semi_axes[b, k])
+    grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * m)
+    if k == 0:
+        total = wp.vec4()
+        for j in range(camera_force.shape[1]):
+            total += camera_force[b, j]
+        grad_camera[b] = total
+
+
+@wp.kernel
+def sum_rows(
+    values: wp.array2d[float],  # (B, N)
+    totals: wp.array[float],  # (B,)  OUTPUT
+):
+    """One thread a body adds in a fixed order."""
+    b = wp.tid()
+    total = float(0.0)
+    for i in range(values.shape[1]):
+        total += values[b, i]
+    totals[b] = total
+
+
+_FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
+
+
+def launch_spread(
+    axes: wp.array,
+    semi_axes: wp.array,
+    force: wp.array,
+    moment: wp.array,
+    camera_force: wp.array,
+    *,
+    grad_centres: wp.array,
+    grad_axes: wp.array,
+    grad_semi_axes: wp.array,
+    grad_camera: wp.array,
+) -> None:
+    """From sums of forces to gradients."""
+    inputs = [axes, semi_axes, force, moment, camera_force]
+    outputs = [grad_centres, grad_axes, grad_semi_axes, grad_camera]
+    wp.launch(spread_forces, axes.shape, inputs, outputs, device=axes.device, block_dim=_FEW)
+
+
+def launch_sum_rows(values: wp.array, totals: wp.array) -> None:
+    """Fill the sum of each row."""
+    wp.launch(sum_rows, values.shape[0], [values], [totals], device=values.device, block_dim=_FEW)

@@ -1,0 +1,102 @@
+"""What a loss says about part images: its gradient with respect to part maps, dense or from a target label image.
+
+A label target holds what K float maps would in 1/80 of the bytes: L_seg and its gradient at a pixel follow from two
+labels, the one shown and the one wanted.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+IGNORE = wp.constant(wp.uint8(255))  # a target pixel that neither attracts nor repels
+
+
+@wp.struct
+class LabelTarget:
+    """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another."""
+
+    target: wp.array3d[wp.uint8]  # (N, H, W), 255 = ignore
+    label_weights: wp.array[float]  # (256,), entry 0 is 0: background has no map
+    reach: wp.array4d[wp.vec2i]  # (N, 2, L, max(H, W)) from ``find_reach``
+
+
+@wp.struct
+class DenseGradient:
+    """Any gradient with respect to the part maps."""
+
+    maps: wp.array4d[float]  # (B, K, H, W)
+
+
+@wp.func
+def target_of(g: LabelTarget, b: int):
+    """Which of N targets is body b's: number b % N."""
+    return b % wp.max(g.target.shape[0], 1)
+
+
+@wp.func
+def target_of(g: DenseGradient, b: int):
+    """Each body has its own maps."""
+    return b
+
+
+@wp.func
+def gradient_at(g: LabelTarget, t: int, label: int, row: int, column: int, shown: int):
+    """dL/dA of map ``label`` at a pixel that shows ``shown``."""
+    want = g.target[t, row, column]
+    if want == IGNORE or int(want) == shown:
+        return 0.0
+    value = 0.0
+    if shown == label:
+        value = 2.0
+    elif int(want) == label:
+        value = -2.0
+    return value * g.label_weights[label]
+
+
+@wp.func
+def gradient_at(g: DenseGradient, t: int, label: int, row: int, column: int, shown: int):
+    """dL/dA of map ``label`` at a pixel; labels past the last map have none."""
+    if label > g.maps.shape[1]:
+        return 0.0
+    return g.maps[t, label - 1, row, column]
+
+
+@wp.func
+def cost_at(g: LabelTarget, t: int, label: int, row: int, column: int):
+    """What one pixel of area that shows ``label`` costs, 0 = background."""
+    want = g.target[t, row, column]
+    if want == IGNORE or int(want) == label:
+        return 0.0
+    return g.label_weights[label] + g.label_weights[int(want)]
+
+
+@wp.func
+def cost_at(g: DenseGradient, t: int, label: int, row: int, column: int):
+    """To first order, area that shows ``label`` costs the gradient of that map."""
+    if label == 0 or label > g.maps.shape[1]:
+        return 0.0
+    return g.maps[t, label - 1, row, column]
+
+
+@wp.func
+def pull_range(g: LabelTarget, t: int, axis: int, label: int, line: int, count: int):
+    """First and last pixel of a scan line that can pull this label's edges out: those that want it."""
+    return g.reach[t, axis, label, line]
+
+
+@wp.func
+def pull_range(g: DenseGradient, t: int, axis: int, label: int, line: int, count: int):
+    """Any pixel can."""
+    return wp.vec2i(0, count - 1)
+
+
+@wp.func
+def row_of(axis: int, line: int, pixel: int):
+    """Row of a pixel on a scan line: axis 0 walks along rows, axis 1 along columns."""
+    return wp.where(axis == 0, line, pixel)
+
+
+@wp.func
+def column_of(axis: int, line: int, pixel: int):
+    """Column of a pixel on a scan line."""
+    return wp.where(axis == 0, pixel, line)
