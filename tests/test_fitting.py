@@ -10,6 +10,7 @@ from warp_partdr import metrics
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.rotations import rotation_from_axis_angle, rotation_to_6d
 from warp_partdr.body.skeletons import skeleton
+from warp_partdr.ellipsoids import draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation, Weights
 from warp_partdr.errors import InputError
 from warp_partdr.fitting import FitOptions, Stage, distinct, fit_body
@@ -57,8 +58,7 @@ def observation_of(body: BodyParameters, device: str) -> Observation:
     """What the crop of ``body`` itself shows."""
     names = skeleton("coco17").landmarks
     points = body.camera(2).project(LandmarkGather(names, device)(body.posed()))[0, :, :2] - 1
-    vertices = body.camera(256).project(body.posed().vertices(1))
-    labels = rasterize_parts(vertices, ellipbody_mesh(1, device=device), (256, 256)).labels[0]
+    labels = draw_ellipsoids(body.posed(), body.camera(256), (256, 256)).labels[0]
     return Observation(names, points.detach(), torch.ones(17, device=device), labels, label_set("ellipbody20"))
 
 
@@ -78,7 +78,7 @@ def test_losses_have_the_stated_units(device):
     weights = Weights(proj=1.0, seg=1.0, length=1.0, thickness=1.0)
     energy = Energy(seen, weights=weights)
     shifted = replace(body, shift=body.shift + torch.tensor([4 / 128, 0.0], device=device))
-    assert energy(shifted)["proj"].item() == pytest.approx(4 * energy._votes.sum().item(), rel=1e-3)
+    assert energy(shifted)["proj"].item() == pytest.approx(4 * energy.votes.sum().item(), rel=1e-3)
     longer = replace(body, lengths=body.lengths + 0.002)
     assert energy(longer)["length"].item() == pytest.approx(12 * 4, rel=1e-3)
     # the same shift costs about the same, whatever size is drawn

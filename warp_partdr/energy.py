@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,11 +17,14 @@ import torch
 from .body.labels import LabelSet
 from .body.landmarks import landmark_points
 from .body.template import template
+from .ellipsoids import Gradient, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartMesh, ellipbody_mesh
 from .parameters import BodyParameters
 from .pose_prior import PosePrior, up_direction
 from .posing import Posed
 from .render import label_loss, rasterize_parts
+
+Renderer = Literal["exact", "mesh"]
 
 REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
 _MILLIMETRES = 1000.0
@@ -68,17 +72,25 @@ class Energy:
     Args:
         observation: Keypoints and labels.
         size: Side of the drawn crop [px].
-        subdivisions: Level of the drawn mesh, 0 to 3.
         weights: Of the terms.
         prior: The pose prior.
-        max_distance: How far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
+        renderer: "exact" ellipsoids, or their "mesh".
+        subdivisions: Level of the drawn mesh, 0 to 3.
+        gradient: Of the exact renderer: "partdr" or "coverage"; the mesh has PartDR's alone.
+        max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
+
+    Attributes:
+        votes: How much each landmark counts, shape (L,).
+        target: Labels that the picture is compared with, shape (size, size), uint8; None where none is drawn.
     """
 
     observation: Observation
     size: int = REFERENCE_SIZE
-    subdivisions: int = 1
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
+    renderer: Renderer = "exact"
+    subdivisions: int = 1
+    gradient: Gradient = "partdr"
     max_distance: float = math.inf
 
     def __post_init__(self) -> None:
@@ -87,15 +99,18 @@ class Energy:
         self._gather = LandmarkGather(seen.landmarks, device)
         # Ten points of a face say little more than one: the landmarks of one part share its vote.
         votes = torch.zeros(20, device=device).index_add(0, self._gather.parts[:, 0], seen.confidence)
-        self._votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]
+        self.votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]
         constants = template()
         self._mean_lengths = torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device)
         self._mean_thicknesses = torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device)
-        self._target: torch.Tensor | None = None
+        self.target: torch.Tensor | None = None
         self._mesh: PartMesh | None = None
+        self._part_labels: list[int] = []
         if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
-            self._mesh = ellipbody_mesh(self.subdivisions, device=device).relabel(seen.label_set.part_groups)
-            self._target = resize_nearest(seen.labels, self.size)
+            self._part_labels = [int(group) for group in seen.label_set.part_groups[1:]]
+            if self.renderer == "mesh":
+                self._mesh = ellipbody_mesh(self.subdivisions, device=device).relabel(seen.label_set.part_groups)
+            self.target = resize_nearest(seen.labels, self.size)
         self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
@@ -104,9 +119,8 @@ class Energy:
         weights = self.weights
         posed = parameters.posed()
         terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
-        if self._mesh is not None:
-            vertices = parameters.camera(self.size).project(posed.vertices(self.subdivisions))
-            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * self.segmentation(vertices, self._mesh)
+        if self.target is not None:
+            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * self.segmentation(parameters, posed)
         deviation = (parameters.lengths - self._mean_lengths) * _MILLIMETRES
         terms["length"] = weights.length * deviation.square().sum(1)
         deviation = (parameters.thicknesses - self._mean_thicknesses) * _MILLIMETRES
@@ -117,28 +131,55 @@ class Energy:
             terms["limits"] = weights.limits * self.prior.joint_limits(rotations)
         return terms
 
-    def segmentation(self, vertices: torch.Tensor, mesh: PartMesh) -> torch.Tensor:
+    def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
-        if self._maps is not None and self._known is not None:
-            shown = rasterize_parts(
+        assert self.target is not None
+        camera = parameters.camera(self.size)
+        target = self.target.expand(parameters.batch_size, -1, -1)
+        image_size = (self.size, self.size)
+        maps = None
+        if self._mesh is not None:
+            vertices = camera.project(posed.vertices(self.subdivisions))
+            if self._maps is None:
+                return label_loss(vertices, self._mesh, target, max_distance=self.max_distance, validate=False)[0]
+            maps = rasterize_parts(
                 vertices,
-                mesh,
-                (self.size, self.size),
+                self._mesh,
+                image_size,
                 num_maps=len(self._maps),
                 max_distance=self.max_distance,
                 validate=False,
             ).maps
-            assert shown is not None
-            return ((shown - self._maps).square() * self._known).sum((1, 2, 3))
-        assert self._target is not None
-        target = self._target.expand(vertices.shape[0], -1, -1)
-        return label_loss(vertices, mesh, target, max_distance=self.max_distance, validate=False)[0]
+        elif self._maps is None:
+            return ellipsoid_label_loss(
+                posed,
+                camera,
+                target,
+                part_labels=self._part_labels,
+                gradient=self.gradient,
+                max_distance=self.max_distance,
+                validate=False,
+            )[0]
+        else:
+            maps = draw_ellipsoids(
+                posed,
+                camera,
+                image_size,
+                part_labels=self._part_labels,
+                num_maps=len(self._maps),
+                gradient=self.gradient,
+                max_distance=self.max_distance,
+                validate=False,
+            ).maps
+        assert maps is not None
+        assert self._known is not None
+        return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""
         image = parameters.camera(2).project(self._gather(posed))[..., :2] - 1
         distance = (image - self.observation.points).abs().sum(-1) * (REFERENCE_SIZE / 2)
-        return (distance * self._votes).sum(1)
+        return (distance * self.votes).sum(1)
 
 
 class LandmarkGather:

@@ -13,11 +13,14 @@ import torch
 from .body.labels import IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
-from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Weights
+from .ellipsoids import Gradient
+from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
 from .errors import InputError
+from .fused import minimise
 from .hypotheses import LiftEnergy, hypothesize
 from .keypoints import Keypoints2D
 from .mesh import ellipbody_mesh
+from .missing_labels import ignore_missing_limbs
 from .parameters import BodyParameters
 from .part_files import PartLabels
 from .person import crop_nearest, person_crop, select_person
@@ -43,8 +46,8 @@ class Stage:
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
         weights: Of the energy's terms in this stage; None takes the fit's.
-        max_distance: How far from an edge a pixel may move it [px of the drawn crop].
-        subdivisions: Level of the drawn mesh, 0 to 3.
+        gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
+        max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
     """
 
     name: str
@@ -53,8 +56,8 @@ class Stage:
     learning_rate: float
     size: int = 0
     weights: Weights | None = None
+    gradient: Gradient = "partdr"
     max_distance: float = math.inf
-    subdivisions: int = 1
 
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
@@ -71,6 +74,7 @@ class FitOptions:
     Attributes:
         stages: In order; the first one lifts the hypotheses into 3D.
         weights: Of the energy's terms, where a stage has none of its own.
+        renderer: "exact" ellipsoids, or their "mesh" (E1, with PartDR's gradient).
         seed: Of the random choice of hypotheses, where there are too many.
     """
 
@@ -83,6 +87,7 @@ class FitOptions:
         Stage(OUTLINE, 1, 250, 0.01, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
     )
     weights: Weights = field(default_factory=Weights)
+    renderer: Renderer = "exact"
     seed: int = 0
 
     def without_outline(self) -> FitOptions:
@@ -188,19 +193,36 @@ def fit_body(
         weights = stage.weights or options.weights
         if stage.size == 0:
             weights = replace(weights, seg=0.0)
-        energy = Energy(seen, max(stage.size, 1), stage.subdivisions, weights, prior, stage.max_distance)
+        energy = Energy(
+            seen,
+            max(stage.size, 1),
+            weights,
+            prior,
+            renderer=options.renderer,
+            gradient=stage.gradient,
+            max_distance=stage.max_distance,
+        )
 
         def step(iteration: int, name: str = stage.name, before: int = done) -> None:
             if progress is not None:
                 progress(name, before + iteration, total)
 
-        refined = refine(
-            bodies,
-            LiftEnergy(energy, targets, known) if index == 0 else energy,
-            iterations=stage.iterations,
-            learning_rate=stage.learning_rate,
-            on_iteration=step,
-        )
+        if index == 0:
+            refined = refine(
+                bodies,
+                LiftEnergy(energy, targets, known),
+                iterations=stage.iterations,
+                learning_rate=stage.learning_rate,
+                on_iteration=step,
+            )
+        else:
+            refined = minimise(
+                bodies,
+                energy,
+                iterations=stage.iterations,
+                learning_rate=stage.learning_rate,
+                on_iteration=step,
+            )
         bodies, energies, terms = refined.parameters, refined.energy, refined.terms
         lineage.append(refined.history.cpu().numpy())
         if len(energies) > 1:
@@ -228,13 +250,15 @@ def observe(
     others: Sequence[Keypoints2D] = (),
     device: torch.device | str = "cpu",
 ) -> tuple[Observation, Crop]:
-    """Cut one person out: a square crop, keypoints in it from -1 to 1, other people's labels ignored."""
+    """Cut one person out: a square crop, keypoints in it from -1 to 1; other people and missing limbs are ignored."""
     visible = keypoints.visible
     if not visible.any():
         raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
     if len(np.unique(keypoints.points[visible], axis=0)) < 2:
         raise InputError("keypoints: all lie in one point; expected different places")
-    groups = None if parts is None else select_person(parts.groups, keypoints, others)
+    groups = None
+    if parts is not None:
+        groups = ignore_missing_limbs(select_person(parts.groups, keypoints, others), keypoints)
     empty = np.zeros((1, 1), dtype=np.uint8)
     x0, y0, x1, y1 = person_crop(keypoints, empty if groups is None else groups, CROP_MARGIN)
     half = max(x1 - x0, y1 - y0) / 2

@@ -11,7 +11,7 @@ import torch
 from .parameters import BodyParameters
 
 LEARNING_RATE = 1e-2  # the paper's
-_SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
+SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
 # Shares of the mean adult's sizes that a body keeps within. A torso's depth can't be seen from the front, and would
 # take any value that fills a gap in the labels.
 LENGTH_BOUNDS = (0.6, 1.4)
@@ -61,12 +61,9 @@ def refine(
     bodies = start.leaves()
     shape = [bodies.lengths, bodies.thicknesses]
     rest = [bodies.orientation, bodies.rotations, bodies.log_scale, bodies.shift]
-    groups = [{"params": rest, "lr": learning_rate}, {"params": shape, "lr": learning_rate * _SHAPE_RATE}]
+    groups = [{"params": rest, "lr": learning_rate}, {"params": shape, "lr": learning_rate * SHAPE_RATE}]
     optimizer = torch.optim.Adam(groups)
-    half_turn = math.pi / max(iterations, 1)
-    schedule = torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: final_rate + (1 - final_rate) * (1 + math.cos(half_turn * step)) / 2
-    )
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: rate_share(step, iterations, final_rate))
     mean = BodyParameters.mean(1, device=bodies.lengths.device)
     bounds = [
         (sizes, low * usual, high * usual)
@@ -108,3 +105,8 @@ def refine(
             on_iteration(iteration + 1)
     assert best is not None
     return Refined(best, best_energy, best_terms, torch.stack(history) if history else best_energy[None][:0])
+
+
+def rate_share(step: int, iterations: int, final_rate: float) -> float:
+    """Share of the learning rate at a step: from 1 to ``final_rate`` along a cosine."""
+    return final_rate + (1 - final_rate) * (1 + math.cos(math.pi * step / max(iterations, 1))) / 2

@@ -1,0 +1,323 @@
+"""The paper's second stage as one captured Warp graph: what ``refine`` does, without torch inside the loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import torch
+import warp as wp
+
+from .body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES
+from .checks import check_tensor
+from .energy import REFERENCE_SIZE, Energy
+from .fused_picture import EllipsoidPicture
+from .kernels.refine_costs import Drawn, TermWeights, Wrenches, launch_costs
+from .kernels.refine_gradient import Records, Stopping, launch_gather
+from .kernels.refine_pose import launch_pose
+from .kernels.refine_prior import launch_mixture
+from .kernels.refine_state import NUM_TERMS, Bodies, Ellipsoids, Terms
+from .kernels.refine_step import BETAS, StepRule, launch_step
+from .parameters import BodyParameters
+from .refine_tables import LANDMARK_NAMES, landmarks, mixture, rules, skeleton
+from .refinement import LEARNING_RATE, LENGTH_BOUNDS, SHAPE_RATE, THICKNESS_BOUNDS, Refined, rate_share, refine
+from .streams import on_torch_stream
+
+TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
+
+# A body's parameters as they follow one another in a row.
+_ROW: dict[str, tuple[int, ...]] = {
+    "orientation": (6,),
+    "rotations": (NUM_PARTS, 3),
+    "lengths": (len(LENGTH_NAMES),),
+    "thicknesses": (len(THICKNESS_NAMES),),
+    "log_scale": (),
+    "shift": (2,),
+}
+_WIDTHS = [math.prod(shape) for shape in _ROW.values()]
+
+
+class PartRenderer(Protocol):
+    """Draws posed parts and compares the picture with labels.
+
+    Attributes:
+        drawn: Where it leaves L_seg [px of the drawn crop] and its forces.
+    """
+
+    drawn: Drawn
+
+    def observe(self, energies: Sequence[Energy]) -> None:
+        """Copy targets into fixed buffers."""
+
+    def launch(self) -> None:
+        """Fill ``drawn`` for the ellipsoids the renderer was made with; nothing but launches, for they are captured."""
+
+
+MakeRenderer = Callable[[Sequence[Energy], Ellipsoids, wp.array], PartRenderer]
+
+
+class FusedRefinement:
+    """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
+
+    Five launches beside the renderer's make an iteration. They are captured once and replayed, and the host waits for
+    nothing in between. A run repeats bit for bit.
+
+    Args:
+        energies: What is minimised: one for all bodies, or N of them, of which body b takes number b % N. They may
+            differ in what they saw, and in nothing else.
+        batch_size: B, how many bodies are refined at once.
+        iterations: Steps of Adam.
+        learning_rate: As in ``refine``.
+        final_rate: As in ``refine``.
+        tolerance: A body rests once its best energy fell by no more than this share over ``patience`` iterations; None
+            lets every body run on, as ``refine`` does.
+        patience: See ``tolerance``.
+        renderer: Makes what draws and compares, from the energies, the posed ellipsoids and the flags (B,) of bodies
+            that do not rest; it is asked only where energies compare labels.
+
+    Raises:
+        ValueError: If the energies differ in more than what they saw, see probabilities, or draw a mesh.
+    """
+
+    def __init__(
+        self,
+        energies: Energy | Sequence[Energy],
+        batch_size: int,
+        *,
+        iterations: int = 50,
+        learning_rate: float = LEARNING_RATE,
+        final_rate: float = 0.1,
+        tolerance: float | None = None,
+        patience: int = 10,
+        renderer: MakeRenderer = EllipsoidPicture,
+    ) -> None:
+        energies = _as_list(energies)
+        self._energy = energy = energies[0]
+        self._device = energy.observation.points.device
+        if energy.observation.maps is not None:
+            raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
+        if _compares_labels(energy) and energy.renderer != "exact":
+            raise ValueError(f"energies: renderer {energy.renderer!r}; expected 'exact', ``refine`` takes others")
+
+        def buffer(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+            return torch.zeros(*shape, dtype=dtype, device=self._device)
+
+        # What the host reads or writes, in torch's memory.
+        rows = batch_size, sum(_WIDTHS)
+        self._parameters, self._gradient, self._best = buffer(*rows), buffer(*rows), buffer(*rows)
+        self._moments = buffer(2, *rows)
+        self._iteration, self._active = buffer(1, dtype=torch.int32), buffer(batch_size, dtype=torch.int32)
+        self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
+        self._history = buffer(iterations + 1, batch_size)
+        self._points = buffer(len(energies), len(LANDMARK_NAMES), 2)
+        self._votes = buffer(len(energies), len(LANDMARK_NAMES))
+        # At rate 0, after the last step, the energy is looked at once more.
+        shares = [rate_share(step, iterations, final_rate) for step in range(iterations)]
+        self._rates = [learning_rate * share for share in (*shares, 0.0)]
+        stopping = Stopping()
+        stopping.tolerance, stopping.patience = -1.0 if tolerance is None else tolerance, patience
+        with on_torch_stream(self._device) as where:
+            self._iterate = self._build(where, energies, stopping, renderer)
+        self.observe(energies)
+        self._graph = self._capture() if batch_size > 0 else None
+
+    def _build(
+        self, where: str, energies: Sequence[Energy], stopping: Stopping, renderer: MakeRenderer
+    ) -> Callable[[], None]:
+        """Allocate what the kernels alone use; returns one iteration, which keeps it alive."""
+        energy, batch = self._energy, len(self._parameters)
+
+        def zeros(*shape: int, dtype: Any = float) -> wp.array:
+            return wp.zeros((batch, *shape), dtype=dtype, device=where)
+
+        ellipsoids, wrenches, records = Ellipsoids(), Wrenches(), Records()
+        ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
+        ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
+        wrenches.force, wrenches.torque = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.vec3)
+        wrenches.semi_axes, wrenches.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.vec3)
+        records.better, records.mark, records.mark_iteration = zeros(dtype=int), zeros(), zeros(dtype=int)
+        records.energy, records.terms = _wp(self._best_energy), _wp(self._best_terms, Terms)
+        records.history = _wp(self._history)
+
+        active, iteration = _wp(self._active), _wp(self._iteration)
+        bodies, gradient = _bodies(self._parameters), _bodies(self._gradient)
+        flat = [_wp(rows) for rows in (self._gradient, self._parameters, *self._moments, self._best)]
+        orientations, costs = zeros(dtype=wp.mat33), zeros(NUM_PARTS, dtype=Terms)
+        prior = mixture(where, energy.prior)
+        directions, exponents = zeros(prior.means.shape[1], dtype=wp.vec3), zeros(prior.means.shape[0])
+        slopes, squares = zeros(*prior.means.shape, dtype=wp.vec3), zeros(*prior.means.shape)
+        tree, limits = skeleton(where), rules(where, energy.prior)
+        seen = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
+        weights, rule = _term_weights(energy), _step_rule(self._rates, self._device)
+        picture = self._renderer = renderer(energies, ellipsoids, active) if _compares_labels(energy) else None
+        if picture is None:
+            drawn = Drawn()
+            drawn.loss, drawn.force = zeros(0), zeros(NUM_PARTS, dtype=wp.vec3)
+            drawn.moment, drawn.camera_force = zeros(NUM_PARTS, dtype=wp.mat33), zeros(NUM_PARTS, dtype=wp.vec4)
+        else:
+            drawn = picture.drawn
+
+        def iterate() -> None:
+            posed = ellipsoids, orientations, directions
+            launch_pose(active, tree, bodies, energy.size / 2, prior.slots, iteration, *posed)
+            if energy.prior is not None:
+                launch_mixture(active, directions, prior, slopes, squares)
+            if picture is not None:
+                picture.launch()
+            asked = drawn, seen, limits, weights, prior, squares
+            launch_costs(active, tree, bodies, ellipsoids, *asked, costs, exponents, wrenches, gradient)
+            state = tree, bodies, ellipsoids, orientations, costs, wrenches, prior, exponents, slopes
+            launch_gather(active, iteration, *state, weights, stopping, gradient, records)
+            launch_step(active, records.better, iteration, rule, *flat)
+
+        return iterate
+
+    def observe(self, energies: Energy | Sequence[Energy]) -> None:
+        """Copy what other energies saw into the fixed buffers; all else stays.
+
+        Raises:
+            ValueError: If there are not as many as before, or they differ in more than what they saw.
+        """
+        energies = _as_list(energies)
+        if len(energies) != len(self._points):
+            raise ValueError(f"energies: {len(energies)}; expected {len(self._points)}, as at first")
+        for energy in energies:
+            for name in ("size", "weights", "prior", "renderer", "gradient", "max_distance"):
+                if getattr(energy, name) != getattr(self._energy, name):
+                    raise ValueError(f"energies: {name} differs; expected {getattr(self._energy, name)}, as at first")
+            if _compares_labels(energy) != (self._renderer is not None):
+                raise ValueError("energies: some with labels, some without; expected the same of all")
+        self._votes.zero_()
+        for row, energy in enumerate(energies):
+            index = [LANDMARK_NAMES.index(name) for name in energy.observation.landmarks]
+            self._points[row, index] = energy.observation.points
+            self._votes[row, index] = energy.votes
+        if self._renderer is not None:
+            with on_torch_stream(self._device):
+                self._renderer.observe(energies)
+
+    def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
+        """What ``refinement.refine`` returns, from B starts.
+
+        A body at rest repeats its last energy in the history.
+
+        Args:
+            start: B bodies.
+            on_iteration: Called with the number of steps asked for; on CUDA the device may be behind.
+
+        Raises:
+            ValueError: If a shape, dtype or device is wrong.
+        """
+        batch = self._parameters.shape[0]
+        for name, tensor in start.tensors().items():
+            check_tensor(name, tensor, (batch, *_ROW[name]), dtypes=(torch.float32,), like=("energies", self._points))
+        with torch.no_grad():
+            rows = [
+                tensor.reshape(batch, width) for tensor, width in zip(start.tensors().values(), _WIDTHS, strict=True)
+            ]
+            torch.cat(rows, dim=1, out=self._parameters)
+            self._moments.zero_()
+            self._iteration.fill_(-1)
+            self._active.fill_(1)
+        if self._graph is not None:
+            with on_torch_stream(self._device):
+                for step in range(len(self._rates)):
+                    wp.capture_launch(self._graph)
+                    if on_iteration is not None and step + 1 < len(self._rates):
+                        on_iteration(step + 1)
+        used = {
+            "proj": True,
+            "seg": self._renderer is not None,
+            "length": True,
+            "thickness": True,
+            "prior": self._energy.prior is not None,
+            "limits": self._energy.prior is not None,
+        }
+        terms = self._best_terms.clone()
+        return Refined(
+            BodyParameters(**{name: tensor.clone() for name, tensor in _split(self._best).items()}),
+            self._best_energy.clone(),
+            {name: terms[:, column] for column, name in enumerate(TERMS) if used[name]},
+            self._history[:-1].clone(),
+        )
+
+    def _capture(self) -> wp.Graph:
+        """One iteration."""
+        device = wp.device_from_torch(self._device)
+        # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
+        stream = None if device.is_cpu else wp.Stream(device)
+        with wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
+            self._iterate()
+        return capture.graph
+
+
+def _wp(tensor: torch.Tensor, kind: Any = None) -> wp.array:
+    return wp.from_torch(tensor, dtype=kind, requires_grad=False)
+
+
+def minimise(
+    start: BodyParameters,
+    energy: Energy,
+    *,
+    iterations: int = 50,
+    learning_rate: float = LEARNING_RATE,
+    on_iteration: Callable[[int], None] | None = None,
+) -> Refined:
+    """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh."""
+    if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
+        return refine(start, energy, iterations=iterations, learning_rate=learning_rate, on_iteration=on_iteration)
+    fused = FusedRefinement(energy, start.batch_size, iterations=iterations, learning_rate=learning_rate)
+    return fused.refine(start, on_iteration=on_iteration)
+
+
+def _as_list(energies: Energy | Sequence[Energy]) -> list[Energy]:
+    return [energies] if isinstance(energies, Energy) else list(energies)
+
+
+def _compares_labels(energy: Energy) -> bool:
+    return energy.target is not None
+
+
+def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Views of rows by name, shaped as ``BodyParameters`` has them."""
+    columns = rows.split(_WIDTHS, dim=1)
+    return {name: part.reshape(len(rows), *shape) for (name, shape), part in zip(_ROW.items(), columns, strict=True)}
+
+
+def _bodies(rows: torch.Tensor) -> Bodies:
+    parts, bodies = _split(rows), Bodies()
+    bodies.orientation = _wp(parts["orientation"].unflatten(1, (2, 3)), wp.vec3)
+    bodies.rotations = _wp(parts["rotations"], wp.vec3)
+    bodies.lengths, bodies.thicknesses = _wp(parts["lengths"]), _wp(parts["thicknesses"])
+    bodies.log_scale, bodies.shift = _wp(parts["log_scale"]), _wp(parts["shift"], wp.vec2)
+    return bodies
+
+
+def _term_weights(energy: Energy) -> TermWeights:
+    given, weights = energy.weights, TermWeights()
+    weights.proj = given.proj * REFERENCE_SIZE / 2
+    weights.seg = given.seg * (REFERENCE_SIZE / energy.size) ** 2
+    weights.length, weights.thickness = given.length, given.thickness
+    weights.prior, weights.limits = given.prior, given.limits
+    return weights
+
+
+def _step_rule(rates: Sequence[float], device: torch.device) -> StepRule:
+    factors, lower, upper = (torch.empty(1, sum(_WIDTHS)) for _ in range(3))
+    factors.fill_(1.0)
+    lower.fill_(-math.inf)
+    upper.fill_(math.inf)
+    mean = BodyParameters.mean(1)
+    for name, (low, high) in (("lengths", LENGTH_BOUNDS), ("thicknesses", THICKNESS_BOUNDS)):
+        usual = mean.tensors()[name]
+        _split(factors)[name].fill_(SHAPE_RATE)
+        _split(lower)[name].copy_(low * usual)
+        _split(upper)[name].copy_(high * usual)
+    schedule = [
+        (rate / (1 - BETAS[0] ** step), math.sqrt(1 - BETAS[1] ** step)) for step, rate in enumerate(rates, start=1)
+    ]
+    rule = StepRule()
+    rule.schedule = _wp(torch.tensor(schedule, device=device), wp.vec2)
+    rule.rates, rule.lower, rule.upper = (_wp(row[0].to(device)) for row in (factors, lower, upper))
+    return rule

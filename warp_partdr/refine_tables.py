@@ -1,0 +1,98 @@
+"""The constant arrays that the fused refinement reads, made once a device: skeleton, landmarks, prior."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import warp as wp
+
+from .body.landmarks import LANDMARKS, landmark_points
+from .body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from .kernels.refine_costs import Landmarks, Rules
+from .kernels.refine_prior import Mixture
+from .kernels.refine_state import Skeleton
+from .pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
+
+LANDMARK_NAMES = tuple(LANDMARKS)
+
+
+def _subtrees() -> list[int]:
+    """For each part a bit mask of what moves with it, itself included; the last one is the root's."""
+    masks = [1 << part for part in range(NUM_PARTS)] + [0]
+    for part in reversed(range(NUM_PARTS)):  # parents come before their children; -1 is the last entry
+        masks[PARENTS[part]] |= masks[part]
+    return masks
+
+
+@lru_cache(maxsize=8)
+def skeleton(device: str) -> Skeleton:
+    """The template on a Warp device."""
+    table = Skeleton()
+    table.parents = wp.array(PARENTS, dtype=int, device=device)
+    table.shape_indices = wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device)
+    table.rest_axes = wp.array(template().rest_axes, dtype=wp.mat33, device=device)
+    table.subtrees = wp.array(_subtrees(), dtype=int, device=device)
+    table.locked = sum(1 << part for part in LOCKED_PARTS)
+    return table
+
+
+def landmarks(device: str, points: wp.array, votes: wp.array) -> Landmarks:
+    """All ``LANDMARK_NAMES`` on a Warp device; ``points`` and ``votes`` say where which of them are seen."""
+    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
+    touches = [np.flatnonzero(((parts == part) & (shares > 0)).any(1)) for part in range(NUM_PARTS)]
+    table = Landmarks()
+    table.touches = wp.array(np.concatenate(touches), dtype=int, device=device)
+    table.first_touch = wp.array(np.cumsum([0, *map(len, touches)]), dtype=int, device=device)
+    table.parts = wp.array(parts, dtype=int, device=device)
+    table.normalised = wp.array(normalised, dtype=wp.vec3, device=device)
+    table.shares = wp.array(shares, dtype=float, device=device)
+    table.points = points
+    table.votes = votes
+    return table
+
+
+def rules(device: str, prior: PosePrior | None) -> Rules:
+    """Usual sizes, and the prior's joint limits if there is one."""
+    table, constants = Rules(), template()
+    table.mean_lengths = wp.array(constants.mean_lengths, dtype=float, device=device)
+    table.mean_thicknesses = wp.array(constants.mean_thicknesses, dtype=float, device=device)
+    free = np.full((NUM_PARTS, 3), np.inf)
+    lower, upper = (
+        (-free, free) if prior is None else (prior.lower_limits.cpu().numpy(), prior.upper_limits.cpu().numpy())
+    )
+    table.lower_limits = wp.array(lower, dtype=wp.vec3, device=device)
+    table.upper_limits = wp.array(upper, dtype=wp.vec3, device=device)
+    return table
+
+
+_mixtures: WeakKeyDictionary[PosePrior, dict[str, Mixture]] = WeakKeyDictionary()
+
+
+def mixture(device: str, prior: PosePrior | None) -> Mixture:
+    """A prior's Gaussians on a Warp device; none of them without a prior."""
+    if prior is None:
+        return _mixture(device, np.empty((0, NUM_FEATURES, NUM_FEATURES)), np.empty((0, NUM_FEATURES)), np.empty(0))
+    known = _mixtures.setdefault(prior, {})
+    if device not in known:
+        log_weights = prior._log_weights.double().cpu().numpy()
+        whitened_means = prior._whitened_means.double().cpu().numpy()
+        whitening = prior._whitening.double().cpu().numpy().reshape(-1, NUM_FEATURES, NUM_FEATURES)
+        means = np.linalg.solve(whitening, whitened_means[..., None])[..., 0]
+        known[device] = _mixture(device, whitening.transpose(0, 2, 1) @ whitening, means, log_weights)
+    return known[device]
+
+
+def _mixture(device: str, precisions: np.ndarray, means: np.ndarray, log_weights: np.ndarray) -> Mixture:
+    slots = np.full(NUM_PARTS + 1, -1)
+    if len(log_weights):
+        slots[[*FREE_PARTS, NUM_PARTS]] = np.arange(len(FREE_PARTS) + 1)
+    count = NUM_FEATURES // 3
+    blocks = precisions.reshape(-1, count, 3, count, 3).transpose(0, 3, 1, 2, 4)
+    table = Mixture()
+    table.slots = wp.array(slots, dtype=int, device=device)
+    table.means = wp.array(means.reshape(-1, count, 3), dtype=wp.vec3, device=device)
+    table.precisions = wp.array(np.ascontiguousarray(blocks), dtype=wp.mat33, device=device)
+    table.log_weights = wp.array(log_weights, dtype=float, device=device)
+    return table
