@@ -5,36 +5,45 @@ The result is linear in the loss gradient g of the part maps. g comes in two for
 label image, from which L_seg's gradient at a pixel follows from two labels (``LabelTarget``).
 """
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import warp as wp
 
-from .rasterize import EMPTY_KEY, IGNORE, draw_hidden_faces, row_lanes
+from .rasterize import EMPTY_KEY, HIDDEN, IGNORE, MISSING, SURPLUS, TILE_ROWS, pixel_lanes, row_lanes
 from .triangles import (
     Triangle,
-    barycentric,
+    covers,
     depth_at,
+    depth_key,
     double_area,
+    edge_values,
     first_pixel,
+    flat,
     key_face,
     load_triangle,
+    make_edges,
+    pixel_columns,
+    pixel_rows,
+    weights_3d,
 )
 
 wp.set_module_options({"enable_backward": False})
 
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
 
+# On CUDA, threads a block and blocks a multiprocessor: it takes some spilled registers to have enough threads that wait
+# for memory at once.
+_PUSH_EDGES_BOUNDS = (256, 4)
 
-@wp.func
-def row_of(axis: int, line: int, pixel: int):
-    """Row of a pixel on a scan line."""
-    return wp.where(axis == 0, line, pixel)
+# Threads on CUDA that share one body's silhouette edges, and the scan lines of one edge: more of these where few bodies
+# would leave the device idle.
+_EDGE_SLOTS = 256
+_MIN_LINE_LANES = 4
+_MAX_LINE_LANES = 16
+_LINES_TO_FILL = 512
 
-
-@wp.func
-def column_of(axis: int, line: int, pixel: int):
-    """Column of a pixel on a scan line."""
-    return wp.where(axis == 0, pixel, line)
+_COUNT_STRIDE = 32  # counters of two bodies share no line of memory, or their atomics would queue
 
 
 @wp.struct
@@ -44,7 +53,7 @@ class LabelTarget:
     target: wp.array3d[wp.uint8]  # (B, H, W), 255 = ignore
     label_weights: wp.array[float]  # (256,)
     scale: wp.array[float]  # (B,) gradient of the loss itself
-    reach: wp.array4d[wp.vec2i]  # (B, 2, L, max(H, W)) from ``find_reach``
+    extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, from ``launch_compare_labels``
 
 
 @wp.struct
@@ -52,94 +61,106 @@ class DenseGradient:
     """Any gradient with respect to the part maps."""
 
     maps: wp.array4d[float]  # (B, K, H, W)
+    wanted: int  # the z pass looks for one map's part at a time
 
 
 @wp.func
-def gradient_at(g: LabelTarget, b: int, label: int, row: int, column: int, shown: int):
-    """dL/dA of map ``label`` at a pixel that shows ``shown``."""
-    want = g.target[b, row, column]
-    if want == IGNORE or int(want) == shown:
-        return 0.0
-    value = 0.0
-    if shown == label:
-        value = 2.0
-    elif int(want) == label:
-        value = -2.0
-    return value * g.label_weights[label] * g.scale[b]
+def pixels_of(g: LabelTarget, b: int, label: int):
+    """What ``gradient_at`` reads for a label: the target."""
+    return flat(g.target[b])
 
 
 @wp.func
-def gradient_at(g: DenseGradient, b: int, label: int, row: int, column: int, shown: int):
-    """dL/dA of map ``label`` at a pixel; labels past the last map have none."""
+def pixels_of(g: DenseGradient, b: int, label: int):
+    """What ``gradient_at`` reads for a label: its map."""
+    return flat(g.maps[b, label - 1])
+
+
+@wp.func
+def gradient_at(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel that shows this label or another, but for the factor ``weight_of``."""
+    want = int(target[at])
+    if shows_it:
+        return wp.where(want == label or want == IGNORE, 0.0, 2.0)
+    return wp.where(want == label, -2.0, 0.0)
+
+
+@wp.func
+def gradient_at(map: wp.array[float], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel."""
+    return map[at]
+
+
+@wp.func
+def weight_of(g: LabelTarget, b: int, label: int):
+    """The factor of all that ``gradient_at`` says of a label."""
+    return g.label_weights[label] * g.scale[b]
+
+
+@wp.func
+def weight_of(g: DenseGradient, b: int, label: int):
+    """None."""
+    return 1.0
+
+
+@wp.func
+def wanted_at(g: LabelTarget, b: int, at: int):
+    """The label that may come forward at a pixel: what the target shows."""
+    return int(flat(g.target[b])[at])
+
+
+@wp.func
+def wanted_at(g: DenseGradient, b: int, at: int):
+    """The label that may come forward at a pixel: every one in its turn, and its map's gradient says how much."""
+    return g.wanted
+
+
+@wp.func
+def extent(g: LabelTarget, b: int, kind: int, label: int):
+    """First and last row, first and last column of the pixels that are wrong in this way; last < first if none is."""
+    if label >= g.extents.shape[2]:
+        return wp.vec4i(0, -1, 0, -1)
+    reach = g.extents[b, kind, label]
+    return wp.vec4i(g.target.shape[1] - reach[0], reach[1] - 1, g.target.shape[2] - reach[2], reach[3] - 1)
+
+
+@wp.func
+def extent(g: DenseGradient, b: int, kind: int, label: int):
+    """Any pixel can have a gradient."""
     if label > g.maps.shape[1]:
-        return 0.0
-    return g.maps[b, label - 1, row, column]
+        return wp.vec4i(0, -1, 0, -1)
+    return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)
 
 
 @wp.func
-def pull_range(g: LabelTarget, b: int, axis: int, label: int, line: int, count: int):
-    """First and last pixel of a scan line that can pull this label's edges out: those that want it."""
-    return g.reach[b, axis, label, line]
-
-
-@wp.func
-def pull_range(g: DenseGradient, b: int, axis: int, label: int, line: int, count: int):
-    """Any pixel can."""
-    return wp.vec2i(0, count - 1)
+def along_and_across(axis: int, p: wp.vec3):
+    """A point's place along the scan lines, then across them, and its depth."""
+    if axis == 0:
+        return p
+    return wp.vec3(p[1], p[0], p[2])
 
 
 @wp.kernel
-def find_reach(
-    target: wp.array3d[wp.uint8],  # (B, H, W)
-    reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
-):
-    """First and last pixel of each row (axis 0) and column (axis 1) that wants a label: no edge has to look further."""
-    b, axis, line = wp.tid()
-    if line >= target.shape[1 + axis]:
-        return
-    count = target.shape[2 - axis]
-    for label in range(reach.shape[2]):
-        reach[b, axis, label, line] = wp.vec2i(count, -1)
-    for pixel in range(count):
-        label = int(target[b, row_of(axis, line, pixel), column_of(axis, line, pixel)])
-        if label < reach.shape[2]:
-            first = wp.min(reach[b, axis, label, line][0], pixel)
-            reach[b, axis, label, line] = wp.vec2i(first, pixel)
-
-
-@wp.kernel
-def push_edges(
+def find_silhouettes(
     vertices: wp.array2d[wp.vec3],  # (B, V) screen space
-    faces: wp.array[wp.vec3i],  # (F,)
     face_labels: wp.array[wp.uint8],  # (F,)
     edges: wp.array2d[int],  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
     near: float,
-    perspective: bool,
-    all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
-    over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
-    max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
-    face_index: wp.array3d[int],  # (B, H, W)
-    depth: wp.array3d[float],  # (B, H, W) [m]
     gradient: Any,
-    grad_vertices: wp.array2d[wp.vec3],  # (B, V)  MODIFIED: x and y are added to
+    counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
+    silhouettes: wp.array2d[int],  # (B, E)  OUTPUT: edge + 1, negative where ``side`` is
 ):
-    """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
-
-    Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
-    others do nothing.
-    """
-    b, edge, axis = wp.tid()  # axis 0: along rows, x moves; axis 1: along columns, y moves
-    i0 = edges[edge, 0]
-    i1 = edges[edge, 1]
-    face = edges[edge, 2]
-    other_face = edges[edge, 3]
-    p0 = vertices[b, i0]
-    p1 = vertices[b, i1]
+    """List the edges that bound their part, of parts that are wrong somewhere: few of all, and they do all the work."""
+    b, edge = wp.tid()
+    label = int(face_labels[edges[edge, 2]])
+    if extent(gradient, b, MISSING, label)[1] < 0 and extent(gradient, b, SURPLUS, label)[1] < 0:
+        return
+    p0 = vertices[b, edges[edge, 0]]
+    p1 = vertices[b, edges[edge, 1]]
     q = vertices[b, edges[edge, 4]]
     side = double_area(p0, p1, q)  # which side of the edge the face lies on
     nearest = wp.min(wp.min(p0[2], p1[2]), q[2])
-    if other_face >= 0:
+    if edges[edge, 3] >= 0:
         r = vertices[b, edges[edge, 5]]
         other_side = double_area(p0, p1, r)
         nearest = wp.min(nearest, r[2])
@@ -149,105 +170,179 @@ def push_edges(
             side = other_side
     if side == 0.0 or nearest <= near:
         return
+    place = wp.atomic_add(counts, b, 0, 1)
+    silhouettes[b, place] = wp.where(side > 0.0, edge + 1, -edge - 1)
 
-    across = 1 - axis
-    length = p1[across] - p0[across]
-    if length == 0.0:
-        return
-    inward = 1
-    if (length > 0.0) == ((side > 0.0) == (axis == 0)):
-        inward = -1
-    label = int(face_labels[face])
-    count_along = labels.shape[2 - axis]
-    count_across = labels.shape[1 + axis]
-    low = wp.min(p0[across], p1[across])
-    high = wp.max(p0[across], p1[across])
-    grad0 = float(0.0)
-    grad1 = float(0.0)
-    line = first_pixel(low, count_across)
-    while line < count_across and float(line) + 0.5 < high:
-        w1 = (float(line) + 0.5 - p0[across]) / length
-        w0 = 1.0 - w1
-        crossing = w0 * p0[axis] + w1 * p1[axis]
-        edge_depth = w0 * p0[2] + w1 * p1[2]
-        if perspective:
-            edge_depth = 1.0 / (w0 / p0[2] + w1 / p1[2])
-        # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
-        place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
-        inside = int(wp.ceil(place - 0.5))
-        outside = inside - 1
-        if inward < 0:
-            inside = int(wp.floor(place - 0.5))
-            outside = inside + 1
 
-        active = True
-        if all_edges:
-            # NMR draws on visible faces only: the pixel just inside must show this one
-            active = inside >= 0 and inside < count_along
-            if active:
-                active = face_index[b, row_of(axis, line, inside), column_of(axis, line, inside)] == face
-        elif outside >= 0 and outside < count_along:
-            # an edge inside its own part's picture bounds nothing
-            active = int(labels[b, row_of(axis, line, outside), column_of(axis, line, outside)]) != label
+@wp.kernel(launch_bounds=_PUSH_EDGES_BOUNDS)
+def push_edges(
+    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
+    face_labels: wp.array[wp.uint8],  # (F,)
+    edges: wp.array2d[int],  # (E, 6)
+    counts: wp.array2d[int],  # (B, 32), column 0
+    silhouettes: wp.array2d[int],  # (B, E)
+    slots: int,  # threads that share a body's silhouettes
+    lanes: int,  # threads that share an edge's scan lines
+    perspective: bool,
+    all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
+    over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
+    max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
+    labels: wp.array3d[wp.uint8],  # (B, H, W)
+    face_index: wp.array3d[int],  # (B, H, W), read where something shows
+    depth: wp.array3d[float],  # (B, H, W) [m], likewise
+    gradient: Any,
+    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
+):
+    """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
 
-        if active:
-            step = -inward
-            pulls = pull_range(gradient, b, axis, label, line, count_along)
-            pixel = outside
+    Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
+    others do nothing.
+    """
+    b, way, slot, lane = wp.tid()  # neighbouring threads go the same way, for about as long
+    axis = way // 2  # 0: along rows, x moves; 1: along columns, y moves
+    outward = way % 2 == 0
+    width = labels.shape[2]
+    count_along = wp.where(axis == 0, width, labels.shape[1])
+    count_across = wp.where(axis == 0, labels.shape[1], width)
+    pitch = wp.where(axis == 0, 1, width)  # from one pixel of a scan line to the next
+    line_pitch = wp.where(axis == 0, width, 1)
+    picture = flat(labels[b])
+    count = counts[b, 0]
+    while slot < count:
+        signed = silhouettes[b, slot]
+        slot += slots
+        edge = wp.abs(signed) - 1
+        face = edges[edge, 2]
+        label = int(face_labels[face])
+        asked = pixels_of(gradient, b, label)
+        p0 = along_and_across(axis, vertices[b, edges[edge, 0]])
+        p1 = along_and_across(axis, vertices[b, edges[edge, 1]])
+        length = p1[1] - p0[1]
+        if length == 0.0:
+            continue
+        inward = 1
+        if (length > 0.0) == ((signed > 0) == (axis == 0)):
+            inward = -1
+        step = wp.where(outward, -inward, inward)
+        wrong = extent(gradient, b, wp.where(outward, MISSING, SURPLUS), label)
+        if axis == 1:
+            wrong = wp.vec4i(wrong[2], wrong[3], wrong[0], wrong[1])
+        last = wp.where(step > 0, wrong[3], wrong[2])
+        high = wp.max(p0[1], p1[1])
+        pull0 = float(0.0)
+        pull1 = float(0.0)
+        line = wp.max(first_pixel(wp.min(p0[1], p1[1]), count_across), wrong[0]) + lane
+        while line <= wrong[1] and float(line) + 0.5 < high:
+            w1 = (float(line) + 0.5 - p0[1]) / length
+            w0 = 1.0 - w1
+            crossing = w0 * p0[0] + w1 * p1[0]
+            edge_depth = w0 * p0[2] + w1 * p1[2]
+            if perspective:
+                edge_depth = 1.0 / (w0 / p0[2] + w1 / p1[2])
+            # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
+            place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
+            inside = int(wp.ceil(place - 0.5))
+            outside = inside - 1
             if inward < 0:
-                pixel = wp.max(pixel, 0)
-            else:
-                pixel = wp.min(pixel, count_along - 1)
-            while pixel * step <= pulls[wp.where(step > 0, 1, 0)] * step and pixel >= 0 and pixel < count_along:
-                row = row_of(axis, line, pixel)
-                column = column_of(axis, line, pixel)
-                shown = int(labels[b, row, column])
-                distance = wp.abs(float(pixel) + 0.5 - crossing)
-                if distance > max_distance:
-                    break
-                if shown == 0 or (over_farther and shown != label and depth[b, row, column] > edge_depth):
-                    g = gradient_at(gradient, b, label, row, column, shown) * float(step)
-                    grad0 += g * inverse_move(distance, w0)
-                    grad1 += g * inverse_move(distance, w1)
-                elif shown == label and not all_edges:
-                    break
-                pixel += step
-            step = inward
-            pixel = inside
-            if inward > 0:
-                pixel = wp.max(pixel, 0)
-            else:
-                pixel = wp.min(pixel, count_along - 1)
-            while pixel >= 0 and pixel < count_along:
-                row = row_of(axis, line, pixel)
-                column = column_of(axis, line, pixel)
-                shown = int(labels[b, row, column])
-                distance = wp.abs(float(pixel) + 0.5 - crossing)
-                if shown == 0 or distance > max_distance:
-                    break
-                if all_edges and face_index[b, row, column] != face:
-                    break
-                if shown == label:
-                    g = gradient_at(gradient, b, label, row, column, shown) * float(-step)
-                    grad0 += g * inverse_move(distance, w0)
-                    grad1 += g * inverse_move(distance, w1)
-                pixel += step
-        line += 1
+                inside = int(wp.floor(place - 0.5))
+                outside = inside + 1
 
-    if axis == 0:
-        wp.atomic_add(grad_vertices, b, i0, wp.vec3(grad0, 0.0, 0.0))
-        wp.atomic_add(grad_vertices, b, i1, wp.vec3(grad1, 0.0, 0.0))
-    else:
-        wp.atomic_add(grad_vertices, b, i0, wp.vec3(0.0, grad0, 0.0))
-        wp.atomic_add(grad_vertices, b, i1, wp.vec3(0.0, grad1, 0.0))
+            start = line * line_pitch
+            going = bool(True)
+            if all_edges:
+                # NMR draws on visible faces only: the pixel just inside must show this one
+                going = inside >= 0 and inside < count_along
+                if going:
+                    at = start + inside * pitch
+                    going = picture[at] != wp.uint8(0) and flat(face_index[b])[at] == face
+            elif outside >= 0 and outside < count_along:
+                # an edge inside its own part's picture bounds nothing
+                going = int(picture[start + outside * pitch]) != label
+
+            pixel = wp.where(outward, outside, inside)
+            pixel = wp.where(step > 0, wp.max(pixel, 0), wp.min(pixel, count_along - 1))
+            distance = wp.abs(float(pixel) + 0.5 - crossing)
+            left = (last - pixel) * step + 1
+            if float(left) > max_distance - distance:
+                left = int(wp.floor(max_distance - distance)) + 1
+            at = start + pixel * pitch
+            while going and left > 0:
+                # both loads before anything hangs on them, so that they wait together
+                shown = int(picture[at])
+                value = gradient_at(asked, at, label, not outward)
+                switches = shown == label
+                if outward:
+                    switches = shown == 0
+                    if shown == label:
+                        going = all_edges
+                    elif over_farther and shown != 0 and value != 0.0:
+                        switches = flat(depth[b])[at] > edge_depth
+                else:
+                    going = shown != 0
+                    if all_edges and going:
+                        going = flat(face_index[b])[at] == face
+                if going and switches and value != 0.0:
+                    nearness = 1.0 / wp.max(distance, 1.0e-6)
+                    pull0 += value * inverse_move(nearness, w0)
+                    pull1 += value * inverse_move(nearness, w1)
+                at += step * pitch
+                distance += 1.0
+                left -= 1
+            line += lanes
+
+        if pull0 != 0.0 or pull1 != 0.0:
+            factor = weight_of(gradient, b, label) * float(-inward)
+            wp.atomic_add(grad_vertices, b, edges[edge, 0], axis, factor * pull0)
+            wp.atomic_add(grad_vertices, b, edges[edge, 1], axis, factor * pull1)
 
 
 @wp.func
-def inverse_move(distance: float, weight: float):
-    """1 / (x1 - x0) of eq. 10: the edge moves by ``distance``, so the vertex by distance / weight, a pixel at least."""
-    if weight <= 0.0:
-        return 0.0
-    return weight / wp.max(distance, weight)
+def inverse_move(nearness: float, weight: float):
+    """1 / (x1 - x0) of eq. 10: the edge moves by 1 / nearness, so the vertex by that / weight, a pixel at least."""
+    return wp.clamp(weight * nearness, 0.0, 1.0)
+
+
+@wp.kernel
+def draw_hidden_faces(
+    vertices: wp.array2d[wp.vec3],  # (B, V)
+    faces: wp.array[wp.vec3i],  # (F,)
+    face_labels: wp.array[wp.uint8],  # (F,)
+    near: float,
+    perspective: bool,
+    lanes: int,
+    labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
+    gradient: Any,
+    keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: the nearest face of the wanted label's key
+):
+    """Nearest face of the wanted label where another part hides it."""
+    b, face, lane = wp.tid()
+    label = int(face_labels[face])
+    wrong = extent(gradient, b, HIDDEN, label)
+    if wrong[1] < 0:
+        return
+    t = load_triangle(vertices, faces, b, face, near)
+    if t.valid == 0:
+        return
+    rows = pixel_rows(t, keys.shape[1])
+    first_row = wp.max(rows[0], wrong[0]) + lane
+    last_row = wp.min(rows[1], wrong[1])
+    if first_row > last_row:
+        return
+    e = make_edges(t)
+    width = keys.shape[2]
+    picture = flat(labels[b])
+    body_keys = flat(keys[b])
+    for row in range(first_row, last_row + 1, lanes):
+        y = float(row) + 0.5
+        columns = pixel_columns(e, y, width)
+        for column in range(wp.max(columns[0], wrong[2]), wp.min(columns[1], wrong[3]) + 1):
+            at = row * width + column
+            shown = int(picture[at])
+            if shown != 0 and shown != label and wanted_at(gradient, b, at) == label:
+                values = edge_values(e, float(column) + 0.5, y)
+                if covers(e, values):
+                    depth = depth_at(t, weights_3d(t, values, perspective))
+                    wp.atomic_min(body_keys, at, depth_key(depth, face))
 
 
 @wp.kernel
@@ -257,39 +352,54 @@ def push_depths(
     near: float,
     perspective: bool,
     depth_weight: float,  # the paper's lambda [m]
+    lanes: int,
     labels: wp.array3d[wp.uint8],  # (B, H, W)
-    face_index: wp.array3d[int],  # (B, H, W)
-    hidden_keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen
-    wanted: wp.array3d[wp.uint8],  # (B or 1, H or 1, W or 1)
+    face_index: wp.array3d[int],  # (B, H, W), read where something shows
     gradient: Any,
-    grad_vertices: wp.array2d[wp.vec3],  # (B, V)  MODIFIED: z is added to
+    keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
+    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
 ):
     """z (paper, eq. 12): the face that should be seen comes forward, the one that hides it goes back by as much."""
-    b, row, column = wp.tid()
-    key = hidden_keys[b, row, column]
-    if key == EMPTY_KEY:
-        return
-    want = int(wanted[b % wanted.shape[0], row % wanted.shape[1], column % wanted.shape[2]])
-    g = gradient_at(gradient, b, want, row, column, int(labels[b, row, column]))
-    if g == 0.0:
-        return
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    back_face = key_face(key)
-    front_face = face_index[b, row, column]
-    back = load_triangle(vertices, faces, b, back_face, near)
-    front = load_triangle(vertices, faces, b, front_face, near)
-    back_weights = barycentric(back, x, y, perspective)
-    front_weights = barycentric(front, x, y, perspective)
-    delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
-    # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-    add_depth(grad_vertices, faces[back_face], back, b, back_weights, delta_z, -g * depth_weight)
-    add_depth(grad_vertices, faces[front_face], front, b, front_weights, delta_z, g * depth_weight)
+    b, tile_row, lane = wp.tid()
+    wrong = extent(gradient, b, HIDDEN, 0)
+    width = labels.shape[2]
+    picture = flat(labels[b])
+    body_keys = flat(keys[b])
+    first = wp.max(wrong[0], tile_row * TILE_ROWS)
+    end = wp.min(wrong[1] + 1, (tile_row + 1) * TILE_ROWS)
+    for row in range(first, end):
+        for column in range(wrong[2] + lane, wrong[3] + 1, lanes):
+            at = row * width + column
+            shown = int(picture[at])
+            want = wanted_at(gradient, b, at)
+            if shown == 0 or shown == want:
+                continue
+            key = body_keys[at]
+            if key == EMPTY_KEY:
+                continue
+            body_keys[at] = EMPTY_KEY
+            amount = (
+                gradient_at(pixels_of(gradient, b, want), at, want, False) * weight_of(gradient, b, want) * depth_weight
+            )
+            if amount == 0.0:
+                continue
+            x = float(column) + 0.5
+            y = float(row) + 0.5
+            back_face = key_face(key)
+            front_face = face_index[b, row, column]
+            back = load_triangle(vertices, faces, b, back_face, near)
+            front = load_triangle(vertices, faces, b, front_face, near)
+            back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
+            front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
+            delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
+            # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
+            add_depth(grad_vertices, faces[back_face], back, b, back_weights, delta_z, -amount)
+            add_depth(grad_vertices, faces[front_face], front, b, front_weights, delta_z, amount)
 
 
 @wp.func
 def add_depth(
-    grad_vertices: wp.array2d[wp.vec3],
+    grad_vertices: wp.array3d[float],
     index: wp.vec3i,
     t: Triangle,
     b: int,
@@ -303,26 +413,41 @@ def add_depth(
     if t.flipped == 1:
         i1 = index[2]
         i2 = index[1]
-    wp.atomic_add(grad_vertices, b, index[0], wp.vec3(0.0, 0.0, amount * wp.log(weights[0] / delta_z + 1.0)))
-    wp.atomic_add(grad_vertices, b, i1, wp.vec3(0.0, 0.0, amount * wp.log(weights[1] / delta_z + 1.0)))
-    wp.atomic_add(grad_vertices, b, i2, wp.vec3(0.0, 0.0, amount * wp.log(weights[2] / delta_z + 1.0)))
+    w = weights / ((weights[0] + weights[1] + weights[2]) * delta_z)
+    wp.atomic_add(grad_vertices, b, index[0], 2, amount * wp.log(w[0] + 1.0))
+    wp.atomic_add(grad_vertices, b, i1, 2, amount * wp.log(w[1] + 1.0))
+    wp.atomic_add(grad_vertices, b, i2, 2, amount * wp.log(w[2] + 1.0))
 
 
 # Registered up front: an overload that appears later would compile the module again.
 for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(push_edges, {"gradient": _gradient})
-    wp.overload(push_depths, {"gradient": _gradient})
+    for _kernel in (find_silhouettes, push_edges, draw_hidden_faces, push_depths):
+        wp.overload(_kernel, {"gradient": _gradient})
 
 
-def launch_find_reach(target: wp.array, reach: wp.array) -> None:
-    """Fill ``LabelTarget.reach``, of shape (B, 2, L, max(H, W)) for labels 0 to L - 1."""
-    dim = (target.shape[0], 2, max(target.shape[1:]))
-    wp.launch(find_reach, dim, [target], [reach], device=target.device)
+@dataclass(frozen=True)
+class SilhouetteList:
+    """Scratch: the silhouette edges of each body.
+
+    Attributes:
+        counts: How many a body has, in column 0, shape (B, 32), int32.
+        silhouettes: Room for all edges, shape (B, E), int32.
+    """
+
+    counts: wp.array
+    silhouettes: wp.array
+
+    @classmethod
+    def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
+        """Room for a batch."""
+        return cls(
+            counts=wp.empty((batch, _COUNT_STRIDE), dtype=int, device=device),
+            silhouettes=wp.empty((batch, num_edges), dtype=int, device=device),
+        )
 
 
-def launch_part_gradient(
+def launch_push_edges(
     vertices: wp.array,
-    faces: wp.array,
     face_labels: wp.array,
     edges: wp.array,
     *,
@@ -331,30 +456,42 @@ def launch_part_gradient(
     all_edges: bool,
     over_farther: bool,
     max_distance: float,
-    depth_weight: float,
     labels: wp.array,
     face_index: wp.array,
     depth: wp.array,
     gradient: Any,  # LabelTarget or DenseGradient
-    wanted: list[wp.array],
-    keys: wp.array,
+    found: SilhouetteList,
     grad_vertices: wp.array,
 ) -> None:
-    """Add the gradient to zeroed ``grad_vertices``.
+    """Add the x and y gradient.
 
-    ``wanted`` holds the label images whose hidden parts may come forward: one target, or a constant image (size 1)
-    a part map. ``keys`` is scratch; with ``depth_weight`` 0 no depth is looked at.
+    All images are contiguous; ``face_index`` and ``depth`` need no values where nothing shows.
     """
     device = vertices.device
+    batch = vertices.shape[0]
+    found.counts.zero_()
+    wp.launch(
+        find_silhouettes,
+        (batch, edges.shape[0]),
+        [vertices, face_labels, edges, near, gradient],
+        [found.counts, found.silhouettes],
+        device=device,
+    )
+    slots, lanes = 1, 1
+    if not device.is_cpu:
+        slots = _EDGE_SLOTS
+        lanes = min(max(_LINES_TO_FILL // max(batch, 1), _MIN_LINE_LANES), _MAX_LINE_LANES)
     wp.launch(
         push_edges,
-        (vertices.shape[0], edges.shape[0], 2),
+        (batch, 4, slots, lanes),
         [
             vertices,
-            faces,
             face_labels,
             edges,
-            near,
+            found.counts,
+            found.silhouettes,
+            slots,
+            lanes,
             perspective,
             all_edges,
             over_farther,
@@ -367,22 +504,40 @@ def launch_part_gradient(
         [grad_vertices],
         device=device,
     )
-    if depth_weight == 0.0:
-        return
-    lanes = row_lanes(device)
-    for want in wanted:
-        keys.fill_(EMPTY_KEY)
-        wp.launch(
-            draw_hidden_faces,
-            (vertices.shape[0], faces.shape[0], lanes),
-            [vertices, faces, face_labels, near, perspective, lanes, labels, want],
-            [keys],
-            device=device,
-        )
-        wp.launch(
-            push_depths,
-            keys.shape,
-            [vertices, faces, near, perspective, depth_weight, labels, face_index, keys, want, gradient],
-            [grad_vertices],
-            device=device,
-        )
+
+
+def launch_push_depths(
+    vertices: wp.array,
+    faces: wp.array,
+    face_labels: wp.array,
+    *,
+    near: float,
+    perspective: bool,
+    depth_weight: float,
+    labels: wp.array,
+    face_index: wp.array,
+    gradient: Any,
+    keys: wp.array,
+    grad_vertices: wp.array,
+) -> None:
+    """Add the z gradient; ``keys`` are a ``ZBuffer``'s, empty before and after.
+
+    All images are contiguous; ``face_index`` needs no values where nothing shows.
+    """
+    device = vertices.device
+    lanes = row_lanes(vertices.shape[0] * faces.shape[0], device)
+    wp.launch(
+        draw_hidden_faces,
+        (vertices.shape[0], faces.shape[0], lanes),
+        [vertices, faces, face_labels, near, perspective, lanes, labels, gradient],
+        [keys],
+        device=device,
+    )
+    dim = pixel_lanes(labels.shape, device.is_cpu)
+    wp.launch(
+        push_depths,
+        dim,
+        [vertices, faces, near, perspective, depth_weight, dim[2], labels, face_index, gradient],
+        [keys, grad_vertices],
+        device=device,
+    )

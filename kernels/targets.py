@@ -100,3 +100,28 @@ def row_of(axis: int, line: int, pixel: int):
 def column_of(axis: int, line: int, pixel: int):
     """Column of a pixel on a scan line."""
     return wp.where(axis == 0, pixel, line)
+
+
+@wp.kernel
+def find_reach(
+    target: wp.array3d[wp.uint8],  # (B, H, W)
+    reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
+):
+    """First and last pixel of each row (axis 0) and column (axis 1) that wants a label: no edge has to look further."""
+    b, axis, line = wp.tid()
+    if line >= target.shape[1 + axis]:
+        return
+    count = target.shape[2 - axis]
+    for label in range(reach.shape[2]):
+        reach[b, axis, label, line] = wp.vec2i(count, -1)
+    for pixel in range(count):
+        label = int(target[b, row_of(axis, line, pixel), column_of(axis, line, pixel)])
+        if label < reach.shape[2]:
+            first = wp.min(reach[b, axis, label, line][0], pixel)
+            reach[b, axis, label, line] = wp.vec2i(first, pixel)
+
+
+def launch_find_reach(target: wp.array, reach: wp.array) -> None:
+    """Fill ``reach``, of shape (B, 2, L, max(H, W)) for labels 0 to L - 1."""
+    dim = (target.shape[0], 2, max(target.shape[1:]))
+    wp.launch(find_reach, dim, [target], [reach], device=target.device)

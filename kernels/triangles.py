@@ -4,12 +4,25 @@ Vertices are in screen space: (u, v) in pixels, z in metres, camera frame. Pixel
 (column + 0.5, row + 0.5).
 """
 
+from typing import Any
+
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
 _SIGN_BIT = wp.constant(wp.uint32(0x80000000))
 BACKGROUND = wp.constant(-1)  # the face-index map's value where no face is (paper, eq. 8)
+
+
+@wp.struct
+class Edge:
+    """One edge of a face, in the direction in which the face lies on its positive side."""
+
+    origin: wp.vec2  # of its two ends, the one that comes first whichever way the edge goes
+    direction: wp.vec2
+    slope: float  # columns a row
+    bounds: int  # 1: it ends pixel rows, -1: it starts them, 0: too level to tell where
+    closed: bool  # fill rule: whether a pixel centre exactly on it belongs to the face
 
 
 @wp.struct
@@ -21,6 +34,25 @@ class Triangle:
     c: wp.vec3
     flipped: int  # 1 where b and c changed places
     valid: int  # 0: no area, or behind the near plane
+
+
+@wp.struct
+class Edges:
+    """A face's edges, each named by its ends."""
+
+    bc: Edge
+    ca: Edge
+    ab: Edge
+
+
+@wp.func
+def flat(image: wp.array2d[Any]):
+    """The pixels of a contiguous image row by row.
+
+    With strides known to the compiler, reading one takes a fraction of the instructions, and these kernels are bound by
+    instructions.
+    """
+    return wp.array(ptr=image.ptr, shape=(image.shape[0] * image.shape[1],), dtype=image.dtype)
 
 
 @wp.func
@@ -53,55 +85,76 @@ def double_area(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 
 @wp.func
-def edge_value(a: wp.vec3, b: wp.vec3, x: float, y: float):
-    """Twice the signed area of (a, b, pixel).
+def make_edge(a: wp.vec3, b: wp.vec3):
+    """The edge from a to b.
 
-    Two faces that share an edge get the same number with opposite signs: its ends are put in one order first, so that
-    no pixel on it is drawn twice or missed.
+    Two faces that share it have the same origin, so that ``edge_value`` gives them one number with opposite signs: no
+    pixel on it is drawn twice or missed.
     """
+    e = Edge()
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
-        return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-    return (b[0] - a[0]) * (y - b[1]) - (b[1] - a[1]) * (x - b[0])
+        e.origin = wp.vec2(a[0], a[1])
+    else:
+        e.origin = wp.vec2(b[0], b[1])
+    e.direction = wp.vec2(b[0] - a[0], b[1] - a[1])
+    if wp.abs(e.direction[1]) > 1.0e-6 * wp.abs(e.direction[0]):
+        e.slope = e.direction[0] / e.direction[1]
+        e.bounds = wp.where(e.direction[1] > 0.0, 1, -1)
+    e.closed = b[1] > a[1] or (b[1] == a[1] and b[0] < a[0])
+    return e
 
 
 @wp.func
-def inside_edge(a: wp.vec3, b: wp.vec3, value: float):
-    """Fill rule: a pixel centre exactly on an edge belongs to the face on one fixed side of it."""
-    if value != 0.0:
-        return value > 0.0
-    return b[1] > a[1] or (b[1] == a[1] and b[0] < a[0])
+def make_edges(t: Triangle):
+    """The edges, which only a face that meets some pixel row needs."""
+    e = Edges()
+    e.bc = make_edge(t.b, t.c)
+    e.ca = make_edge(t.c, t.a)
+    e.ab = make_edge(t.a, t.b)
+    return e
 
 
 @wp.func
-def covers(t: Triangle, x: float, y: float):
-    """Whether the pixel centre (x, y) is in the triangle."""
-    if not inside_edge(t.b, t.c, edge_value(t.b, t.c, x, y)):
-        return False
-    if not inside_edge(t.c, t.a, edge_value(t.c, t.a, x, y)):
-        return False
-    return inside_edge(t.a, t.b, edge_value(t.a, t.b, x, y))
+def edge_value(e: Edge, x: float, y: float):
+    """Twice the signed area of (start, end, pixel)."""
+    return e.direction[0] * (y - e.origin[1]) - e.direction[1] * (x - e.origin[0])
 
 
 @wp.func
-def barycentric(t: Triangle, x: float, y: float, perspective: bool):
-    """Weights of (a, b, c) at the face's point that projects to (x, y), in 3D, clamped to the face."""
-    w = wp.vec3(
-        wp.max(edge_value(t.b, t.c, x, y), 0.0),
-        wp.max(edge_value(t.c, t.a, x, y), 0.0),
-        wp.max(edge_value(t.a, t.b, x, y), 0.0),
-    )
+def edge_values(e: Edges, x: float, y: float):
+    """Unnormalised weights of (a, b, c) at a pixel centre, in the image plane."""
+    return wp.vec3(edge_value(e.bc, x, y), edge_value(e.ca, x, y), edge_value(e.ab, x, y))
+
+
+@wp.func
+def covers(e: Edges, values: wp.vec3):
+    """Whether the pixel centre with these ``edge_values`` is in the triangle."""
+    if wp.min(values[0], wp.min(values[1], values[2])) > 0.0:
+        return True
+    return within(e.bc, values[0]) and within(e.ca, values[1]) and within(e.ab, values[2])
+
+
+@wp.func
+def within(e: Edge, value: float):
+    """Whether a pixel centre with this ``edge_value`` lies on the face's side; on the edge, the fill rule decides."""
+    return value > 0.0 or (value == 0.0 and e.closed)
+
+
+@wp.func
+def weights_3d(t: Triangle, values: wp.vec3, perspective: bool):
+    """Unnormalised weights of (a, b, c), in 3D, at the face's point with these ``edge_values``, clamped to the face."""
+    w = wp.vec3(wp.max(values[0], 0.0), wp.max(values[1], 0.0), wp.max(values[2], 0.0))
+    if w[0] + w[1] + w[2] <= 0.0:
+        w = wp.vec3(1.0, 1.0, 1.0)
     if perspective:
         w = wp.cw_div(w, wp.vec3(t.a[2], t.b[2], t.c[2]))
-    total = w[0] + w[1] + w[2]
-    if total > 0.0:
-        return w / total
-    return wp.vec3(1.0, 1.0, 1.0) / 3.0
+    return w
 
 
 @wp.func
 def depth_at(t: Triangle, w: wp.vec3):
-    """Depth [m] of the point with these 3D weights; exact where the face is level."""
-    return t.a[2] + w[1] * (t.b[2] - t.a[2]) + w[2] * (t.c[2] - t.a[2])
+    """Depth [m] of the point with these ``weights_3d``; exact where the face is level."""
+    return t.a[2] + (w[1] * (t.b[2] - t.a[2]) + w[2] * (t.c[2] - t.a[2])) / (w[0] + w[1] + w[2])
 
 
 @wp.func
@@ -117,14 +170,30 @@ def last_pixel(high: float, size: int):
 
 
 @wp.func
-def pixel_box(t: Triangle, height: int, width: int):
-    """First and last row, first and last column whose centres the triangle can cover; empty where last < first."""
-    return wp.vec4i(
+def pixel_rows(t: Triangle, height: int):
+    """First and last row whose centres the triangle can cover; empty where last < first."""
+    return wp.vec2i(
         first_pixel(wp.min(t.a[1], wp.min(t.b[1], t.c[1])), height),
         last_pixel(wp.max(t.a[1], wp.max(t.b[1], t.c[1])), height),
-        first_pixel(wp.min(t.a[0], wp.min(t.b[0], t.c[0])), width),
-        last_pixel(wp.max(t.a[0], wp.max(t.b[0], t.c[0])), width),
     )
+
+
+@wp.func
+def pixel_columns(e: Edges, y: float, width: int):
+    """First and last column whose centres the triangle can cover in the row at y: hardly more than it does cover."""
+    ends = bound_row(e.ab, y, bound_row(e.ca, y, bound_row(e.bc, y, wp.vec2(0.0, float(width)))))
+    return wp.vec2i(first_pixel(ends[0], width), last_pixel(ends[1], width))
+
+
+@wp.func
+def bound_row(e: Edge, y: float, ends: wp.vec2):
+    """Cut a row off where it leaves the edge's side, a little late: rounding must not lose what ``covers`` keeps."""
+    along = (y - e.origin[1]) * e.slope
+    slack = 0.01 + 1.0e-6 * (wp.abs(e.origin[0]) + wp.abs(along))
+    x = e.origin[0] + along
+    first = wp.where(e.bounds < 0, x - slack, ends[0])
+    last = wp.where(e.bounds > 0, x + slack, ends[1])
+    return wp.vec2(wp.max(ends[0], first), wp.min(ends[1], last))
 
 
 @wp.func

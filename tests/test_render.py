@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import reference
 import torch
+import warp as wp
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.kernels import rasterize
+from warp_partdr.kernels.threads import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render import label_loss, rasterize_parts
 
@@ -82,6 +85,25 @@ def test_forward_is_the_reference(device, size, perspective):
             np.testing.assert_allclose(have[1][same], want[1][same], rtol=1e-5)
     # A centre within float32 rounding of an edge may fall on the other side.
     assert flips <= pixels * 2e-4
+
+
+@pytest.mark.parametrize("scale", [30.0, 3e3])
+def test_large_and_thin_faces_lose_no_pixel(device, scale):
+    """Rows are cut where the faces' edges cross them: what rounding may add to a row must not be missing."""
+    size = (24, 32)
+    rng = np.random.default_rng(0)
+    ends = rng.normal(0, scale, (10, 2))
+    thin = ends + rng.normal(0, 8, (10, 2))
+    corners = np.stack([ends, -ends, thin], 1).reshape(1, 30, 2) + np.array(
+        [16, 12]
+    )  # each runs right across the picture
+    vertices = np.concatenate([corners, rng.uniform(1, 3, (1, 30, 1))], -1).astype(np.float32)
+    faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
+    mesh = PartMesh.from_faces(faces, labels, device=device)
+    image = rasterize_parts(torch.from_numpy(vertices).to(device), mesh, size)
+    want = reference.rasterize(vertices[0].astype(float), faces, labels, size)[0]
+    assert (want > 0).any()
+    assert (image.labels[0].cpu().numpy() != want).sum() <= 1
 
 
 @pytest.mark.parametrize(("occlusion", "max_distance"), [("depth", np.inf), ("paper", np.inf), ("depth", 2.5)])
@@ -202,6 +224,97 @@ def test_batch_equals_its_members(device):
         assert torch.equal(image.labels[b], image_one.labels[0])
         assert loss[b] == loss_one[0]
         torch.testing.assert_close(whole[b], gradient[0], rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 7])
+def test_threads_change_no_bit(threads):
+    vertices, mesh = body_scene(2, (40, 56), "cpu", subdivisions=1, batch=14)
+    leaf = torch.from_numpy(vertices).requires_grad_()
+    target = noisy_target(rasterize_parts(leaf, mesh, (40, 56)).labels, 20, 2)
+
+    def results() -> list[torch.Tensor]:
+        loss, image = label_loss(leaf, mesh, target)
+        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        maps = rasterize_parts(leaf, mesh, (40, 56), num_maps=20).maps
+        (general,) = torch.autograd.grad(maps.square().sum(), leaf)
+        return [loss, image.labels, image.depth, image.face_index, fused, general]
+
+    try:
+        set_num_threads(1)
+        want = results()
+        set_num_threads(threads)
+        have = results()
+    finally:
+        set_num_threads(0)
+    assert all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
+
+
+def test_slices_cover_the_batch_once():
+    assert get_num_threads() >= 1
+    try:
+        set_num_threads(3)
+        for batch in (0, 1, 2, 3, 10):
+            seen = []
+            launch_in_slices(seen.append, batch, wp.get_device("cpu"))
+            assert sorted(b for part in seen for b in range(batch)[part]) == list(range(batch))
+            assert len(seen) == (3 if batch == 10 else 1)
+
+        def fail(part: slice) -> None:
+            if part.start > 0:
+                raise RuntimeError("in a thread")
+
+        with pytest.raises(RuntimeError, match="in a thread"):
+            launch_in_slices(fail, 6, wp.get_device("cpu"))
+        with pytest.raises(ValueError, match="count: -1"):
+            set_num_threads(-1)
+    finally:
+        set_num_threads(0)
+
+
+def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
+    """Two pictures through one z-buffer are those through fresh ones, and only what shows is written."""
+    size = (40, 56)
+    wp_device = wp.get_device(device)
+    zbuffer = rasterize.ZBuffer.make(2, *size, wp_device)
+    for seed in (1, 2):
+        vertices, mesh = body_scene(seed, size, device, subdivisions=1, batch=2)
+        points = torch.from_numpy(vertices).to(device)
+        want = rasterize_parts(points, mesh, size)
+        labels = wp.full((2, *size), 77, dtype=wp.uint8, device=wp_device)
+        depth = wp.full((2, *size), -5.0, dtype=wp.float32, device=wp_device)
+        rasterize.launch_rasterize(
+            wp.from_torch(points, dtype=wp.vec3),
+            wp.from_torch(mesh.faces, dtype=wp.vec3i),
+            wp.from_torch(mesh.face_labels),
+            near=-np.inf,
+            perspective=False,
+            zbuffer=zbuffer,
+            labels=labels,
+            depth=depth,
+            background=False,
+        )
+        assert torch.equal(wp.to_torch(labels), want.labels)
+        expected = torch.where(want.labels > 0, want.depth, torch.full_like(want.depth, -5.0))
+        assert torch.equal(wp.to_torch(depth), expected)
+        assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+
+
+def test_targets_at_odd_addresses(device):
+    """Labels are compared four at a time where memory allows it; elsewhere the answer is the same."""
+    size = (20, 24)
+    vertices, mesh = body_scene(4, size, device, batch=2)
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 5)
+    odd = torch.empty(target.numel() + 1, dtype=torch.uint8, device=device)[1:].view(target.shape)
+    odd.copy_(target)
+    assert odd.is_contiguous()
+    assert odd.data_ptr() % 4 == 1
+    results = []
+    for wanted in (target, odd):
+        loss, _ = label_loss(leaf, mesh, wanted)
+        results.append((loss, torch.autograd.grad(loss.sum(), leaf)[0]))
+    torch.testing.assert_close(results[0][0], results[1][0])
+    torch.testing.assert_close(results[0][1], results[1][1], rtol=1e-4, atol=1e-3)
 
 
 def test_shared_edges_are_drawn_once(device):

@@ -14,8 +14,7 @@ from .cameras import Camera
 from .checks import check_finite, check_tensor
 from .kernels import ellipsoid_coverage, ellipsoid_partdr, ellipsoid_picture, surface_forces
 from .kernels.ellipsoids import Seen, launch_see
-from .kernels.part_gradient import launch_find_reach
-from .kernels.targets import DenseGradient, LabelTarget
+from .kernels.targets import DenseGradient, LabelTarget, launch_find_reach
 from .mesh import MAX_LABEL
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion

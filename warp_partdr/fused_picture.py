@@ -15,10 +15,9 @@ from .kernels.ellipsoid_coverage import launch_coverage_forces
 from .kernels.ellipsoid_partdr import launch_partdr_forces
 from .kernels.ellipsoid_picture import launch_draw, num_partial_losses
 from .kernels.ellipsoids import Seen, launch_see
-from .kernels.part_gradient import launch_find_reach
 from .kernels.refine_costs import Drawn
 from .kernels.refine_state import Ellipsoids
-from .kernels.targets import LabelTarget
+from .kernels.targets import LabelTarget, launch_find_reach
 from .render import DEFAULT_DEPTH_WEIGHT
 
 _NUM_LABELS = 256

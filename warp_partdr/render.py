@@ -6,6 +6,7 @@ Eager code takes a ``torch.autograd.Function``; under ``torch.compile`` the same
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ import warp as wp
 
 from .checks import check_finite, check_tensor
 from .kernels import part_gradient, rasterize
+from .kernels.threads import launch_in_slices
 from .mesh import MAX_LABEL, PartMesh
 from .streams import on_torch_stream
 
@@ -168,7 +170,7 @@ def label_loss(
         float(depth_weight),
     )
     function = torch.ops.warp_partdr.label_loss if torch.compiler.is_compiling() else _LabelLoss.apply
-    loss, labels, depth, face_index = function(
+    loss, labels, depth, face_index, _ = function(
         vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
     )
     return loss, PartImage(labels, depth, face_index)
@@ -207,6 +209,12 @@ def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
     return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
 
 
+def _launch(work: Callable[[slice], None], like: torch.Tensor) -> None:
+    """Let ``work`` launch its kernels on the tensor's device and stream, for all of the batch."""
+    with on_torch_stream(like.device) as device:
+        launch_in_slices(work, like.shape[0], wp.get_device(device), modules=(rasterize, part_gradient))
+
+
 def _rasterize(
     vertices: torch.Tensor,
     faces: torch.Tensor,
@@ -215,24 +223,31 @@ def _rasterize(
     width: int,
     near: float,
     perspective: bool,
+    then: Callable[[slice, torch.Tensor], None] | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Labels, depth and face-index map."""
+    """Labels, depth and face-index map; ``then`` launches what follows on a slice of the batch's labels."""
     shape = (vertices.shape[0], height, width)
     labels = torch.empty(shape, dtype=torch.uint8, device=vertices.device)
     depth = torch.empty(shape, dtype=torch.float32, device=vertices.device)
     face_index = torch.empty(shape, dtype=torch.int32, device=vertices.device)
-    with on_torch_stream(vertices.device) as device:
+
+    def work(part: slice) -> None:
+        screen = _wp(vertices[part], wp.vec3)
         rasterize.launch_rasterize(
-            _wp(vertices, wp.vec3),
+            screen,
             _wp(faces, wp.vec3i),
             _wp(face_labels, wp.uint8),
             near=near,
             perspective=perspective,
-            keys=wp.empty(shape, dtype=wp.uint64, device=device),
-            face_index=_wp(face_index, wp.int32),
-            depth=_wp(depth, wp.float32),
-            labels=_wp(labels, wp.uint8),
+            zbuffer=rasterize.ZBuffer.make(screen.shape[0], height, width, screen.device),
+            labels=_wp(labels[part], wp.uint8),
+            depth=_wp(depth[part], wp.float32),
+            face_index=_wp(face_index[part], wp.int32),
         )
+        if then is not None:
+            then(part, labels)
+
+    _launch(work, labels)
     return labels, depth, face_index
 
 
@@ -244,33 +259,60 @@ def _gradient(
     labels: torch.Tensor,
     face_index: torch.Tensor,
     depth: torch.Tensor,
-    gradient: Any,
-    wanted: list[wp.array],
+    turns: Callable[[slice], Iterable[Any]],
     options: tuple[float, bool, bool, bool, float, float],
 ) -> torch.Tensor:
-    """Gradient with respect to the vertices, shape (B, V, 3)."""
+    """Gradient with respect to the vertices, shape (B, V, 3).
+
+    ``turns`` gives the loss gradient of a slice of the batch, once for each label that the z pass has to look for.
+    """
     near, perspective, all_edges, over_farther, max_distance, depth_weight = options
     grad_vertices = torch.zeros(vertices.shape, device=vertices.device)
-    with on_torch_stream(vertices.device) as device:
-        part_gradient.launch_part_gradient(
-            _wp(vertices, wp.vec3),
-            _wp(faces, wp.vec3i),
-            _wp(face_labels, wp.uint8),
-            _wp(edges, wp.int32),
-            near=near,
-            perspective=perspective,
-            all_edges=all_edges,
-            over_farther=over_farther,
-            max_distance=max_distance,
-            depth_weight=depth_weight,
-            labels=_wp(labels, wp.uint8),
-            face_index=_wp(face_index, wp.int32),
-            depth=_wp(depth, wp.float32),
-            gradient=gradient,
-            wanted=wanted,
-            keys=wp.empty(tuple(labels.shape), dtype=wp.uint64, device=device),
-            grad_vertices=_wp(grad_vertices, wp.vec3),
-        )
+
+    def work(part: slice) -> None:
+        screen = _wp(vertices[part], wp.vec3)
+        mesh_labels = _wp(face_labels, wp.uint8)
+        shown = _wp(labels[part], wp.uint8)
+        shown_faces = _wp(face_index[part], wp.int32)
+        grad_screen = _wp(grad_vertices[part], wp.float32)
+        keys = None
+        for turn, gradient in enumerate(turns(part)):
+            if turn == 0:
+                part_gradient.launch_push_edges(
+                    screen,
+                    mesh_labels,
+                    _wp(edges, wp.int32),
+                    near=near,
+                    perspective=perspective,
+                    all_edges=all_edges,
+                    over_farther=over_farther,
+                    max_distance=max_distance,
+                    labels=shown,
+                    face_index=shown_faces,
+                    depth=_wp(depth[part], wp.float32),
+                    gradient=gradient,
+                    found=part_gradient.SilhouetteList.make(screen.shape[0], edges.shape[0], screen.device),
+                    grad_vertices=grad_screen,
+                )
+            if depth_weight == 0.0:
+                break
+            if keys is None:
+                keys = rasterize.empty_keys(shown.shape, screen.device)
+            part_gradient.launch_push_depths(
+                screen,
+                _wp(faces, wp.vec3i),
+                mesh_labels,
+                near=near,
+                perspective=perspective,
+                depth_weight=depth_weight,
+                labels=shown,
+                face_index=shown_faces,
+                gradient=gradient,
+                keys=keys,
+                grad_vertices=grad_screen,
+            )
+
+    _launch(work, labels)
     return grad_vertices
 
 
@@ -286,12 +328,16 @@ def _maps_forward(
 
 def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
     vertices, faces, face_labels, edges, labels, face_index, depth = saved
-    dense = part_gradient.DenseGradient()
-    dense.maps = _wp(grad_maps.float(), wp.float32)
-    # In each map's turn all pixels ask for that map: its gradient says how much.
-    every_label = torch.arange(1, grad_maps.shape[1] + 1, dtype=torch.uint8, device=labels.device)
-    wanted = [_wp(every_label[k : k + 1].view(1, 1, 1), wp.uint8) for k in range(grad_maps.shape[1])]
-    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, dense, wanted, options[3:])
+    grad_maps = grad_maps.float()
+
+    def turns(part: slice) -> Iterator[Any]:
+        gradient = part_gradient.DenseGradient()
+        gradient.maps = _wp(grad_maps[part], wp.float32)
+        for wanted in range(1, grad_maps.shape[1] + 1):
+            gradient.wanted = wanted
+            yield gradient
+
+    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, turns, options[3:])
 
 
 class _PartMaps(torch.autograd.Function):
@@ -320,42 +366,56 @@ def _loss_forward(
     target: torch.Tensor,
     weights: torch.Tensor,
     options: tuple[Any, ...],
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    num_labels, near, perspective = options[:3]
     batch, height, width = target.shape
-    labels, depth, face_index = _rasterize(vertices, faces, face_labels, height, width, *options[1:3])
-    row_losses = torch.empty(batch, height, device=vertices.device)
-    with on_torch_stream(vertices.device):
-        rasterize.launch_label_loss(
-            _wp(labels, wp.uint8), _wp(target, wp.uint8), _wp(weights, wp.float32), _wp(row_losses, wp.float32)
+    extents = torch.empty(_extents_shape(batch, num_labels), dtype=torch.int32, device=vertices.device)
+    losses = torch.empty(rasterize.pixel_lanes(target.shape, vertices.is_cpu), device=vertices.device)
+
+    def compare(part: slice, labels: torch.Tensor) -> None:
+        rasterize.launch_compare_labels(
+            _wp(labels[part], wp.uint8),
+            _wp(target[part], wp.uint8),
+            _wp(weights, wp.float32),
+            extents=_wp(extents[part], wp.vec4i),
+            losses=_wp(losses[part], wp.float32),
         )
-    return row_losses.sum(1), labels, depth, face_index
+
+    labels, depth, face_index = _rasterize(vertices, faces, face_labels, height, width, near, perspective, then=compare)
+    return losses.sum((1, 2)), labels, depth, face_index, extents
+
+
+def _extents_shape(batch: int, num_labels: int) -> tuple[int, int, int, int]:
+    """Of the record of wrong pixels that the backward pass needs: in three ways, of labels 0 to the highest."""
+    return (batch, rasterize.NUM_EXTENTS, num_labels + 1, 4)
 
 
 def _loss_backward(saved: tuple[torch.Tensor, ...], grad_loss: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
-    vertices, faces, face_labels, edges, target, weights, labels, face_index, depth = saved
-    gradient = part_gradient.LabelTarget()
-    gradient.target = _wp(target, wp.uint8)
-    gradient.label_weights = _wp(weights, wp.float32)
-    gradient.scale = _wp(grad_loss.float(), wp.float32)
-    reach = (target.shape[0], 2, options[0] + 1, max(target.shape[1:]))
-    with on_torch_stream(vertices.device) as device:
-        gradient.reach = wp.empty(reach, dtype=wp.vec2i, device=device)
-        part_gradient.launch_find_reach(gradient.target, gradient.reach)
-    return _gradient(
-        vertices, faces, face_labels, edges, labels, face_index, depth, gradient, [gradient.target], options[1:]
-    )
+    vertices, faces, face_labels, edges, target, weights, labels, face_index, depth, extents = saved
+    grad_loss = grad_loss.float()
+
+    def turns(part: slice) -> Iterator[Any]:
+        gradient = part_gradient.LabelTarget()
+        gradient.target = _wp(target[part], wp.uint8)
+        gradient.label_weights = _wp(weights, wp.float32)
+        gradient.scale = _wp(grad_loss[part], wp.float32)
+        gradient.extents = _wp(extents[part], wp.vec4i)
+        yield gradient
+
+    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, turns, options[1:])
 
 
 class _LabelLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
         edges, target, weights, *options = rest
-        loss, labels, depth, face_index = _loss_forward(vertices, faces, face_labels, target, weights, tuple(options))
-        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
+        loss, *image = _loss_forward(vertices, faces, face_labels, target, weights, tuple(options))
+        labels, depth, face_index, extents = image
+        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index, depth, extents)
         ctx.options = tuple(options)
-        ctx.mark_non_differentiable(labels, depth, face_index)
+        ctx.mark_non_differentiable(*image)
         ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
-        return loss, labels, depth, face_index
+        return loss, *image
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
@@ -452,14 +512,17 @@ def _label_loss_op(
     over_farther: bool,
     max_distance: float,
     depth_weight: float,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return _loss_forward(vertices, faces, face_labels, target, weights, (num_labels, near, perspective))
 
 
 @_label_loss_op.register_fake
-def _(vertices: Any, faces: Any, face_labels: Any, edges: Any, target: Any, *rest: Any) -> Any:
+def _(
+    vertices: Any, faces: Any, face_labels: Any, edges: Any, target: Any, weights: Any, num_labels: int, *rest: Any
+) -> Any:
     batch, height, width = target.shape
-    return (vertices.new_empty(batch), *_fake_image(vertices, batch, height, width))
+    extents = vertices.new_empty(_extents_shape(batch, num_labels), dtype=torch.int32)
+    return (vertices.new_empty(batch), *_fake_image(vertices, batch, height, width), extents)
 
 
 @torch.library.custom_op("warp_partdr::label_loss_backward", mutates_args=())
@@ -473,6 +536,7 @@ def _label_loss_backward_op(
     labels: torch.Tensor,
     face_index: torch.Tensor,
     depth: torch.Tensor,
+    extents: torch.Tensor,
     grad_loss: torch.Tensor,
     num_labels: int,
     near: float,
@@ -482,7 +546,7 @@ def _label_loss_backward_op(
     max_distance: float,
     depth_weight: float,
 ) -> torch.Tensor:
-    saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index, depth)
+    saved = (vertices, faces, face_labels, edges, target, weights, labels, face_index, depth, extents)
     return _loss_backward(
         saved, grad_loss, (num_labels, near, perspective, all_edges, over_farther, max_distance, depth_weight)
     )
@@ -494,8 +558,8 @@ def _(vertices: Any, *rest: Any) -> Any:
 
 
 def _setup_label_loss(ctx: Any, inputs: Any, output: Any) -> None:
-    _, labels, depth, face_index = output
-    ctx.save_for_backward(*inputs[:6], labels, face_index, depth)
+    _, labels, depth, face_index, extents = output
+    ctx.save_for_backward(*inputs[:6], labels, face_index, depth, extents)
     ctx.options = inputs[6:]
 
 

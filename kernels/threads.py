@@ -1,0 +1,70 @@
+"""Threads for the CPU device, which runs a launch on one core: each takes some bodies of a batch.
+
+``wp.launch`` releases the interpreter's lock, so that launches overlap. The CPU device's atomics are not atomic, so
+threads must not share an output.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from types import ModuleType
+
+import warp as wp
+
+_MIN_BODIES = 2  # a thread; for less, starting it costs more than it saves
+
+_num_threads = 0  # 0: as many as there are cores
+
+
+def set_num_threads(count: int) -> None:
+    """How many threads share a batch on the CPU device; 0 = as many as there are cores.
+
+    Raises:
+        ValueError: If ``count`` is negative.
+    """
+    global _num_threads
+    if count < 0:
+        raise ValueError(f"count: {count}; expected 0 or more")
+    _num_threads = count
+
+
+def get_num_threads() -> int:
+    """How many threads share a batch on the CPU device."""
+    if _num_threads:
+        return _num_threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def launch_in_slices(
+    launch: Callable[[slice], None], batch: int, device: wp.Device, *, modules: Sequence[ModuleType] = ()
+) -> None:
+    """Call ``launch`` for slices that together are the batch: one slice a thread on the CPU device, one in all on CUDA.
+
+    Args:
+        launch: Launches the work of the bodies ``start`` to ``stop``. Whatever it writes belongs to these bodies alone.
+        batch: Number of bodies; 0 calls ``launch`` once, with an empty slice.
+        device: Where the work is launched.
+        modules: Python modules of the kernels it launches: they are loaded before there are threads that would each
+            build what is missing.
+    """
+    count = max(min(get_num_threads(), batch // _MIN_BODIES), 1) if device.is_cpu else 1
+    if count > 1:
+        for module in modules:
+            wp.load_module(module, device=device)
+    slices = [slice(batch * k // count, batch * (k + 1) // count) for k in range(count)]
+    failures: list[BaseException] = []
+
+    def work(part: slice) -> None:
+        try:
+            launch(part)
+        except BaseException as failure:
+            failures.append(failure)
+
+    threads = [threading.Thread(target=work, args=(part,)) for part in slices[1:]]
+    for thread in threads:
+        thread.start()
+    work(slices[0])
+    for thread in threads:
+        thread.join()
+    if failures:
+        raise failures[0]
