@@ -11,11 +11,11 @@ from .targets import LabelTarget, cost_at, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# On CUDA a block draws a tile of the picture; each of its threads draws four neighbouring pixels in every eighth row.
-_TILE = wp.constant(32)
+# On CUDA a block draws a square tile of the picture, and each of its threads four neighbouring pixels of a row.
+_TILE = wp.constant(16)
 _QUAD = wp.constant(4)
-_QUADS = wp.constant(8)  # a row of a tile
-_BLOCK = wp.constant(64)
+_QUADS = wp.constant(4)  # a row of a tile
+_BLOCK = 64
 _Sets = wp.types.vector(length=8, dtype=wp.uint32)  # a bit for each of 255 ellipsoids
 
 
@@ -88,7 +88,7 @@ def draw_tiles(
         hits = wp.tile_sum(wp.tile(hit))
         sets[word] = hits[0]
     row = top + lane // _QUADS
-    while row < wp.min(top + _TILE, height) and column < width:
+    if row < height and column < width:
         y = float(row) + 0.5
         best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
         shown = wp.vec4i(0, 0, 0, 0)
@@ -127,7 +127,6 @@ def draw_tiles(
                 for i in range(_QUAD):
                     if column + i < width:
                         loss += cost_at(target, t, label[i], row, column + i)
-        row += _BLOCK // _QUADS
     if losses.shape[0] > 0:
         total = wp.tile_sum(wp.tile(loss))
         if lane == 0:
