@@ -13,12 +13,21 @@ from typing import Any
 import warp as wp
 
 from .ellipsoids import Seen, Silhouette, lowest_bit, middle_at, room_at
-from .surface_forces import Ellipsoid, SurfaceForces, add_image_force, add_nearness_force, from_unit
+from .surface_forces import (
+    Ellipsoid,
+    Scene,
+    SurfaceForces,
+    add_image_force,
+    add_nearness_force,
+    from_unit,
+    load_ellipsoid,
+    make_scene,
+)
 from .targets import DenseGradient, LabelTarget, cost_at, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-BLOCK = 128  # threads that share one ellipsoid on CUDA
+BLOCK = 128  # threads that share one ellipsoid on CUDA; four such blocks at once leave each thread 128 registers
 _ROOT_STEPS = wp.constant(4)  # of false position within a pixel
 _STRIP_SAMPLES = wp.constant(4)  # places where a crease's cost is looked up in its row or column
 _TINY = wp.constant(1.0e-20)
@@ -362,17 +371,45 @@ def walk_creases(
     return sums
 
 
-@wp.kernel(launch_bounds=(BLOCK, 4))  # 128 registers a thread: more blocks at once, 15 % faster with 1024 bodies
-def coverage_forces(
-    centres: wp.array2d[wp.vec3],  # (B, P)
-    axes: wp.array2d[wp.mat33],  # (B, P)
-    semi_axes: wp.array2d[wp.vec3],  # (B, P)
-    camera: wp.array[wp.vec4],  # (B,)
-    silhouettes: wp.array2d[Silhouette],  # (B, P)
-    neighbours: wp.array3d[wp.uint32],  # (B, P, N) from ``find_neighbours``
-    creases: wp.array3d[wp.uint32],  # (B, P, N)
-    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown
-    perspective: bool,
+@wp.func
+def coverage_on(
+    scene: Scene, b: int, k: int, lane: int, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
+):
+    """The share of one of ``lanes`` threads in the forces on ellipsoid k."""
+    sums = SurfaceForces()
+    s = scene.silhouettes[b, k]
+    height = scene.parts.shape[1]
+    width = scene.parts.shape[2]
+    if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
+        e = load_ellipsoid(scene, b, k)
+        sums = walk_outline(
+            sums,
+            e,
+            s,
+            scene.silhouettes,
+            scene.neighbours,
+            b,
+            k,
+            lane,
+            lanes,
+            steps_per_pixel,
+            halvings,
+            scene.perspective,
+            gradient,
+            height,
+            width,
+        )
+        sums = walk_creases(
+            sums, e, s, scene.silhouettes, scene.creases, scene.parts, b, k, lane, lanes, scene.perspective, gradient
+        )
+    return sums
+
+
+# On CUDA a block of threads shares an ellipsoid. The CPU device has a kernel of its own: a tile there, even one in a
+# branch not taken, is memory that all threads of the process share.
+@wp.kernel(launch_bounds=(BLOCK, 4))
+def coverage_shared(
+    scene: Scene,
     steps_per_pixel: float,
     halvings: int,
     gradient: Any,
@@ -382,51 +419,37 @@ def coverage_forces(
 ):
     """Sums over the forces on each ellipsoid."""
     b, k, lane = wp.tid()
-    lanes = wp.block_dim()
-    s = silhouettes[b, k]
-    sums = SurfaceForces()
-    height = parts.shape[1]
-    width = parts.shape[2]
-    if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
-        e = Ellipsoid()
-        e.centre = centres[b, k]
-        e.axes = axes[b, k]
-        e.semi_axes = semi_axes[b, k]
-        e.camera = camera[b]
-        sums = walk_outline(
-            sums,
-            e,
-            s,
-            silhouettes,
-            neighbours,
-            b,
-            k,
-            lane,
-            lanes,
-            steps_per_pixel,
-            halvings,
-            perspective,
-            gradient,
-            height,
-            width,
-        )
-        sums = walk_creases(sums, e, s, silhouettes, creases, parts, b, k, lane, lanes, perspective, gradient)
-    if lanes == 1:
-        force[b, k] = sums.force
-        moment[b, k] = sums.moment
-        camera_force[b, k] = sums.camera
-    else:
-        total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
-        total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
-        total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
-        if lane == 0:
-            force[b, k] = total_force[0]
-            moment[b, k] = total_moment[0]
-            camera_force[b, k] = total_camera[0]
+    sums = coverage_on(scene, b, k, lane, wp.block_dim(), steps_per_pixel, halvings, gradient)
+    total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
+    total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
+    total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
+    if lane == 0:
+        force[b, k] = total_force[0]
+        moment[b, k] = total_moment[0]
+        camera_force[b, k] = total_camera[0]
+
+
+@wp.kernel
+def coverage_alone(
+    scene: Scene,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,
+    force: wp.array2d[wp.vec3],
+    moment: wp.array2d[wp.mat33],
+    camera_force: wp.array2d[wp.vec4],
+):
+    """The same with one thread an ellipsoid."""
+    b, k = wp.tid()
+    sums = coverage_on(scene, b, k, 0, 1, steps_per_pixel, halvings, gradient)
+    force[b, k] = sums.force
+    moment[b, k] = sums.moment
+    camera_force[b, k] = sums.camera
 
 
 for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(coverage_forces, {"gradient": _gradient})
+    wp.overload(coverage_shared, {"gradient": _gradient})
+    wp.overload(coverage_alone, {"gradient": _gradient})
 
 
 def launch_coverage_forces(
@@ -443,18 +466,10 @@ def launch_coverage_forces(
     camera_force: wp.array,
 ) -> None:
     """Fill the sums of forces on every ellipsoid."""
-    device = parts.device
-    lanes = 1 if device.is_cpu else BLOCK
-    inputs = [
-        *ellipsoids,
-        seen.silhouettes,
-        seen.neighbours,
-        seen.creases,
-        parts,
-        perspective,
-        steps_per_pixel,
-        halvings,
-        gradient,
-    ]
+    inputs = [make_scene(ellipsoids, seen, parts, perspective=perspective), steps_per_pixel, halvings, gradient]
     outputs = [force, moment, camera_force]
-    wp.launch(coverage_forces, (*seen.silhouettes.shape, lanes), inputs, outputs, device=device, block_dim=lanes)
+    shape, device = seen.silhouettes.shape, parts.device
+    if device.is_cpu:
+        wp.launch(coverage_alone, shape, inputs, outputs, device=device)
+    else:
+        wp.launch(coverage_shared, (*shape, BLOCK), inputs, outputs, device=device, block_dim=BLOCK)

@@ -11,7 +11,17 @@ from typing import Any
 import warp as wp
 
 from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
-from .surface_forces import Ellipsoid, SurfaceForces, add_force, add_image_force, to_unit, unproject
+from .surface_forces import (
+    Ellipsoid,
+    Scene,
+    SurfaceForces,
+    add_force,
+    add_image_force,
+    load_ellipsoid,
+    make_scene,
+    to_unit,
+    unproject,
+)
 from .targets import DenseGradient, LabelTarget, column_of, gradient_at, pull_range, row_of, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -240,15 +250,60 @@ def walk_depths(
     return sums
 
 
+@wp.func
+def partdr_on(
+    scene: Scene,
+    b: int,
+    k: int,
+    lane: int,
+    lanes: int,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    gradient: Any,
+):
+    """The share of one of ``lanes`` threads in the forces on ellipsoid k."""
+    sums = SurfaceForces()
+    s = scene.silhouettes[b, k]
+    if s.low[0] <= s.high[0]:
+        e = load_ellipsoid(scene, b, k)
+        sums = walk_lines(
+            sums,
+            e,
+            s,
+            scene.silhouettes,
+            scene.parts,
+            b,
+            lane,
+            lanes,
+            scene.perspective,
+            over_farther,
+            max_distance,
+            gradient,
+        )
+        if depth_weight != 0.0:
+            sums = walk_depths(
+                sums,
+                e,
+                s,
+                scene.silhouettes,
+                scene.parts,
+                b,
+                k,
+                lane,
+                lanes,
+                scene.perspective,
+                depth_weight,
+                gradient,
+            )
+    return sums
+
+
+# On CUDA a block of threads shares an ellipsoid. The CPU device has a kernel of its own: a tile there, even one in a
+# branch not taken, is memory that all threads of the process share.
 @wp.kernel
-def partdr_forces(
-    centres: wp.array2d[wp.vec3],  # (B, P)
-    axes: wp.array2d[wp.mat33],  # (B, P)
-    semi_axes: wp.array2d[wp.vec3],  # (B, P)
-    camera: wp.array[wp.vec4],  # (B,)
-    silhouettes: wp.array2d[Silhouette],  # (B, P)
-    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown
-    perspective: bool,
+def partdr_shared(
+    scene: Scene,
     over_farther: bool,
     max_distance: float,  # [px]
     depth_weight: float,
@@ -259,36 +314,38 @@ def partdr_forces(
 ):
     """Sums over the forces on each ellipsoid."""
     b, k, lane = wp.tid()
-    lanes = wp.block_dim()
-    s = silhouettes[b, k]
-    sums = SurfaceForces()
-    if s.low[0] <= s.high[0]:
-        e = Ellipsoid()
-        e.centre = centres[b, k]
-        e.axes = axes[b, k]
-        e.semi_axes = semi_axes[b, k]
-        e.camera = camera[b]
-        sums = walk_lines(
-            sums, e, s, silhouettes, parts, b, lane, lanes, perspective, over_farther, max_distance, gradient
-        )
-        if depth_weight != 0.0:
-            sums = walk_depths(sums, e, s, silhouettes, parts, b, k, lane, lanes, perspective, depth_weight, gradient)
-    if lanes == 1:
-        force[b, k] = sums.force
-        moment[b, k] = sums.moment
-        camera_force[b, k] = sums.camera
-    else:
-        total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
-        total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
-        total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
-        if lane == 0:
-            force[b, k] = total_force[0]
-            moment[b, k] = total_moment[0]
-            camera_force[b, k] = total_camera[0]
+    sums = partdr_on(scene, b, k, lane, wp.block_dim(), over_farther, max_distance, depth_weight, gradient)
+    total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
+    total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
+    total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
+    if lane == 0:
+        force[b, k] = total_force[0]
+        moment[b, k] = total_moment[0]
+        camera_force[b, k] = total_camera[0]
+
+
+@wp.kernel
+def partdr_alone(
+    scene: Scene,
+    over_farther: bool,
+    max_distance: float,  # [px]
+    depth_weight: float,
+    gradient: Any,
+    force: wp.array2d[wp.vec3],
+    moment: wp.array2d[wp.mat33],
+    camera_force: wp.array2d[wp.vec4],
+):
+    """The same with one thread an ellipsoid."""
+    b, k = wp.tid()
+    sums = partdr_on(scene, b, k, 0, 1, over_farther, max_distance, depth_weight, gradient)
+    force[b, k] = sums.force
+    moment[b, k] = sums.moment
+    camera_force[b, k] = sums.camera
 
 
 for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(partdr_forces, {"gradient": _gradient})
+    wp.overload(partdr_shared, {"gradient": _gradient})
+    wp.overload(partdr_alone, {"gradient": _gradient})
 
 
 def launch_partdr_forces(
@@ -306,8 +363,16 @@ def launch_partdr_forces(
     camera_force: wp.array,
 ) -> None:
     """Fill the sums of forces on every ellipsoid."""
-    device = parts.device
-    lanes = 1 if device.is_cpu else BLOCK
-    inputs = [*ellipsoids, seen.silhouettes, parts, perspective, over_farther, max_distance, depth_weight, gradient]
+    inputs = [
+        make_scene(ellipsoids, seen, parts, perspective=perspective),
+        over_farther,
+        max_distance,
+        depth_weight,
+        gradient,
+    ]
     outputs = [force, moment, camera_force]
-    wp.launch(partdr_forces, (*seen.silhouettes.shape, lanes), inputs, outputs, device=device, block_dim=lanes)
+    shape, device = seen.silhouettes.shape, parts.device
+    if device.is_cpu:
+        wp.launch(partdr_alone, shape, inputs, outputs, device=device)
+    else:
+        wp.launch(partdr_shared, (*shape, BLOCK), inputs, outputs, device=device, block_dim=BLOCK)

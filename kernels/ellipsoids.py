@@ -233,6 +233,10 @@ class Seen:
             wp.empty(sets, dtype=wp.uint32, device=device),
         )
 
+    def cut(self, part: slice) -> "Seen":
+        """Some of the bodies."""
+        return Seen(self.silhouettes[part], self.neighbours[part], self.creases[part])
+
 
 def launch_see(
     ellipsoids: Sequence[wp.array], part_labels: wp.array, *, near: float, perspective: bool, seen: Seen

@@ -4,7 +4,11 @@ Whatever moves an ellipsoid moves its surface points, so two sums say all that a
 moment = sum F u^T. Hence dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
 """
 
+from collections.abc import Sequence
+
 import warp as wp
+
+from .ellipsoids import Seen, Silhouette
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,6 +21,32 @@ class Ellipsoid:
     axes: wp.mat33  # columns
     semi_axes: wp.vec3  # [m]
     camera: wp.vec4  # f_x, f_y, c_x, c_y
+
+
+@wp.struct
+class Scene:
+    """B bodies of P ellipsoids and their picture: what every estimator of a gradient reads."""
+
+    centres: wp.array2d[wp.vec3]  # (B, P)
+    axes: wp.array2d[wp.mat33]  # (B, P)
+    semi_axes: wp.array2d[wp.vec3]  # (B, P)
+    camera: wp.array[wp.vec4]  # (B,)
+    silhouettes: wp.array2d[Silhouette]  # (B, P)
+    neighbours: wp.array3d[wp.uint32]  # (B, P, N) from ``find_neighbours``
+    creases: wp.array3d[wp.uint32]  # (B, P, N)
+    parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
+    perspective: bool
+
+
+@wp.func
+def load_ellipsoid(scene: Scene, b: int, k: int):
+    """Ellipsoid k of body b."""
+    e = Ellipsoid()
+    e.centre = scene.centres[b, k]
+    e.axes = scene.axes[b, k]
+    e.semi_axes = scene.semi_axes[b, k]
+    e.camera = scene.camera[b]
+    return e
 
 
 @wp.struct
@@ -142,6 +172,15 @@ def sum_rows(
 
 
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
+
+
+def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool) -> Scene:
+    """A scene of centres, axes, semi-axes and camera, as ``launch_see`` and ``launch_draw`` left it."""
+    scene = Scene()
+    scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
+    scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
+    scene.parts, scene.perspective = parts, perspective
+    return scene
 
 
 def launch_spread(

@@ -47,23 +47,33 @@ def launch_in_slices(
         modules: Python modules of the kernels it launches: they are loaded before there are threads that would each
             build what is missing.
     """
-    count = max(min(get_num_threads(), batch // _MIN_BODIES), 1) if device.is_cpu else 1
-    if count > 1:
+    slices = split_batch(batch, on_cpu=device.is_cpu)
+    if len(slices) > 1:
         for module in modules:
             wp.load_module(module, device=device)
-    slices = [slice(batch * k // count, batch * (k + 1) // count) for k in range(count)]
+    run_slices(launch, slices)
+
+
+def split_batch(batch: int, *, on_cpu: bool) -> list[slice]:
+    """Slices that together are the batch: one a thread on the CPU device, one in all on CUDA."""
+    count = max(min(get_num_threads(), batch // _MIN_BODIES), 1) if on_cpu else 1
+    return [slice(batch * k // count, batch * (k + 1) // count) for k in range(count)]
+
+
+def run_slices(work: Callable[[slice], None], slices: Sequence[slice]) -> None:
+    """Call ``work`` for each slice on a thread of its own, the first on this one; raise what any of them raises."""
     failures: list[BaseException] = []
 
-    def work(part: slice) -> None:
+    def guarded(part: slice) -> None:
         try:
-            launch(part)
+            work(part)
         except BaseException as failure:
             failures.append(failure)
 
-    threads = [threading.Thread(target=work, args=(part,)) for part in slices[1:]]
+    threads = [threading.Thread(target=guarded, args=(part,)) for part in slices[1:]]
     for thread in threads:
         thread.start()
-    work(slices[0])
+    guarded(slices[0])
     for thread in threads:
         thread.join()
     if failures:

@@ -13,8 +13,10 @@ import warp as wp
 from .cameras import Camera
 from .checks import check_finite, check_tensor
 from .kernels import ellipsoid_coverage, ellipsoid_partdr, ellipsoid_picture, surface_forces
+from .kernels import ellipsoids as kernel_ellipsoids
 from .kernels.ellipsoids import Seen, launch_see
 from .kernels.targets import DenseGradient, LabelTarget, launch_find_reach
+from .kernels.threads import launch_in_slices
 from .mesh import MAX_LABEL
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion
@@ -160,6 +162,8 @@ def ellipsoid_label_loss(
     weights = torch.ones(256, device=target.device)
     if label_weights is not None:
         check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
+        if label_weights.shape[0] > 256:
+            raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
         weights[: label_weights.shape[0]] = label_weights.to(weights)
     weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
     loss, labels, depth, parts = _LabelLoss.apply(*tensors, table, target.contiguous(), weights, view, options)
@@ -247,8 +251,8 @@ def _check(
         raise ValueError(
             f"image_size: {batch} pictures of {image_size}; expected fewer than 2**31 pixels, split the batch"
         )
-    if count > MAX_PARTS:
-        raise ValueError(f"centres: {count} ellipsoids a body; expected at most {MAX_PARTS}")
+    if not 1 <= count <= MAX_PARTS:
+        raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
     table = list(range(1, count + 1)) if part_labels is None else [int(label) for label in part_labels]
     if len(table) != count or not all(1 <= label <= 255 for label in table):
         raise ValueError(f"part_labels: {table}; expected {count} labels from 1 to {MAX_LABEL}, or 255")
@@ -288,22 +292,30 @@ def _draw(
     loss = torch.empty(batch, device=device)
     with on_torch_stream(device) as where:
         seen = Seen.empty(batch, count, where)
-        table = _wp(part_labels, wp.uint8)
-        launch_see(_arrays(tensors), table, near=view.near, perspective=view.perspective, seen=seen)
+        arrays, table = _arrays(tensors), _wp(part_labels, wp.uint8)
         sums = ellipsoid_picture.num_partial_losses(table.device, view.height, view.width)
         losses = torch.empty((batch, sums) if target is not None else (0, 0), device=device)
-        ellipsoid_picture.launch_draw(
-            seen.silhouettes,
-            perspective=view.perspective,
-            target=target or LabelTarget(),
-            nearest=wp.empty(shape if device.type == "cpu" else (0, 0, 0), dtype=float, device=where),
-            parts=_wp(parts, wp.uint8),
-            labels=_wp(labels, wp.uint8),
-            depth=_wp(depth, wp.float32),
-            losses=_wp(losses, wp.float32),
-        )
-        if target is not None:
-            surface_forces.launch_sum_rows(_wp(losses, wp.float32), _wp(loss, wp.float32))
+        outputs = {
+            "nearest": wp.empty(shape if device.type == "cpu" else (0, 0, 0), dtype=float, device=where),
+            "parts": _wp(parts, wp.uint8),
+            "labels": _wp(labels, wp.uint8),
+            "depth": _wp(depth, wp.float32),
+            "losses": _wp(losses, wp.float32),
+        }
+        totals = _wp(loss, wp.float32)
+
+        def launch(part: slice) -> None:
+            cut = {name: _cut(array, part) for name, array in outputs.items()}
+            seen_here = seen.cut(part)
+            launch_see(
+                [array[part] for array in arrays], table, near=view.near, perspective=view.perspective, seen=seen_here
+            )
+            compared = LabelTarget() if target is None else _cut_target(target, part)
+            ellipsoid_picture.launch_draw(seen_here.silhouettes, perspective=view.perspective, target=compared, **cut)
+            if target is not None:
+                surface_forces.launch_sum_rows(cut["losses"], totals[part])
+
+        launch_in_slices(launch, batch, table.device, modules=(kernel_ellipsoids, ellipsoid_picture, surface_forces))
     return _Picture(seen, parts, labels, depth, loss)
 
 
@@ -317,7 +329,7 @@ def _gradients(
     moment = torch.empty(batch, count, 3, 3, device=device)
     camera_force = torch.empty(batch, count, 4, device=device)
     grads = tuple(torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in tensors)
-    with on_torch_stream(device):
+    with on_torch_stream(device) as where:
         arrays = _arrays(tensors)
         sums = {
             "force": _wp(force, wp.vec3),
@@ -325,33 +337,59 @@ def _gradients(
             "camera_force": _wp(camera_force, wp.vec4),
         }
         parts = _wp(picture.parts, wp.uint8)
-        if options.gradient == "coverage":
-            ellipsoid_coverage.launch_coverage_forces(
-                arrays,
-                picture.seen,
-                parts,
-                perspective=view.perspective,
-                steps_per_pixel=options.steps_per_pixel,
-                halvings=options.halvings,
-                gradient=gradient,
-                **sums,
-            )
-        else:
-            ellipsoid_partdr.launch_partdr_forces(
-                arrays,
-                picture.seen,
-                parts,
-                perspective=view.perspective,
-                over_farther=options.over_farther,
-                max_distance=options.max_distance,
-                depth_weight=options.depth_weight,
-                gradient=gradient,
-                **sums,
-            )
         names = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera")
         outputs = dict(zip(names, _arrays(grads), strict=True))
-        surface_forces.launch_spread(arrays[1], arrays[2], *sums.values(), **outputs)
+
+        def launch(part: slice) -> None:
+            posed = [array[part] for array in arrays]
+            here = {name: array[part] for name, array in sums.items()}
+            common = {"perspective": view.perspective, "gradient": _cut_target(gradient, part)}
+            if options.gradient == "coverage":
+                ellipsoid_coverage.launch_coverage_forces(
+                    posed,
+                    picture.seen.cut(part),
+                    parts[part],
+                    steps_per_pixel=options.steps_per_pixel,
+                    halvings=options.halvings,
+                    **common,
+                    **here,
+                )
+            else:
+                ellipsoid_partdr.launch_partdr_forces(
+                    posed,
+                    picture.seen.cut(part),
+                    parts[part],
+                    over_farther=options.over_farther,
+                    max_distance=options.max_distance,
+                    depth_weight=options.depth_weight,
+                    **common,
+                    **here,
+                )
+            cut = {name: array[part] for name, array in outputs.items()}
+            surface_forces.launch_spread(posed[1], posed[2], *here.values(), **cut)
+
+        estimator = ellipsoid_coverage if options.gradient == "coverage" else ellipsoid_partdr
+        launch_in_slices(launch, batch, wp.get_device(where), modules=(estimator, surface_forces))
     return grads
+
+
+def _cut(array: wp.array, part: slice) -> wp.array:
+    """Some bodies' share of an array, or nothing of one that is empty."""
+    return array[part] if array.size else array
+
+
+def _cut_target(gradient: LabelTarget | DenseGradient, part: slice) -> LabelTarget | DenseGradient:
+    """The target of some bodies; one for all stays."""
+    if isinstance(gradient, DenseGradient.cls):
+        dense = DenseGradient()
+        dense.maps = gradient.maps[part]
+        return dense
+    if gradient.target.shape[0] == 1:
+        return gradient
+    target = LabelTarget()
+    target.target, target.label_weights = gradient.target[part], gradient.label_weights
+    target.reach = _cut(gradient.reach, part)
+    return target
 
 
 def _label_target(target: torch.Tensor, weights: torch.Tensor, max_label: int, needs_reach: bool) -> LabelTarget:

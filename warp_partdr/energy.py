@@ -135,12 +135,12 @@ class Energy:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
         assert self.target is not None
         camera = parameters.camera(self.size)
-        target = self.target.expand(parameters.batch_size, -1, -1)
         image_size = (self.size, self.size)
         maps = None
         if self._mesh is not None:
             vertices = camera.project(posed.vertices(self.subdivisions))
             if self._maps is None:
+                target = self.target.expand(parameters.batch_size, -1, -1)
                 return label_loss(vertices, self._mesh, target, max_distance=self.max_distance, validate=False)[0]
             maps = rasterize_parts(
                 vertices,
@@ -154,7 +154,7 @@ class Energy:
             return ellipsoid_label_loss(
                 posed,
                 camera,
-                target,
+                self.target[None],
                 part_labels=self._part_labels,
                 gradient=self.gradient,
                 max_distance=self.max_distance,

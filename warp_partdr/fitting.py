@@ -75,6 +75,7 @@ class FitOptions:
         stages: In order; the first one lifts the hypotheses into 3D.
         weights: Of the energy's terms, where a stage has none of its own.
         renderer: "exact" ellipsoids, or their "mesh" (E1, with PartDR's gradient).
+        trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
         seed: Of the random choice of hypotheses, where there are too many.
     """
 
@@ -88,6 +89,7 @@ class FitOptions:
     )
     weights: Weights = field(default_factory=Weights)
     renderer: Renderer = "exact"
+    trust_background: bool = False
     seed: int = 0
 
     def without_outline(self) -> FitOptions:
@@ -169,7 +171,8 @@ def fit_body(
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
     options = options or FitOptions()
-    seen, crop = observe(keypoints, parts, others=others, device=device)
+    trust = options.trust_background
+    seen, crop = observe(keypoints, parts, others=others, trust_background=trust, device=device)
     prior = PosePrior().to(device)
     # Without labels, the stages that draw them have nothing to add.
     stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
@@ -248,6 +251,7 @@ def observe(
     parts: PartLabels | None,
     *,
     others: Sequence[Keypoints2D] = (),
+    trust_background: bool = False,
     device: torch.device | str = "cpu",
 ) -> tuple[Observation, Crop]:
     """Cut one person out: a square crop, keypoints in it from -1 to 1; other people and missing limbs are ignored."""
@@ -258,7 +262,9 @@ def observe(
         raise InputError("keypoints: all lie in one point; expected different places")
     groups = None
     if parts is not None:
-        groups = ignore_missing_limbs(select_person(parts.groups, keypoints, others), keypoints)
+        groups = select_person(parts.groups, keypoints, others)
+        if not trust_background:
+            groups = ignore_missing_limbs(groups, keypoints)
     empty = np.zeros((1, 1), dtype=np.uint8)
     x0, y0, x1, y1 = person_crop(keypoints, empty if groups is None else groups, CROP_MARGIN)
     half = max(x1 - x0, y1 - y0) / 2

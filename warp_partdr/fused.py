@@ -19,6 +19,7 @@ from .kernels.refine_pose import launch_pose
 from .kernels.refine_prior import launch_mixture
 from .kernels.refine_state import NUM_TERMS, Bodies, Ellipsoids, Terms
 from .kernels.refine_step import BETAS, StepRule, launch_step
+from .kernels.threads import run_slices, split_batch
 from .parameters import BodyParameters
 from .refine_tables import LANDMARK_NAMES, landmarks, mixture, rules, skeleton
 from .refinement import LEARNING_RATE, LENGTH_BOUNDS, SHAPE_RATE, THICKNESS_BOUNDS, Refined, rate_share, refine
@@ -264,11 +265,40 @@ def minimise(
     learning_rate: float = LEARNING_RATE,
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
-    """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh."""
+    """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh.
+
+    On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
+    """
     if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
         return refine(start, energy, iterations=iterations, learning_rate=learning_rate, on_iteration=on_iteration)
-    fused = FusedRefinement(energy, start.batch_size, iterations=iterations, learning_rate=learning_rate)
-    return fused.refine(start, on_iteration=on_iteration)
+    device = start.shift.device
+    made: dict[int, tuple[FusedRefinement, BodyParameters]] = {}
+    done: dict[int, Refined] = {}
+    slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
+    for part in slices:
+        bodies = start.select(torch.arange(part.start, part.stop, device=device))
+        fused = FusedRefinement(energy, bodies.batch_size, iterations=iterations, learning_rate=learning_rate)
+        made[part.start] = fused, bodies
+
+    def work(part: slice) -> None:
+        fused, bodies = made[part.start]
+        done[part.start] = fused.refine(bodies, on_iteration=on_iteration if part is slices[0] else None)
+
+    run_slices(work, slices)
+    return _join([done[part.start] for part in slices])
+
+
+def _join(parts: Sequence[Refined]) -> Refined:
+    """Slices of a batch as one."""
+    if len(parts) == 1:
+        return parts[0]
+    names = parts[0].parameters.tensors()
+    return Refined(
+        BodyParameters(**{name: torch.cat([part.parameters.tensors()[name] for part in parts]) for name in names}),
+        torch.cat([part.energy for part in parts]),
+        {name: torch.cat([part.terms[name] for part in parts]) for name in parts[0].terms},
+        torch.cat([part.history for part in parts], dim=1),
+    )
 
 
 def _as_list(energies: Energy | Sequence[Energy]) -> list[Energy]:
