@@ -23,7 +23,7 @@ from .surface_forces import (
     load_ellipsoid,
     make_scene,
 )
-from .targets import DenseGradient, LabelTarget, cost_at, target_of
+from .targets import DenseGradient, LabelTarget, cost_at, flat, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -104,12 +104,10 @@ class OutlinePoint:
 def look_at_outline(
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    neighbours: wp.array3d[wp.uint32],
+    silhouettes: wp.array[Silhouette],
+    neighbours: wp.array[wp.uint32],
     circle: Circle,
-    b: int,
     t: int,
-    k: int,
     angle: float,
     perspective: bool,
     gradient: Any,
@@ -130,12 +128,12 @@ def look_at_outline(
     nearness = middle_at(s, x, y)
     behind = float(-wp.inf)
     label = int(0)
-    for word in range(neighbours.shape[2]):
-        bits = neighbours[b, k, word]
+    for word in range(neighbours.shape[0]):
+        bits = neighbours[word]
         while bits != wp.uint32(0):
             j = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
-            other = silhouettes[b, j]
+            other = silhouettes[j]
             room = room_at(other, x, y)
             if room > 0.0:
                 there = middle_at(other, x, y) + wp.sqrt(room)
@@ -173,10 +171,9 @@ def walk_outline(
     sums: SurfaceForces,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    neighbours: wp.array3d[wp.uint32],
-    b: int,
-    k: int,
+    silhouettes: wp.array[Silhouette],
+    neighbours: wp.array[wp.uint32],
+    t: int,
     lane: int,
     lanes: int,
     steps_per_pixel: float,
@@ -188,7 +185,6 @@ def walk_outline(
 ):
     """Forces of an ellipsoid's own outline; each thread walks one piece of it."""
     circle = outline_circle(e, perspective)
-    t = target_of(gradient, b)
     half = 0.5 * (s.high - s.low)
     # The root mean square of the radii bounds the perimeter from above.
     count = int(wp.ceil(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5))) + 8
@@ -196,14 +192,12 @@ def walk_outline(
     step = 2.0 * wp.pi / float(each * lanes)
     n = lane * each
     start = look_at_outline(
-        e, s, silhouettes, neighbours, circle, b, t, k, float(n) * step, perspective, gradient, height, width
+        e, s, silhouettes, neighbours, circle, t, float(n) * step, perspective, gradient, height, width
     )
     for i in range(each):
         low = float(n + i) * step
         high = low + step
-        end = look_at_outline(
-            e, s, silhouettes, neighbours, circle, b, t, k, high, perspective, gradient, height, width
-        )
+        end = look_at_outline(e, s, silhouettes, neighbours, circle, t, high, perspective, gradient, height, width)
         if start.excess == end.excess or halvings == 0:
             if start.excess != 0.0 or end.excess != 0.0:
                 sums = push_outline(sums, e, s, start, end, 0.5 * (start.excess + end.excess), perspective)
@@ -213,7 +207,7 @@ def walk_outline(
             for _ in range(halvings):
                 angle = 0.5 * (low + high)
                 middle = look_at_outline(
-                    e, s, silhouettes, neighbours, circle, b, t, k, angle, perspective, gradient, height, width
+                    e, s, silhouettes, neighbours, circle, t, angle, perspective, gradient, height, width
                 )
                 if middle.excess == start.excess:
                     low = angle
@@ -300,10 +294,12 @@ def walk_creases(
     sums: SurfaceForces,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    creases: wp.array3d[wp.uint32],
-    parts: wp.array3d[wp.uint8],
-    b: int,
+    silhouettes: wp.array[Silhouette],
+    creases: wp.array[wp.uint32],
+    parts: wp.array[wp.uint8],
+    height: int,
+    width: int,
+    t: int,
     k: int,
     lane: int,
     lanes: int,
@@ -311,11 +307,8 @@ def walk_creases(
     gradient: Any,
 ):
     """Forces of the creases between an ellipsoid and those that it meets in space."""
-    height = parts.shape[1]
-    width = parts.shape[2]
-    t = target_of(gradient, b)
-    for word in range(creases.shape[2]):
-        bits = creases[b, k, word]
+    for word in range(creases.shape[0]):
+        bits = creases[word]
         # Pixels are dealt to the threads as one line over all boxes. Each thread looks for its next border, then all
         # threads work on one each: looking is quick, working is not.
         n = int(lane)
@@ -340,8 +333,8 @@ def walk_creases(
                     while n >= end and bits != wp.uint32(0):
                         j = 32 * word + lowest_bit(bits)
                         bits &= bits - wp.uint32(1)
-                        low = silhouettes[b, j].low
-                        high = silhouettes[b, j].high
+                        low = silhouettes[j].low
+                        high = silhouettes[j].high
                         # Where both are, and one pixel more on either side, clamped in float against overflow.
                         left = int(wp.clamp(wp.max(s.low[0], low[0]) - 1.0, 0.0, float(width)))
                         right = int(wp.clamp(wp.min(s.high[0], high[0]) + 1.0, -1.0, float(width - 1)))
@@ -357,16 +350,16 @@ def walk_creases(
                         column = left + (n - begin) % columns
                         n += lanes
                 if searching:
-                    here = int(parts[b, row, column])
+                    here = int(parts[row * width + column])
                     next_row = row + axis
                     next_column = column + 1 - axis
                     if (here == k + 1 or here == j + 1) and next_row < height and next_column < width:
-                        there = int(parts[b, next_row, next_column])
+                        there = int(parts[next_row * width + next_column])
                         found = there == k + j + 2 - here
                         first = here == k + 1
             if found:
                 sums = cross_crease(
-                    sums, e, s, silhouettes[b, j], t, axis, row, column, first, height, width, perspective, gradient
+                    sums, e, s, silhouettes[j], t, axis, row, column, first, height, width, perspective, gradient
                 )
     return sums
 
@@ -377,19 +370,21 @@ def coverage_on(
 ):
     """The share of one of ``lanes`` threads in the forces on ellipsoid k."""
     sums = SurfaceForces()
-    s = scene.silhouettes[b, k]
+    # Views of one body: an index of one dimension costs a fraction of one of three.
+    silhouettes = scene.silhouettes[b]
+    s = silhouettes[k]
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
         e = load_ellipsoid(scene, b, k)
+        t = target_of(gradient, b)
         sums = walk_outline(
             sums,
             e,
             s,
-            scene.silhouettes,
-            scene.neighbours,
-            b,
-            k,
+            silhouettes,
+            scene.neighbours[b, k],
+            t,
             lane,
             lanes,
             steps_per_pixel,
@@ -400,7 +395,20 @@ def coverage_on(
             width,
         )
         sums = walk_creases(
-            sums, e, s, scene.silhouettes, scene.creases, scene.parts, b, k, lane, lanes, scene.perspective, gradient
+            sums,
+            e,
+            s,
+            silhouettes,
+            scene.creases[b, k],
+            flat(scene.parts[b]),
+            height,
+            width,
+            t,
+            k,
+            lane,
+            lanes,
+            scene.perspective,
+            gradient,
         )
     return sums
 

@@ -22,7 +22,7 @@ from .surface_forces import (
     to_unit,
     unproject,
 )
-from .targets import DenseGradient, LabelTarget, column_of, gradient_at, pull_range, row_of, target_of
+from .targets import DenseGradient, LabelTarget, column_of, flat, gradient_at, pull_range, row_of, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -37,19 +37,21 @@ def front_at(s: Silhouette, x: float, y: float):
 
 
 @wp.func
-def label_at(silhouettes: wp.array2d[Silhouette], b: int, part: int):
+def label_at(silhouettes: wp.array[Silhouette], part: int):
     """Label of an entry of the image of parts."""
     if part == 0:
         return 0
-    return silhouettes[b, part - 1].label
+    return silhouettes[part - 1].label
 
 
 @wp.func
 def walk_line(
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    parts: wp.array3d[wp.uint8],
-    b: int,
+    silhouettes: wp.array[Silhouette],
+    parts: wp.array[wp.uint8],
+    count: int,
+    width: int,
+    t: int,
     axis: int,
     line: int,
     side: int,  # -1: the outline's low end on this line, 1: its high end
@@ -60,8 +62,6 @@ def walk_line(
     gradient: Any,
 ):
     """Slope of the loss when the outline moves along one line where it crosses it."""
-    count = parts.shape[2 - axis]
-    t = target_of(gradient, b)
     # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
     place = wp.clamp(crossing, -1.0, float(count) + 1.0)
     inside = int(wp.floor(place - 0.5))
@@ -73,7 +73,7 @@ def walk_line(
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
         if (
-            label_at(silhouettes, b, int(parts[b, row_of(axis, line, outside), column_of(axis, line, outside)]))
+            label_at(silhouettes, int(parts[row_of(axis, line, outside) * width + column_of(axis, line, outside)]))
             == s.label
         ):
             return slope
@@ -85,13 +85,13 @@ def walk_line(
             break
         row = row_of(axis, line, pixel)
         column = column_of(axis, line, pixel)
-        part = int(parts[b, row, column])
-        shown = label_at(silhouettes, b, part)
+        part = int(parts[row * width + column])
+        shown = label_at(silhouettes, part)
         if part > 0 and shown == s.label:
             break
         switches = part == 0
         if part > 0 and over_farther:
-            switches = front_at(silhouettes[b, part - 1], float(column) + 0.5, float(row) + 0.5) < edge_nearness
+            switches = front_at(silhouettes[part - 1], float(column) + 0.5, float(row) + 0.5) < edge_nearness
         if switches:
             slope += float(side) * gradient_at(gradient, t, s.label, row, column, shown) / wp.max(distance, 1.0)
         pixel += side
@@ -100,10 +100,10 @@ def walk_line(
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         row = row_of(axis, line, pixel)
         column = column_of(axis, line, pixel)
-        part = int(parts[b, row, column])
+        part = int(parts[row * width + column])
         if part == 0 or distance > max_distance:
             break
-        if label_at(silhouettes, b, part) == s.label:
+        if label_at(silhouettes, part) == s.label:
             slope += float(side) * gradient_at(gradient, t, s.label, row, column, s.label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
@@ -114,9 +114,11 @@ def walk_lines(
     sums: SurfaceForces,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    parts: wp.array3d[wp.uint8],
-    b: int,
+    silhouettes: wp.array[Silhouette],
+    parts: wp.array[wp.uint8],
+    height: int,
+    width: int,
+    t: int,
     lane: int,
     lanes: int,
     perspective: bool,
@@ -125,8 +127,6 @@ def walk_lines(
     gradient: Any,
 ):
     """x and y: rows and columns that meet the outline, two ends each."""
-    height = parts.shape[1]
-    width = parts.shape[2]
     top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
     rows = wp.max(int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1))) - top + 1, 0)
     left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
@@ -150,7 +150,20 @@ def walk_lines(
             y = wp.where(axis == 0, float(line) + 0.5, crossing)
             nearness = middle_at(s, x, y)
             slope = walk_line(
-                s, silhouettes, parts, b, axis, line, side, crossing, nearness, over_farther, max_distance, gradient
+                s,
+                silhouettes,
+                parts,
+                wp.where(axis == 0, width, height),
+                width,
+                t,
+                axis,
+                line,
+                side,
+                crossing,
+                nearness,
+                over_farther,
+                max_distance,
+                gradient,
             )
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness, perspective))
@@ -171,13 +184,13 @@ def push_depth(
 
 
 @wp.func
-def is_nearest_of_label(silhouettes: wp.array2d[Silhouette], b: int, k: int, nearness: float, x: float, y: float):
+def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: float, x: float, y: float):
     """Whether no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
-    label = silhouettes[b, k].label
-    for j in range(silhouettes.shape[1]):
-        if j != k and silhouettes[b, j].label == label and in_box(silhouettes[b, j], x, y):
-            if room_at(silhouettes[b, j], x, y) > 0.0:
-                there = front_at(silhouettes[b, j], x, y)
+    label = silhouettes[k].label
+    for j in range(silhouettes.shape[0]):
+        if j != k and silhouettes[j].label == label and in_box(silhouettes[j], x, y):
+            if room_at(silhouettes[j], x, y) > 0.0:
+                there = front_at(silhouettes[j], x, y)
                 if there > nearness or (there == nearness and j < k):
                     return False
     return True
@@ -197,9 +210,11 @@ def walk_depths(
     sums: SurfaceForces,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array2d[Silhouette],
-    parts: wp.array3d[wp.uint8],
-    b: int,
+    silhouettes: wp.array[Silhouette],
+    parts: wp.array[wp.uint8],
+    height: int,
+    width: int,
+    t: int,
     k: int,
     lane: int,
     lanes: int,
@@ -208,34 +223,31 @@ def walk_depths(
     gradient: Any,
 ):
     """z: where this ellipsoid is hidden and wanted it comes forward, where it hides a wanted one it goes back."""
-    height = parts.shape[1]
-    width = parts.shape[2]
     left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
     right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1)))
     top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
     bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1)))
     columns = right - left + 1
-    t = target_of(gradient, b)
     n = int(lane)
     while n < columns * (bottom - top + 1):
         row = top + n // columns
         column = left + n % columns
         n += lanes
-        part = int(parts[b, row, column])
+        part = int(parts[row * width + column])
         if part == 0:
             continue
         x = float(column) + 0.5
         y = float(row) + 0.5
-        shown = silhouettes[b, part - 1].label
+        shown = silhouettes[part - 1].label
         if part == k + 1:
             front = front_at(s, x, y)
-            for j in range(silhouettes.shape[1]):
-                other = silhouettes[b, j].label
-                if other != shown and in_box(silhouettes[b, j], x, y):
+            for j in range(silhouettes.shape[0]):
+                other = silhouettes[j].label
+                if other != shown and in_box(silhouettes[j], x, y):
                     g = gradient_at(gradient, t, other, row, column, shown)
-                    if g != 0.0 and room_at(silhouettes[b, j], x, y) > 0.0:
-                        back = front_at(silhouettes[b, j], x, y)
-                        if is_nearest_of_label(silhouettes, b, j, back, x, y):
+                    if g != 0.0 and room_at(silhouettes[j], x, y) > 0.0:
+                        back = front_at(silhouettes[j], x, y)
+                        if is_nearest_of_label(silhouettes, j, back, x, y):
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
@@ -243,8 +255,8 @@ def walk_depths(
             g = gradient_at(gradient, t, s.label, row, column, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
-                if is_nearest_of_label(silhouettes, b, k, back, x, y):
-                    between = depth_between(front_at(silhouettes[b, part - 1], x, y), back, perspective)
+                if is_nearest_of_label(silhouettes, k, back, x, y):
+                    between = depth_between(front_at(silhouettes[part - 1], x, y), back, perspective)
                     amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
                     sums = push_depth(sums, e, x, y, back, amount, perspective)
     return sums
@@ -264,16 +276,24 @@ def partdr_on(
 ):
     """The share of one of ``lanes`` threads in the forces on ellipsoid k."""
     sums = SurfaceForces()
-    s = scene.silhouettes[b, k]
+    # Views of one body: an index of one dimension costs a fraction of one of three.
+    silhouettes = scene.silhouettes[b]
+    parts = flat(scene.parts[b])
+    height = scene.parts.shape[1]
+    width = scene.parts.shape[2]
+    s = silhouettes[k]
     if s.low[0] <= s.high[0]:
         e = load_ellipsoid(scene, b, k)
+        t = target_of(gradient, b)
         sums = walk_lines(
             sums,
             e,
             s,
-            scene.silhouettes,
-            scene.parts,
-            b,
+            silhouettes,
+            parts,
+            height,
+            width,
+            t,
             lane,
             lanes,
             scene.perspective,
@@ -286,9 +306,11 @@ def partdr_on(
                 sums,
                 e,
                 s,
-                scene.silhouettes,
-                scene.parts,
-                b,
+                silhouettes,
+                parts,
+                height,
+                width,
+                t,
                 k,
                 lane,
                 lanes,

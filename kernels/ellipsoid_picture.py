@@ -7,15 +7,19 @@ shows, and of equal ones that with the lower index.
 import warp as wp
 
 from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
-from .targets import LabelTarget, cost_at, target_of
+from .targets import LabelTarget, cost_at, flat, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# On CUDA a block draws a square tile of the picture, and each of its threads four neighbouring pixels of a row.
-_TILE = wp.constant(16)
+# On CUDA a block draws a tile of the picture. Its threads side by side draw four neighbouring pixels of a row each, in
+# as many passes of eight rows as it takes: few long threads cost least, but few bodies need many.
+_TILE_WIDTH = wp.constant(32)
+_PASS_ROWS = wp.constant(8)
 _QUAD = wp.constant(4)
-_QUADS = wp.constant(4)  # a row of a tile
-_BLOCK = 64
+_QUADS = wp.constant(8)  # a row of a tile
+_BLOCK = wp.constant(64)
+_LONG_PASSES = 4
+_MANY_PIXELS = 2**21  # in a batch: enough to fill the device with long threads
 _Sets = wp.types.vector(length=8, dtype=wp.uint32)  # a bit for each of 255 ellipsoids
 
 
@@ -49,6 +53,7 @@ def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
     perspective: bool,
     target: LabelTarget,
+    passes: int,
     in_words: bool,  # whether the pictures below are read and written four pixels at once
     target_words: wp.array3d[wp.uint32],  # (B or 1, H, W / 4) ``target.target``, if in words
     parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background  OUTPUT
@@ -59,12 +64,19 @@ def draw_tiles(
     losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
 ):
     """CUDA: a block looks only at the ellipsoids whose boxes meet its tile."""
-    b, tile, lane = wp.tid()
+    # One dimension, split in 32 bits: Warp's own split takes 64-bit divisions for every dimension.
+    thread = wp.tid()
+    lane = thread % _BLOCK
     height = parts.shape[1]
     width = parts.shape[2]
-    tiles = (width + _TILE - 1) // _TILE
-    left = (tile % tiles) * _TILE
-    top = (tile // tiles) * _TILE
+    tile_height = passes * _PASS_ROWS
+    tiles = (width + _TILE_WIDTH - 1) // _TILE_WIDTH
+    in_picture = tiles * ((height + tile_height - 1) // tile_height)
+    b = (thread // _BLOCK) // in_picture
+    tile = (thread // _BLOCK) - b * in_picture
+    ellipsoids = silhouettes[b]
+    left = (tile % tiles) * _TILE_WIDTH
+    top = (tile // tiles) * tile_height
     column = left + (lane % _QUADS) * _QUAD
     x = float(column) + 0.5
     count = silhouettes.shape[1]
@@ -76,19 +88,19 @@ def draw_tiles(
         hit = wp.uint32(0)
         k = 32 * word + lane
         if lane < 32 and k < count:
-            low = silhouettes[b, k].low
-            high = silhouettes[b, k].high
+            low = ellipsoids[k].low
+            high = ellipsoids[k].high
             if (
-                low[0] < float(left + _TILE)
+                low[0] < float(left + _TILE_WIDTH)
                 and high[0] > float(left)
-                and low[1] < float(top + _TILE)
+                and low[1] < float(top + tile_height)
                 and high[1] > float(top)
             ):
                 hit = wp.uint32(1) << wp.uint32(lane)
         hits = wp.tile_sum(wp.tile(hit))
         sets[word] = hits[0]
     row = top + lane // _QUADS
-    if row < height and column < width:
+    while row < wp.min(top + tile_height, height) and column < width:
         y = float(row) + 0.5
         best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
         shown = wp.vec4i(0, 0, 0, 0)
@@ -98,7 +110,7 @@ def draw_tiles(
             while bits != wp.uint32(0):
                 k = 32 * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
-                s = silhouettes[b, k]
+                s = ellipsoids[k]
                 for i in range(_QUAD):
                     room = room_at(s, x + float(i), y)
                     if room > 0.0:
@@ -107,10 +119,11 @@ def draw_tiles(
                             best[i] = nearness
                             shown[i] = k + 1
                             label[i] = s.label
+        at = (row * width + column) // _QUAD
         if in_words:
-            parts_words[b, row, column // _QUAD] = pack(shown)
+            flat(parts_words[b])[at] = pack(shown)
             if labels.shape[0] > 0:
-                labels_words[b, row, column // _QUAD] = pack(label)
+                flat(labels_words[b])[at] = pack(label)
         else:
             write_bytes(parts, b, row, column, shown)
             if labels.shape[0] > 0:
@@ -122,11 +135,12 @@ def draw_tiles(
         if losses.shape[0] > 0:
             wrong = bool(True)
             if in_words:
-                wrong = target_words[t, row, column // _QUAD] != pack(label)
+                wrong = flat(target_words[t])[at] != pack(label)
             if wrong:
                 for i in range(_QUAD):
                     if column + i < width:
                         loss += cost_at(target, t, label[i], row, column + i)
+        row += _PASS_ROWS
     if losses.shape[0] > 0:
         total = wp.tile_sum(wp.tile(loss))
         if lane == 0:
@@ -205,11 +219,15 @@ def draw_rows(
             losses[b, row] = loss
 
 
-def num_partial_losses(device: wp.Device, height: int, width: int) -> int:
-    """T, how many sums of a picture's loss ``launch_draw`` fills."""
+def num_partial_losses(device: wp.Device, batch: int, height: int, width: int) -> int:
+    """T, how many sums of each picture's loss ``launch_draw`` fills."""
     if device.is_cpu:
         return height
-    return -(-height // _TILE) * -(-width // _TILE)
+    return -(-height // (_PASS_ROWS * _passes(batch, height, width))) * -(-width // _TILE_WIDTH)
+
+
+def _passes(batch: int, height: int, width: int) -> int:
+    return _LONG_PASSES if batch * height * width >= _MANY_PIXELS else 1
 
 
 def launch_draw(
@@ -236,9 +254,10 @@ def launch_draw(
     bytes_ = [target.target if losses.size else parts, parts, labels if labels.size else parts]
     in_words = width % _QUAD == 0 and all(image.ptr % 4 == 0 for image in bytes_)
     words = [_words(image) if in_words else wp.empty((0, 0, 0), dtype=wp.uint32, device=device) for image in bytes_]
-    inputs = [silhouettes, perspective, target, in_words, words[0]]
+    passes = _passes(batch, height, width)
+    inputs = [silhouettes, perspective, target, passes, in_words, words[0]]
     outputs = [parts, words[1], labels, words[2], depth, losses]
-    dim = (batch, num_partial_losses(device, height, width), _BLOCK)
+    dim = batch * num_partial_losses(device, batch, height, width) * _BLOCK
     wp.launch(draw_tiles, dim, inputs, outputs, device=device, block_dim=_BLOCK)
 
 

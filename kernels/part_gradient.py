@@ -11,6 +11,7 @@ from typing import Any, Self
 import warp as wp
 
 from .rasterize import EMPTY_KEY, HIDDEN, IGNORE, MISSING, SURPLUS, TILE_ROWS, pixel_lanes, row_lanes
+from .targets import flat
 from .triangles import (
     Triangle,
     covers,
@@ -19,7 +20,6 @@ from .triangles import (
     double_area,
     edge_values,
     first_pixel,
-    flat,
     key_face,
     load_triangle,
     make_edges,

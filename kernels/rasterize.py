@@ -5,13 +5,13 @@ from typing import Self
 
 import warp as wp
 
+from .targets import flat
 from .triangles import (
     BACKGROUND,
     covers,
     depth_at,
     depth_key,
     edge_values,
-    flat,
     key_depth,
     key_face,
     load_triangle,

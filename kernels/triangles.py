@@ -4,8 +4,6 @@ Vertices are in screen space: (u, v) in pixels, z in metres, camera frame. Pixel
 (column + 0.5, row + 0.5).
 """
 
-from typing import Any
-
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
@@ -43,16 +41,6 @@ class Edges:
     bc: Edge
     ca: Edge
     ab: Edge
-
-
-@wp.func
-def flat(image: wp.array2d[Any]):
-    """The pixels of a contiguous image row by row.
-
-    With strides known to the compiler, reading one takes a fraction of the instructions, and these kernels are bound by
-    instructions.
-    """
-    return wp.array(ptr=image.ptr, shape=(image.shape[0] * image.shape[1],), dtype=image.dtype)
 
 
 @wp.func

@@ -293,7 +293,7 @@ def _draw(
     with on_torch_stream(device) as where:
         seen = Seen.empty(batch, count, where)
         arrays, table = _arrays(tensors), _wp(part_labels, wp.uint8)
-        sums = ellipsoid_picture.num_partial_losses(table.device, view.height, view.width)
+        sums = ellipsoid_picture.num_partial_losses(table.device, batch, view.height, view.width)
         losses = torch.empty((batch, sums) if target is not None else (0, 0), device=device)
         outputs = {
             "nearest": wp.empty(shape if device.type == "cpu" else (0, 0, 0), dtype=float, device=where),
@@ -315,7 +315,10 @@ def _draw(
             if target is not None:
                 surface_forces.launch_sum_rows(cut["losses"], totals[part])
 
-        launch_in_slices(launch, batch, table.device, modules=(kernel_ellipsoids, ellipsoid_picture, surface_forces))
+        if batch:  # Warp cuts nothing out of an empty array
+            launch_in_slices(
+                launch, batch, table.device, modules=(kernel_ellipsoids, ellipsoid_picture, surface_forces)
+            )
     return _Picture(seen, parts, labels, depth, loss)
 
 
@@ -369,7 +372,8 @@ def _gradients(
             surface_forces.launch_spread(posed[1], posed[2], *here.values(), **cut)
 
         estimator = ellipsoid_coverage if options.gradient == "coverage" else ellipsoid_partdr
-        launch_in_slices(launch, batch, wp.get_device(where), modules=(estimator, surface_forces))
+        if batch:
+            launch_in_slices(launch, batch, wp.get_device(where), modules=(estimator, surface_forces))
     return grads
 
 

@@ -67,7 +67,7 @@ class EllipsoidPicture:
         target.reach = wp.empty(reach, dtype=wp.vec2i, device=device)
 
         drawn = self.drawn = Drawn()
-        drawn.loss = wp.empty((batch, num_partial_losses(device, size, size)), dtype=float, device=device)
+        drawn.loss = wp.empty((batch, num_partial_losses(device, batch, size, size)), dtype=float, device=device)
         drawn.force = wp.empty((batch, parts), dtype=wp.vec3, device=device)
         drawn.moment = wp.empty((batch, parts), dtype=wp.mat33, device=device)
         drawn.camera_force = wp.empty((batch, parts), dtype=wp.vec4, device=device)
