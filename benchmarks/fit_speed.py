@@ -1,15 +1,15 @@
-"""How long fitting takes: one refinement of 50 iterations, the steps inside it, and a whole fit of the example.
+"""How long a whole fit of the example takes, and one refinement of 50 iterations, on the fast path and through torch.
 
-    python benchmarks/fit_speed.py [--device cpu] [--size 256] [--bodies 1 8 64]
+    python benchmarks/fit_speed.py [--device cpu] [--size 256] [--bodies 1 8 64] [--threads 1]
 
-Times are medians of repeated runs, warm: kernels are compiled and loaded before the first one.
+Times are medians of repeated runs, warm: kernels are compiled and loaded before the first one. The kernels alone:
+``partdr bench kernels``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -20,14 +20,15 @@ from pathlib import Path
 import torch
 import warp as wp
 
+from warp_partdr.bench.machine import about
 from warp_partdr.body.labels import label_set
 from warp_partdr.energy import Energy
 from warp_partdr.fitting import fit_body, observe
+from warp_partdr.fused import minimise
 from warp_partdr.inputs import choose_person, read_keypoints, read_parts
-from warp_partdr.mesh import ellipbody_mesh
+from warp_partdr.kernels.threads import set_num_threads
 from warp_partdr.pose_prior import PosePrior
 from warp_partdr.refinement import refine
-from warp_partdr.render import label_loss, rasterize_parts
 
 EXAMPLE = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
 
@@ -51,7 +52,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--size", type=int, default=256, help="side of the drawn crop [px]")
     parser.add_argument("--bodies", type=int, nargs="*", default=[1, 8, 64])
-    parser.add_argument("--fit", action=argparse.BooleanOptionalAction, default=True, help="also a whole fit")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads that share the bodies; 0: one a core")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
     device = options.device
@@ -62,44 +63,29 @@ def main() -> None:
     parts = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
     seen, _ = observe(keypoints, parts, device=device)
     prior = PosePrior().to(device)
-    energy = Energy(seen, options.size, 1, prior=prior)
+    energy = Energy(seen, options.size, prior=prior)
+    set_num_threads(options.threads)
     started = time.perf_counter()
     fitted = fit_body(keypoints, parts, device=device)
     first_fit = time.perf_counter() - started
     figures: dict[str, float] = {"first fit, compiling included [s]": round(first_fit, 2)}
-    if options.fit:
-        whole = median_ms(lambda: fit_body(keypoints, parts, device=device), device, repeats=3, warmup=0)
-        figures["fit, all hypotheses [s]"] = round(whole / 1000, 2)
-    target = energy._target
-    assert target is not None
-    mesh = ellipbody_mesh(1, device=device).relabel(label_set("cdcl14").part_groups)
+    whole = median_ms(lambda: fit_body(keypoints, parts, device=device), device, repeats=5, warmup=0)
+    figures["fit, all hypotheses [s]"] = round(whole / 1000, 2)
     for count in options.bodies:
         bodies = fitted.parameters.select(torch.zeros(count, dtype=torch.long, device=device))
         bodies = replace(bodies, shift=bodies.shift + 0.02)
-        vertices = bodies.camera(options.size).project(bodies.posed().vertices(1)).detach().requires_grad_()
-        batch_target = target.expand(count, -1, -1).contiguous()
+        for name, function in (("one graph", minimise), ("through torch", refine)):
+            ms = median_ms(lambda f=function, b=bodies: f(b, energy, iterations=50), device, repeats=5, warmup=1)
+            figures[f"B = {count}: 50 iterations, {name} [s]"] = round(ms / 1000, 4)
 
-        def forward(v: torch.Tensor = vertices) -> object:
-            return rasterize_parts(v, mesh, (options.size, options.size), validate=False)
-
-        def forward_backward(v: torch.Tensor = vertices, t: torch.Tensor = batch_target) -> object:
-            return torch.autograd.grad(label_loss(v, mesh, t, validate=False)[0].sum(), v)
-
-        name = f"B = {count}: "
-        figures[name + "render E1 [ms]"] = round(median_ms(forward, device, repeats=20), 3)
-        figures[name + "render, L_seg, gradient [ms]"] = round(median_ms(forward_backward, device, repeats=20), 3)
-        ms = median_ms(lambda b=bodies: refine(b, energy, iterations=50), device, repeats=5, warmup=1)
-        figures[name + "50 iterations of refinement [s]"] = round(ms / 1000, 3)
-
-    place = platform.processor() or platform.machine()
+    place = {**about(), "device": device, "size": options.size}
     if device != "cpu":
-        place = torch.cuda.get_device_name()
-    about = {"device": place, "size": options.size, "warp": wp.config.version, "torch": torch.__version__}
+        place["device"] = torch.cuda.get_device_name()
     width = max(map(len, figures))
-    print(", ".join(f"{key} {value}" for key, value in about.items()))
+    print(", ".join(f"{key} {value}" for key, value in place.items()))
     for key, value in figures.items():
         print(f"{key:{width}}  {value}")
-    print(json.dumps({**about, **figures}))
+    print(json.dumps({**place, **figures}))
 
 
 if __name__ == "__main__":

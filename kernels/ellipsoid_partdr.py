@@ -19,6 +19,7 @@ from .surface_forces import (
     add_image_force,
     load_ellipsoid,
     make_scene,
+    rests,
     to_unit,
     unproject,
 )
@@ -282,7 +283,7 @@ def partdr_on(
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
     s = silhouettes[k]
-    if s.low[0] <= s.high[0]:
+    if s.low[0] <= s.high[0] and not rests(scene.active, b):
         e = load_ellipsoid(scene, b, k)
         t = target_of(gradient, b)
         sums = walk_lines(
@@ -383,10 +384,11 @@ def launch_partdr_forces(
     force: wp.array,
     moment: wp.array,
     camera_force: wp.array,
+    active: wp.array | None = None,
 ) -> None:
-    """Fill the sums of forces on every ellipsoid."""
+    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
     inputs = [
-        make_scene(ellipsoids, seen, parts, perspective=perspective),
+        make_scene(ellipsoids, seen, parts, perspective=perspective, active=active),
         over_farther,
         max_distance,
         depth_weight,

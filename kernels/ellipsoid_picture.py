@@ -7,6 +7,7 @@ shows, and of equal ones that with the lower index.
 import warp as wp
 
 from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
+from .surface_forces import rests
 from .targets import LabelTarget, cost_at, flat, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -53,6 +54,7 @@ def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
     perspective: bool,
     target: LabelTarget,
+    active: wp.array[int],  # (B,) 0: the body's picture stays as it is; empty: all are drawn
     passes: int,
     in_words: bool,  # whether the pictures below are read and written four pixels at once
     target_words: wp.array3d[wp.uint32],  # (B or 1, H, W / 4) ``target.target``, if in words
@@ -74,6 +76,8 @@ def draw_tiles(
     in_picture = tiles * ((height + tile_height - 1) // tile_height)
     b = (thread // _BLOCK) // in_picture
     tile = (thread // _BLOCK) - b * in_picture
+    if rests(active, b):
+        return
     ellipsoids = silhouettes[b]
     left = (tile % tiles) * _TILE_WIDTH
     top = (tile // tiles) * tile_height
@@ -152,23 +156,38 @@ def draw_rows(
     silhouettes: wp.array2d[Silhouette],
     perspective: bool,
     target: LabelTarget,
+    active: wp.array[int],
     nearest: wp.array3d[float],  # (B, H, W) scratch
+    in_words: bool,
+    target_words: wp.array3d[wp.uint32],
     parts: wp.array3d[wp.uint8],
+    parts_words: wp.array3d[wp.uint32],
     labels: wp.array3d[wp.uint8],
     depth: wp.array3d[float],
     losses: wp.array2d[float],  # (B, H)
 ):
     """CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
     b, row = wp.tid()
+    if rests(active, b):
+        return
     width = parts.shape[2]
+    begin = row * width
+    image = flat(parts[b])
+    fronts = flat(nearest[b])
+    ellipsoids = silhouettes[b]
     y = float(row) + 0.5
+    if in_words:
+        words = flat(parts_words[b])
+        for at in range(begin // _QUAD, (begin + width) // _QUAD):
+            words[at] = wp.uint32(0)
+    else:
+        for at in range(begin, begin + width):
+            image[at] = wp.uint8(0)
     first = int(width)
     last = int(-1)
-    for column in range(width):
-        parts[b, row, column] = wp.uint8(0)
-    for k in range(silhouettes.shape[1]):
-        if y > silhouettes[b, k].low[1] and y < silhouettes[b, k].high[1]:
-            s = silhouettes[b, k]
+    for k in range(ellipsoids.shape[0]):
+        if y > ellipsoids[k].low[1] and y < ellipsoids[k].high[1]:
+            s = ellipsoids[k]
             dy = y - s.mean[1]
             half_b = s.conic[1] * dy
             root = half_b * half_b + s.conic[0] * (s.room - s.conic[2] * dy * dy)
@@ -181,14 +200,14 @@ def draw_rows(
                 # The nearness of background is set where an ellipsoid may be, and nowhere else.
                 if last < first:
                     for column in range(left, right + 1):
-                        nearest[b, row, column] = -wp.inf
+                        fronts[begin + column] = -wp.inf
                     first = left
                     last = right
                 else:
                     for column in range(left, first):
-                        nearest[b, row, column] = -wp.inf
+                        fronts[begin + column] = -wp.inf
                     for column in range(last + 1, right + 1):
-                        nearest[b, row, column] = -wp.inf
+                        fronts[begin + column] = -wp.inf
                     first = wp.min(first, left)
                     last = wp.max(last, right)
                 for column in range(left, right + 1):
@@ -196,25 +215,37 @@ def draw_rows(
                     room = room_at(s, x, y)
                     if room > 0.0:
                         nearness = middle_at(s, x, y) + wp.sqrt(room)
-                        if nearness > nearest[b, row, column]:
-                            nearest[b, row, column] = nearness
-                            parts[b, row, column] = wp.uint8(k + 1)
-    if labels.shape[0] > 0 or depth.shape[0] > 0 or losses.shape[0] > 0:
+                        if nearness > fronts[begin + column]:
+                            fronts[begin + column] = nearness
+                            image[begin + column] = wp.uint8(k + 1)
+    whole_picture = labels.shape[0] > 0 or depth.shape[0] > 0
+    if whole_picture or losses.shape[0] > 0:
         loss = float(0.0)
         t = target_of(target, b)
-        for column in range(width):
-            part = int(parts[b, row, column])
-            label = int(0)
-            if part > 0:
-                label = silhouettes[b, part - 1].label
-            if labels.shape[0] > 0:
-                labels[b, row, column] = wp.uint8(label)
-            if depth.shape[0] > 0:
-                depth[b, row, column] = wp.inf
-                if part > 0:
-                    depth[b, row, column] = depth_of(nearest[b, row, column], perspective)
-            if losses.shape[0] > 0:
-                loss += cost_at(target, t, label, row, column)
+        together = wp.where(in_words, _QUAD, 1)
+        column = int(0)
+        while column < width:
+            wrong_or_shown = bool(True)
+            if in_words and not whole_picture:
+                # Four pixels that show background and should.
+                at = (begin + column) // _QUAD
+                wrong_or_shown = (flat(parts_words[b])[at] | flat(target_words[t])[at]) != wp.uint32(0)
+            if wrong_or_shown:
+                for i in range(together):
+                    at = begin + column + i
+                    part = int(image[at])
+                    label = int(0)
+                    if part > 0:
+                        label = ellipsoids[part - 1].label
+                    if labels.shape[0] > 0:
+                        labels[b, row, column + i] = wp.uint8(label)
+                    if depth.shape[0] > 0:
+                        depth[b, row, column + i] = wp.inf
+                        if part > 0:
+                            depth[b, row, column + i] = depth_of(fronts[at], perspective)
+                    if losses.shape[0] > 0:
+                        loss += cost_at(target, t, label, row, column + i)
+            column += together
         if losses.shape[0] > 0:
             losses[b, row] = loss
 
@@ -240,22 +271,26 @@ def launch_draw(
     labels: wp.array,
     depth: wp.array,
     losses: wp.array,
+    active: wp.array | None = None,
 ) -> None:
     """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
 
-    ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses`` only.
+    ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses`` only. Bodies whose flag in
+    ``active`` is 0 stay as they are.
     """
     device = silhouettes.device
     batch, height, width = parts.shape
-    if device.is_cpu:
-        inputs = [silhouettes, perspective, target, nearest]
-        wp.launch(draw_rows, (batch, height), inputs, [parts, labels, depth, losses], device=device)
-        return
+    moving = wp.empty(0, dtype=int, device=device) if active is None else active
     bytes_ = [target.target if losses.size else parts, parts, labels if labels.size else parts]
     in_words = width % _QUAD == 0 and all(image.ptr % 4 == 0 for image in bytes_)
     words = [_words(image) if in_words else wp.empty((0, 0, 0), dtype=wp.uint32, device=device) for image in bytes_]
+    if device.is_cpu:
+        inputs = [silhouettes, perspective, target, moving, nearest, in_words, words[0]]
+        outputs = [parts, words[1], labels, depth, losses]
+        wp.launch(draw_rows, (batch, height), inputs, outputs, device=device)
+        return
     passes = _passes(batch, height, width)
-    inputs = [silhouettes, perspective, target, passes, in_words, words[0]]
+    inputs = [silhouettes, perspective, target, moving, passes, in_words, words[0]]
     outputs = [parts, words[1], labels, words[2], depth, losses]
     dim = batch * num_partial_losses(device, batch, height, width) * _BLOCK
     wp.launch(draw_tiles, dim, inputs, outputs, device=device, block_dim=_BLOCK)

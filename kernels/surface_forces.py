@@ -35,7 +35,14 @@ class Scene:
     neighbours: wp.array3d[wp.uint32]  # (B, P, N) from ``find_neighbours``
     creases: wp.array3d[wp.uint32]  # (B, P, N)
     parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
+    active: wp.array[int]  # (B,) 0: the body rests, nothing is asked of it; empty: none rests
     perspective: bool
+
+
+@wp.func
+def rests(active: wp.array[int], b: int):
+    """Whether nothing is asked of a body."""
+    return active.shape[0] > 0 and active[b] == 0
 
 
 @wp.func
@@ -174,12 +181,16 @@ def sum_rows(
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
 
 
-def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool) -> Scene:
+def make_scene(
+    ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool, active: wp.array | None = None
+) -> Scene:
     """A scene of centres, axes, semi-axes and camera, as ``launch_see`` and ``launch_draw`` left it."""
     scene = Scene()
     scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
     scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
     scene.parts, scene.perspective = parts, perspective
+    if active is not None:
+        scene.active = active
     return scene
 
 

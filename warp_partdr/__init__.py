@@ -33,6 +33,10 @@ _EXPORTS = {
     "Crop": "cameras",
     "Perspective": "cameras",
     "WeakPerspective": "cameras",
+    "Ellipsoids": "ellipsoids",
+    "EllipsoidImage": "ellipsoids",
+    "draw_ellipsoids": "ellipsoids",
+    "ellipsoid_label_loss": "ellipsoids",
     "Energy": "energy",
     "Observation": "energy",
     "Weights": "energy",
@@ -43,6 +47,10 @@ _EXPORTS = {
     "Stage": "fitting",
     "fit_body": "fitting",
     "observe": "fitting",
+    "FusedRefinement": "fused",
+    "minimise": "fused",
+    "get_num_threads": "kernels.threads",
+    "set_num_threads": "kernels.threads",
     "read_keypoints": "keypoint_files",
     "Keypoints2D": "keypoints",
     "choose_person": "keypoints",
@@ -88,6 +96,10 @@ if TYPE_CHECKING:
     from .cameras import Crop as Crop
     from .cameras import Perspective as Perspective
     from .cameras import WeakPerspective as WeakPerspective
+    from .ellipsoids import EllipsoidImage as EllipsoidImage
+    from .ellipsoids import Ellipsoids as Ellipsoids
+    from .ellipsoids import draw_ellipsoids as draw_ellipsoids
+    from .ellipsoids import ellipsoid_label_loss as ellipsoid_label_loss
     from .energy import Energy as Energy
     from .energy import Observation as Observation
     from .energy import Weights as Weights
@@ -98,6 +110,10 @@ if TYPE_CHECKING:
     from .fitting import Stage as Stage
     from .fitting import fit_body as fit_body
     from .fitting import observe as observe
+    from .fused import FusedRefinement as FusedRefinement
+    from .fused import minimise as minimise
+    from .kernels.threads import get_num_threads as get_num_threads
+    from .kernels.threads import set_num_threads as set_num_threads
     from .keypoint_files import read_keypoints as read_keypoints
     from .keypoints import Keypoints2D as Keypoints2D
     from .keypoints import choose_person as choose_person

@@ -47,7 +47,7 @@ class EllipsoidPicture:
             raise ValueError("energies: no label set; expected labels and what they mean")
         device, size = ellipsoids.centres.device, energy.size
         batch, parts = ellipsoids.centres.shape
-        self._label_set = label_set
+        self._label_set, self._active = label_set, active
         self._posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
         self._part_labels = wp.array(label_set.part_groups[1:], dtype=wp.uint8, device=device)
         self._seen = Seen.empty(batch, parts, device)
@@ -110,6 +110,7 @@ class EllipsoidPicture:
             labels=self._no_labels,
             depth=self._no_depth,
             losses=self.drawn.loss,
+            active=self._active,
         )
         self._launch_forces(
             self._posed,
@@ -120,4 +121,5 @@ class EllipsoidPicture:
             force=self.drawn.force,
             moment=self.drawn.moment,
             camera_force=self.drawn.camera_force,
+            active=self._active,
         )
