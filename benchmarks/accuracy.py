@@ -23,7 +23,6 @@ import json
 import math
 import multiprocessing
 import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -41,8 +40,8 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-import warp_partdr
 from warp_partdr import metrics
+from warp_partdr.bench.machine import about
 from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set, regroup
 from warp_partdr.body.skeletons import MPJPE_SKELETON, skeleton
 from warp_partdr.fitting import FitOptions, FitResult, fit_body
@@ -57,6 +56,8 @@ from warp_partdr.inputs import (
     read_photo,
     select_person,
 )
+from warp_partdr.kernels.threads import set_num_threads
+from warp_partdr.missing_labels import ignore_missing_limbs
 from warp_partdr.output import draw_overlay
 from warp_partdr.palette import group_colours
 from warp_partdr.pictures import turntable
@@ -99,6 +100,7 @@ SUPERVISIONS: dict[str, tuple[Callable[[PartLabels], PartLabels | None], FitOpti
     "silhouette, no outline": (silhouette, FitOptions().without_outline()),
     "parts, no outline": (_same, FitOptions().without_outline()),
     "full silhouette": (silhouette, FitOptions()),
+    "parts, background trusted": (_same, FitOptions(trust_background=True)),
     "parts": (_same, FitOptions()),
 }
 
@@ -137,6 +139,7 @@ class Score:
         case: Its name.
         supervision: One of ``SUPERVISIONS``.
         counts: Pixels by (target, rendered) class of LSP's six parts, background first, shape (7, 7).
+        undisputed: The same without background that confident keypoints contradict (``ignore_missing_limbs``).
         keypoints: Distance of each confident keypoint, as a share of the person's height, shape (K,).
         pa_mpjpe: [mm], NaN if the true joints are not known.
         mpjpe: [mm], the same.
@@ -148,6 +151,7 @@ class Score:
     case: str
     supervision: str
     counts: np.ndarray
+    undisputed: np.ndarray
     keypoints: np.ndarray
     pa_mpjpe: float
     mpjpe: float
@@ -208,6 +212,7 @@ def prepare() -> None:
     """Once for each process: one thread, and a fit that does not count, so that kernels are compiled and loaded."""
     wp.config.log_level = wp.LOG_WARNING
     torch.set_num_threads(1)
+    set_num_threads(1)
     for case in read_example():
         fit_body(case.keypoints, case.parts)
 
@@ -235,6 +240,9 @@ def fit_case(case: Case, supervision: str, pictures: Path | None) -> Score:
         case=case.name,
         supervision=supervision,
         counts=metrics.confusion(shown, TO_LSP6[case.target], LSP6.num_groups + 1),
+        undisputed=metrics.confusion(
+            shown, TO_LSP6[ignore_missing_limbs(case.target, case.keypoints)], LSP6.num_groups + 1
+        ),
         keypoints=distances[sure] / person_height(case.keypoints),
         pa_mpjpe=pa_mpjpe,
         mpjpe=mpjpe,
@@ -311,11 +319,14 @@ def bootstrap(values: np.ndarray, statistic: Callable[..., np.ndarray], seed: in
 def summarise(scores: Sequence[Score]) -> dict[str, Any]:
     """Figures of one or more fits: pixels and keypoints pooled; joints and seconds averaged over people."""
     counts = metrics.pooled(score.counts for score in scores)
+    undisputed = metrics.pooled(score.undisputed for score in scores)
     classes = metrics.f1_scores(counts)
     summary: dict[str, Any] = {
         "people": len(scores),
         "foreground_f1": round(metrics.part_f1(metrics.foreground_counts(counts)), 4),
         "part_f1": round(metrics.part_f1(counts), 4),
+        "undisputed_foreground_f1": round(metrics.part_f1(metrics.foreground_counts(undisputed)), 4),
+        "undisputed_part_f1": round(metrics.part_f1(undisputed), 4),
         "f1": {
             name: None if np.isnan(value) else round(float(value), 4)
             for name, value in zip(("background", *LSP6.group_names), classes, strict=True)
@@ -354,6 +365,8 @@ COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
     "MPJPE [mm]": lambda row: f"{row['mpjpe_mm']:.0f}",
     "foreground F1": lambda row: f"{row['foreground_f1']:.3f}",
     "part F1": lambda row: f"{row['part_f1']:.3f}",
+    "undisputed: foreground": lambda row: f"{row['undisputed_foreground_f1']:.3f}",
+    "part": lambda row: f"{row['undisputed_part_f1']:.3f}",
     "keypoints off [% of height]": lambda row: f"{100 * row['keypoint_distance']:.1f}",
     "hypotheses": lambda row: f"{row['hypotheses']:.0f}",
     "time [s]": lambda row: f"{row['seconds']:.1f}",
@@ -385,24 +398,6 @@ def table(title: str, rows: dict[tuple[str, str], dict[str, Any]]) -> Table:
     return result
 
 
-def about(jobs: int) -> dict[str, Any]:
-    """Where and with what this was measured."""
-    processor = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")  # Linux says the name nowhere else.
-    if cpuinfo.exists():
-        names = [line.partition(":")[2].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        processor = names[0] if names else processor
-    return {
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": f"{processor}, {platform.machine()}, {os.cpu_count()} cores",
-        "jobs": jobs,
-        "warp-partdr": warp_partdr.__version__,
-        "warp": wp.config.version,
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--people", type=Path, metavar="FOLDER", help="photos with labels and keypoints")
@@ -423,7 +418,7 @@ def main() -> None:
             parser.error(f"{title}: nobody in the folder given")
     if arguments.pictures is not None:
         arguments.pictures.mkdir(parents=True, exist_ok=True)
-    measured_with = about(arguments.jobs)
+    measured_with = {**about(), "jobs": arguments.jobs}
     scores = run([case for group in cases.values() for case in group], arguments.jobs, arguments.pictures)
 
     console = Console(width=200, highlight=False, markup=False)

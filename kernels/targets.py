@@ -93,6 +93,8 @@ def cost_at(g: DenseGradient, t: int, label: int, row: int, column: int):
 @wp.func
 def pull_range(g: LabelTarget, t: int, axis: int, label: int, line: int, count: int):
     """First and last pixel of a scan line that can pull this label's edges out: those that want it."""
+    if label >= g.reach.shape[2]:
+        return wp.vec2i(count, -1)  # no pixel wants it
     return g.reach[t, axis, label, line]
 
 

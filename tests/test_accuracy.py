@@ -18,7 +18,7 @@ from warp_partdr.inputs import PartLabels
 
 
 def _score(counts: np.ndarray, pa_mpjpe: float, supervision: str = "parts") -> Score:
-    return Score("anny", "one", supervision, counts, np.array([0.01, 0.03]), pa_mpjpe, 2 * pa_mpjpe, 64, 1.0)
+    return Score("anny", "one", supervision, counts, counts, np.array([0.01, 0.03]), pa_mpjpe, 2 * pa_mpjpe, 64, 1.0)
 
 
 def test_silhouette_keeps_what_is_ignored() -> None:

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,14 @@ from .body.label_sets import LABEL_SETS
 from .body.skeletons import SKELETONS
 from .errors import InputError
 
+
+class Renderer(StrEnum):
+    """What draws the body in a fit."""
+
+    exact = "exact"
+    mesh = "mesh"
+
+
 _UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
 
 app = typer.Typer(
@@ -23,6 +32,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+bench = typer.Typer(help="How fast this machine is.", no_args_is_help=True)
+app.add_typer(bench, name="bench")
 
 _FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
 
@@ -75,6 +87,16 @@ def fit(
             help="End with a stage that fills the labels' outlines; without it, joints are nearer to the truth."
         ),
     ] = True,
+    trust_background: Annotated[
+        bool,
+        typer.Option(
+            help="Believe background where confident keypoints say that a limb is: for labels that miss nothing."
+        ),
+    ] = False,
+    renderer: Annotated[
+        Renderer, typer.Option(help="Draw exact ellipsoids, or their triangle mesh as the paper does: slower.")
+    ] = Renderer.exact,
+    threads: Annotated[int, typer.Option(help="CPU threads that share the bodies; 0: one a core.", metavar="N")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.", metavar="N")] = 0,
 ) -> None:
     """Fit a body to one person; see ``_FIT_HELP``."""
@@ -96,9 +118,13 @@ def fit(
 
     wp.config.log_level = wp.LOG_WARNING
     from .fitting import FitOptions, fit_body
+    from .kernels.threads import set_num_threads
     from .output import RESULT_FILES, check_folder, save_fit
     from .progress import FitProgress
 
+    if threads < 0:
+        raise InputError(f"--threads: {threads}; expected 0 or more")
+    set_num_threads(threads)
     check_folder(out)
     for given in filter(None, (photo, keypoints, parts, Path(labels))):
         if any(given.resolve() == (out / name).resolve() for name in RESULT_FILES):
@@ -110,11 +136,58 @@ def fit(
         torch.set_num_threads(1)
     with FitProgress() as progress:
         _load_kernels(where)
-        options = FitOptions(seed=seed) if outline else FitOptions(seed=seed).without_outline()
+        options = FitOptions(seed=seed, renderer=renderer.value, trust_background=trust_background)
+        if not outline:
+            options = options.without_outline()
         result = fit_body(chosen, image, others=others, options=options, device=where, progress=progress)
         progress("writing results", 1, 1)
         report = save_fit(result, out, keypoints=chosen, parts=image, photo=picture, others=others)
     _summarise(report, out)
+
+
+_BENCH_KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches and picture sizes.
+
+Example: `partdr bench kernels --device cpu --quick`
+
+A table on the screen; the same figures as bench-kernels-DEVICE.json and .png in FOLDER, with machine and versions.
+DRTK, nvdiffrast, PyTorch3D and Embree (embreex) draw the same mesh where they are installed.
+"""
+
+
+@bench.command("kernels", help=_BENCH_KERNELS_HELP)
+def bench_kernels(
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+    quick: Annotated[bool, typer.Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
+) -> None:
+    """Time kernels; see ``_BENCH_KERNELS_HELP``."""
+    import torch
+    import warp as wp
+    from rich.console import Console
+
+    wp.config.log_level = wp.LOG_WARNING
+    from .bench.chart import draw_chart
+    from .bench.kernels import run_kernels
+    from .bench.plan import make_plan
+    from .bench.report import TABLE_WIDTH, print_report, save_json
+    from .progress import FitProgress
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
+    where = _device(device)
+    if where == "cpu":
+        torch.set_num_threads(1)  # as ``fit`` does
+    with FitProgress() as progress:
+        report = run_kernels(make_plan(where, quick=quick), progress)
+    files = [out / f"bench-kernels-{where.replace(':', '')}.{kind}" for kind in ("json", "png")]
+    save_json(report, files[0])
+    draw_chart(report).save(files[1])
+    print_report(report, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
+    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
 
 
 def _device(name: str) -> str:
@@ -180,7 +253,8 @@ def main() -> None:
     except InputError as error:
         code = _complain(str(error))
     except _UsageError as error:
-        code = _complain(f"{error.format_message().rstrip('.')}; see partdr fit --help")
+        command = error.ctx.command_path if error.ctx else "partdr"
+        code = _complain(f"{error.format_message().rstrip('.')}; see {command} --help")
     except typer.Abort:
         code = 130
     sys.exit(code)

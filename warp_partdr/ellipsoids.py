@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import torch
@@ -182,6 +183,7 @@ class _View:
     width: int
     near: float
     perspective: bool
+    num_labels: int
 
 
 @dataclass(frozen=True)
@@ -263,9 +265,16 @@ def _check(
             raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
     if near is None:
         near = DEFAULT_NEAR if camera.perspective else -math.inf
-    view = _View(image_size[0], image_size[1], float(near), camera.perspective)
+    num_labels = max((label for label in table if label <= MAX_LABEL), default=0)
+    view = _View(image_size[0], image_size[1], float(near), camera.perspective, num_labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
-    return tensors, torch.tensor(table, dtype=torch.uint8, device=centres.device), view
+    return tensors, _label_table(tuple(table), centres.device), view
+
+
+@lru_cache(maxsize=64)
+def _label_table(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
+    """On the device once: a copy from the host in every call would wait for it."""
+    return torch.tensor(labels, dtype=torch.uint8, device=device)
 
 
 def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
@@ -396,12 +405,12 @@ def _cut_target(gradient: LabelTarget | DenseGradient, part: slice) -> LabelTarg
     return target
 
 
-def _label_target(target: torch.Tensor, weights: torch.Tensor, max_label: int, needs_reach: bool) -> LabelTarget:
+def _label_target(target: torch.Tensor, weights: torch.Tensor, num_labels: int, needs_reach: bool) -> LabelTarget:
     with on_torch_stream(target.device) as device:
         made = LabelTarget()
         made.target = _wp(target, wp.uint8)
         made.label_weights = _wp(weights, wp.float32)
-        shape = (target.shape[0], 2, max_label + 1, max(target.shape[1:])) if needs_reach else (0, 0, 0, 0)
+        shape = (target.shape[0], 2, num_labels + 1, max(target.shape[1:])) if needs_reach else (0, 0, 0, 0)
         made.reach = wp.empty(shape, dtype=wp.vec2i, device=device)
         if needs_reach:
             launch_find_reach(made.target, made.reach)
@@ -414,7 +423,7 @@ class _LabelLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
         *tensors, table, target, weights, view, options = inputs
-        label_target = _label_target(target, weights, 255, options.gradient == "partdr")
+        label_target = _label_target(target, weights, view.num_labels, options.gradient == "partdr")
         picture = _draw(tensors, table, view, label_target)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(*_gradients(tensors, picture, view, options, label_target))

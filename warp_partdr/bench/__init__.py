@@ -1,0 +1,1 @@
+"""Benchmarks behind ``partdr bench``: how long kernels and whole iterations take, on this machine."""

@@ -1,0 +1,181 @@
+"""``partdr bench kernels``: every kernel and the whole iteration, on one device."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import torch
+
+from ..ellipsoids import ellipsoid_label_loss
+from ..fused import minimise
+from ..mesh import ellipbody_mesh
+from ..refinement import refine
+from ..render import label_loss
+from .launches import count_bytes, observe_launches, time_kernels
+from .machine import about, copy_bandwidth
+from .peers import OURS, PEERS, MeshView
+from .plan import (
+    EXACT,
+    GRADIENT,
+    GRADIENTS,
+    LABELS,
+    LEVELS,
+    MESH,
+    MINIMISE,
+    PARTDR,
+    REFINEMENT,
+    TORCH_REFINEMENT,
+    Plan,
+)
+from .report import KERNELS, OTHERS, PEER_ROWS, STARTS, TARGETS, Report, Row
+from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, RefinementRun
+from .scene import Scene
+from .start import time_starts
+from .timing import Timing, capture, peak_memory, time_calls, time_graph
+
+Progress = Callable[[str, int, int], None]
+
+
+def run_kernels(plan: Plan, progress: Progress = lambda name, done, total: None) -> Report:
+    """Time all of a plan.
+
+    Raises:
+        AssertionError: If what would be timed is not what the library computes.
+    """
+    report = Report(plan.device, about(plan.device), copy_bandwidth(plan.device, plan.budget))
+    jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, report)]
+    if plan.start:
+        jobs.append(("cold and warm start", partial(_time_starts, plan)))
+    for index, (name, job) in enumerate(jobs):
+        progress(name, index, len(jobs))
+        report.rows += job()
+        gc.collect()  # buffers of large batches, before the next job makes its own
+    progress("done", len(jobs), len(jobs))
+    return report
+
+
+_Jobs = Iterator[tuple[str, Callable[[], list[Row]]]]
+
+
+def _render_jobs(plan: Plan) -> _Jobs:
+    wanted = [(TARGETS, what, name, batch, plan.size) for what, name, batch in plan.targets]
+    wanted += [(OTHERS, *row) for row in plan.others]
+    for group, what, name, batch, size in wanted:
+        yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, what, name, batch, size)
+
+
+def _time(plan: Plan, group: str, what: str, name: str, batch: int, size: int) -> list[Row]:
+    """One row, of a renderer or of the refinement."""
+    scene = Scene.random(batch, size, plan.device)
+    row = partial(Row, group, what, name, batch, size)
+    if what in (LABELS, GRADIENT):
+        run = _renderer(scene, name)
+        run.check()
+        launch = run.labels if what == LABELS else run.gradient
+        launches = observe_launches(launch)
+        timing = time_graph(capture(launch, plan.device), plan.device, plan.budget)
+        return [row("graph", timing, sum(launched.bytes for launched in launches), count_bytes(launches))]
+    if what == REFINEMENT:
+        refinement = RefinementRun(scene, GRADIENTS[name])
+        launches = observe_launches(refinement.iterate)
+        timing = time_calls(refinement.refine, plan.device, plan.budget)
+        moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
+        return [row("call", timing, moved, count_bytes(launches))]
+    call = _torch_gradient(scene, name)
+    if what in (TORCH_REFINEMENT, MINIMISE):
+        run_all = refine if what == TORCH_REFINEMENT else minimise
+        call = partial(run_all, scene.bodies, scene.energies(GRADIENTS[name])[0], iterations=NUM_ITERATIONS)
+    timing = time_calls(call, plan.device, plan.budget)
+    return [row("call", timing, memory=peak_memory(call, plan.device))]
+
+
+def _renderer(scene: Scene, name: str) -> ExactRun | MeshRun:
+    return ExactRun(scene, GRADIENTS[name]) if name in GRADIENTS else MeshRun(scene, LEVELS[name])
+
+
+def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
+    """From the bodies' parameters to L_seg, and back to them."""
+    bodies = scene.bodies.leaves()
+    leaves = list(bodies.tensors().values())
+    mesh = ellipbody_mesh(LEVELS[name], device=scene.targets.device) if name in LEVELS else None
+
+    def call() -> object:
+        posed, camera = bodies.posed(), bodies.camera(scene.size)
+        if mesh is None:
+            gradient = GRADIENTS[name]
+            loss, _ = ellipsoid_label_loss(posed, camera, scene.targets, gradient=gradient, validate=False)
+        else:
+            points = camera.project(posed.vertices(LEVELS[name]))
+            loss, _ = label_loss(points, mesh, scene.targets, validate=False)
+        return torch.autograd.grad(loss.sum(), leaves, allow_unused=True)
+
+    return call
+
+
+def _kernel_jobs(plan: Plan) -> _Jobs:
+    for batch in plan.kernels:
+        for name, make in _KERNEL_RUNS.items():
+            yield f"kernels, {name}, B = {batch}", partial(_time_kernels, plan, name, make, batch)
+
+
+def _time_kernels(plan: Plan, name: str, make: _MakeRun, batch: int) -> list[Row]:
+    run = make(Scene.random(batch, plan.size, plan.device))
+    return [
+        Row(KERNELS, kernel.name, name, batch, plan.size, "kernel", timing, kernel.bytes)
+        for kernel, timing in time_kernels(run, plan.device, plan.budget)
+    ]
+
+
+_MakeRun = Callable[[Scene], Callable[[], None]]
+_KERNEL_RUNS: dict[str, _MakeRun] = {
+    f"iteration, {EXACT}": lambda scene: RefinementRun(scene, GRADIENTS[EXACT], learning_rate=0.0).iterate,
+    PARTDR: lambda scene: _renderer(scene, PARTDR).gradient,
+    MESH: lambda scene: _renderer(scene, MESH).gradient,
+    "kinematics, E1": lambda scene: KinematicsRun(scene).launch,
+}
+
+
+def _time_starts(plan: Plan) -> list[Row]:
+    cold, warm = time_starts(plan.device)
+    durations = {
+        "imports": warm.imports,
+        "first call, no kernel compiled": cold.first_call,
+        "first call, kernels compiled before": warm.first_call,
+    }
+    return [Row(STARTS, name, EXACT, 0, 0, "process", Timing((seconds,))) for name, seconds in durations.items()]
+
+
+def _peer_jobs(plan: Plan, report: Report) -> _Jobs:
+    peers = {name: peer for name, peer in PEERS.items() if torch.device(plan.device).type in peer.devices}
+    for name, peer in peers.items():
+        if not peer.is_installed:
+            report.remarks.append(f"{name}: not timed, {peer.package} is not installed")
+            continue
+        for batch in plan.peers:
+            yield f"{name}, B = {batch}", partial(_time_peer, plan, report, name, batch)
+
+
+def _time_peer(plan: Plan, report: Report, name: str, batch: int) -> list[Row]:
+    scene, mesh = Scene.random(batch, plan.size, plan.device), ellipbody_mesh(LEVELS[MESH], device=plan.device)
+    points = scene.camera.project(scene.posed.vertices(LEVELS[MESH])).detach().contiguous()
+    view = MeshView(points, mesh, scene.targets)
+    leaf = points.clone().requires_grad_()
+    try:
+        adapter = PEERS[name].adapt(view)
+        agreement = float((adapter.labels() == PEERS[OURS].adapt(view).labels()).float().mean())
+        calls: dict[str, Callable[[], object]] = {LABELS: adapter.labels}
+        if hasattr(adapter, "loss"):
+            calls[GRADIENT] = lambda: torch.autograd.grad(adapter.loss(leaf), leaf)
+        rows = []
+        for what, call in calls.items():
+            timing, memory = time_calls(call, plan.device, plan.budget), peak_memory(call, plan.device)
+            row = Row(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
+            rows.append(row)
+        return rows
+    except Exception as error:  # whatever somebody else's package raises
+        if name == OURS:
+            raise
+        report.remarks.append(f"{name}: not timed, it failed: {type(error).__name__}: {error}")
+        return []

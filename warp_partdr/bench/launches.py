@@ -1,0 +1,183 @@
+"""What a function launches: the kernels by name, the memory they are given, and the time that each of them takes.
+
+Warp has no hook for launches, so ``wp.launch`` is replaced while the function runs.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .timing import Timing, capture, graph_sample, repeat, wall_time
+
+_RUNS_IN_GRAPH = 10  # one replay of one small kernel is shorter than CUDA's clock is exact
+
+
+@dataclass(frozen=True)
+class Launched:
+    """One kernel launch.
+
+    Attributes:
+        name: Of the kernel.
+        spans: Memory from first to last element of each array that it was given, shape (N, 2) [bytes].
+    """
+
+    name: str
+    spans: np.ndarray
+
+    @property
+    def bytes(self) -> int:
+        """Size of the arrays, each counted once."""
+        return count_bytes([self])
+
+
+def count_bytes(launches: Iterable[Launched]) -> int:
+    """Size of the memory that launches share, each byte counted once."""
+    spans = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(launched.spans for launched in launches)])
+    total = end = 0
+    for first, last in spans[np.argsort(spans[:, 0])].tolist():
+        total += max(last - max(first, end), 0)
+        end = max(end, last)
+    return total
+
+
+def observe_launches(run: Callable[[], object]) -> list[Launched]:
+    """Run once, and list what was launched."""
+    seen: list[Launched] = []
+    real = wp.launch
+    signature = inspect.signature(real)
+
+    def launch(*args: Any, **options: Any) -> Any:
+        bound = signature.bind(*args, **options).arguments
+        spans = [span for value in (*bound.get("inputs", ()), *bound.get("outputs", ())) for span in _spans(value)]
+        seen.append(Launched(bound["kernel"].key, np.array(spans, dtype=np.int64).reshape(-1, 2)))
+        return real(*args, **options)
+
+    with _launching_with(launch):
+        run()
+    return seen
+
+
+def time_kernels(run: Callable[[], None], device: str, budget: float) -> list[tuple[Launched, Timing]]:
+    """How much each kernel adds to a run, in its place and on the data it finds there.
+
+    What clears memory counts for the kernel that follows.
+
+    Args:
+        run: Launches kernels on fixed buffers, whatever is in them.
+        device: Where.
+        budget: [s] for each kernel.
+    """
+    launches = observe_launches(run)
+    time_all = _time_pieces if wp.get_device(device).is_cpu else _time_beginnings
+    return list(zip(launches, time_all(run, len(launches), device, budget), strict=True))
+
+
+def _time_pieces(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
+    """For the CPU, where clocks are noisy and a graph starts in a microsecond: a graph of each kernel, one by one."""
+    pieces = [partial(wp.capture_launch, graph) for graph in _capture_pieces(run, device)]
+    samples: list[list[float]] = []
+
+    def sample() -> list[float]:
+        samples.append([wall_time(piece, device) for piece in pieces])
+        return [sum(samples[-1])]
+
+    repeat(sample, budget * count)
+    return [Timing(seconds) for seconds in zip(*samples[1:], strict=True)]  # the first does not count
+
+
+def _capture_pieces(run: Callable[[], None], device: str) -> list[wp.Graph]:
+    """A graph of each kernel, and of what comes between it and the one before."""
+    graphs: list[wp.Graph] = []
+    real = wp.launch
+
+    def launch(*args: Any, **options: Any) -> None:
+        real(*args, **options)
+        graphs.append(wp.capture_end(device))
+        wp.capture_begin(device)
+
+    wp.capture_begin(device)
+    try:
+        with _launching_with(launch):
+            run()
+    finally:
+        wp.capture_end(device)
+    return graphs
+
+
+def _time_beginnings(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
+    """For CUDA, where the host takes longer to start a kernel than a kernel may take: graphs that end after each.
+
+    They are replayed in turn with those that end before it.
+    """
+    timings = []
+    before: Callable[[], list[float]] | None = None
+    for index in range(count):
+        graph = capture(partial(_run_first, run, index + 1), device, _RUNS_IN_GRAPH)
+        after = graph_sample(graph, device)
+        timings.append(_time_between(before, after, budget))
+        before = after
+    return timings
+
+
+def _time_between(before: Callable[[], list[float]] | None, after: Callable[[], list[float]], budget: float) -> Timing:
+    """Differences of neighbouring samples, per run."""
+
+    def sample() -> list[float]:
+        longer = after()
+        shorter = [0.0] * len(longer) if before is None else before()
+        return [(long - short) / _RUNS_IN_GRAPH for long, short in zip(longer, shorter, strict=True)]
+
+    return repeat(sample, budget)
+
+
+class _Enough(Exception):  # noqa: N818  not an error
+    """The launches asked for are done."""
+
+
+def _run_first(run: Callable[[], None], count: int) -> None:
+    """Run until ``count`` kernels are launched."""
+    real = wp.launch
+    left = count
+
+    def launch(*args: Any, **options: Any) -> None:
+        nonlocal left
+        real(*args, **options)
+        left -= 1
+        if left == 0:
+            raise _Enough
+
+    with _launching_with(launch):
+        try:
+            run()
+        except _Enough:
+            return
+
+
+@contextmanager
+def _launching_with(launch: Callable[..., Any]) -> Iterator[None]:
+    real = wp.launch
+    wp.launch = launch
+    try:
+        yield
+    finally:
+        wp.launch = real
+
+
+def _spans(value: Any) -> list[tuple[int, int]]:
+    """Memory of an array, or of those in a struct; none for anything else."""
+    if isinstance(value, wp.array):
+        if value.size == 0:
+            return []
+        reach = sum((size - 1) * stride for size, stride in zip(value.shape, value.strides, strict=True))
+        return [(value.ptr, value.ptr + reach + wp.types.type_size_in_bytes(value.dtype))]
+    if hasattr(value, "_cls"):  # a Warp struct
+        return [span for name in value._cls.vars for span in _spans(getattr(value, name))]
+    return []

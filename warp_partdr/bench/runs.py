@@ -1,0 +1,252 @@
+"""What is timed on fixed buffers: both renderers, kinematics, and an iteration of the refinement.
+
+Nothing here allocates while it runs, so that all of it can be captured and replayed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..body.ellipbody import bone_tree
+from ..ellipsoids import Gradient, ellipsoid_label_loss
+from ..fused import FusedRefinement
+from ..fused_picture import EllipsoidPicture
+from ..kernels import kinematics, part_gradient, rasterize
+from ..kernels.ellipsoid_picture import launch_draw
+from ..kernels.ellipsoids import Seen, launch_see
+from ..kernels.refine_state import Ellipsoids
+from ..kernels.targets import LabelTarget
+from ..mesh import ellipbody_mesh
+from ..refinement import LEARNING_RATE
+from ..render import DEFAULT_DEPTH_WEIGHT, label_loss
+from .scene import LABELS, Scene
+
+_VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}
+_POISON = 77
+NUM_ITERATIONS = 50  # the paper's
+_SUBDIVISIONS = 1  # of the mesh that kinematics places
+
+
+class ExactRun:
+    """The exact renderer."""
+
+    def __init__(self, scene: Scene, gradient: Gradient) -> None:
+        posed, batch = scene.posed, scene.batch_size
+        self._scene, self._gradient = scene, gradient
+        ellipsoids = Ellipsoids()
+        ellipsoids.centres, ellipsoids.axes = _wp(posed.centres, wp.vec3), _wp(posed.axes, wp.mat33)
+        ellipsoids.semi_axes, ellipsoids.camera = (
+            _wp(posed.semi_axes, wp.vec3),
+            _wp(scene.camera.intrinsics, wp.vec4),
+        )
+        self._ellipsoids = [getattr(ellipsoids, name) for name in ("centres", "axes", "semi_axes", "camera")]
+        where = ellipsoids.centres.device
+        self._part_labels = wp.array(LABELS.part_groups[1:], dtype=wp.uint8, device=where)
+        self._seen = Seen.empty(batch, posed.centres.shape[1], where)
+        self._labels = wp.full((batch, scene.size, scene.size), _POISON, dtype=wp.uint8, device=where)
+        self._nearest = wp.empty(self._labels.shape if where.is_cpu else (0, 0, 0), dtype=float, device=where)
+        self._no_labels = wp.empty((0, 0, 0), dtype=wp.uint8, device=where)
+        self._no_depth = wp.empty((0, 0, 0), dtype=float, device=where)
+        self._no_losses = wp.empty((0, 0), dtype=float, device=where)
+        energies = scene.energies(gradient)
+        self._picture = EllipsoidPicture(energies, ellipsoids, wp.ones(batch, dtype=int, device=where))
+        self._picture.observe(energies)
+
+    def labels(self) -> None:
+        """The hard label image alone: of the 20 parts, so the index of the nearest is its label."""
+        launch_see(self._ellipsoids, self._part_labels, **_VIEW, seen=self._seen)
+        launch_draw(
+            self._seen.silhouettes,
+            perspective=False,
+            target=LabelTarget(),
+            nearest=self._nearest,
+            parts=self._labels,
+            labels=self._no_labels,
+            depth=self._no_depth,
+            losses=self._no_losses,
+        )
+
+    def gradient(self) -> None:
+        """Project, render, L_seg and its gradient, as forces on the ellipsoids."""
+        self._picture.launch()
+
+    def check(self) -> None:
+        """Hold the runs against ``ellipsoid_label_loss``.
+
+        Raises:
+            AssertionError: If they differ.
+        """
+        wp.synchronize_device(self._labels.device)  # torch, which made the inputs, has streams of its own
+        self._picture.drawn.loss.fill_(math.nan)
+        self._picture.drawn.force.fill_(wp.vec3(math.nan))
+        self.labels()
+        self.gradient()
+        centres = self._scene.posed.centres.detach().requires_grad_()
+        moved = replace(self._scene.posed, centres=centres)
+        loss, image = ellipsoid_label_loss(
+            moved, self._scene.camera, self._scene.targets, gradient=self._gradient, validate=False
+        )
+        (want,) = torch.autograd.grad(loss.sum(), centres)
+        wp.synchronize_device(self._labels.device)
+        torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
+        torch.testing.assert_close(wp.to_torch(self._picture.drawn.loss).sum(1), loss.detach())
+        scale = float(want.abs().max())
+        torch.testing.assert_close(wp.to_torch(self._picture.drawn.force), want, rtol=1e-3, atol=1e-4 * scale)
+
+
+class MeshRun:
+    """The mesh renderer, from projected vertices."""
+
+    def __init__(self, scene: Scene, subdivisions: int) -> None:
+        self._scene, self._subdivisions = scene, subdivisions
+        device = scene.targets.device
+        self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
+        self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
+        shape = (scene.batch_size, scene.size, scene.size)
+        self._vertices = _wp(self._points, wp.vec3)
+        self._geometry = self._vertices, _wp(mesh.faces, wp.vec3i), _wp(mesh.face_labels, wp.uint8)
+        self._edges = _wp(mesh.edges, wp.int32)
+        where = self._vertices.device
+        self._zbuffer = rasterize.ZBuffer.make(*shape, where)
+        self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
+        self._depth = wp.full(shape, -9.0, dtype=wp.float32, device=where)
+        self._face_index = wp.full(shape, -9, dtype=wp.int32, device=where)
+        lanes = rasterize.pixel_lanes(shape, where.is_cpu)
+        self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
+        self._found = part_gradient.SilhouetteList.make(scene.batch_size, self._edges.shape[0], where)
+        self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
+        self._target = target = part_gradient.LabelTarget()
+        target.target = _wp(scene.targets, wp.uint8)
+        weights = torch.ones(256, device=device)
+        weights[0] = weights[255] = 0.0  # neither background nor what is ignored has a map
+        target.label_weights = _wp(weights, wp.float32)
+        target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
+        extents = (scene.batch_size, rasterize.NUM_EXTENTS, mesh.num_labels + 1)
+        target.extents = wp.zeros(extents, dtype=wp.vec4i, device=where)
+
+    def labels(self) -> None:
+        """The hard label image alone."""
+        rasterize.launch_rasterize(*self._geometry, **_VIEW, zbuffer=self._zbuffer, labels=self._labels)
+
+    def gradient(self) -> None:
+        """Render, L_seg and its gradient."""
+        vertices, faces, face_labels = self._geometry
+        view: dict[str, Any] = {**_VIEW, "labels": self._labels, "face_index": self._face_index}
+        rasterize.launch_rasterize(
+            vertices, faces, face_labels, **view, zbuffer=self._zbuffer, depth=self._depth, background=False
+        )
+        target = self._target
+        rasterize.launch_compare_labels(
+            self._labels, target.target, target.label_weights, extents=target.extents, losses=self._losses
+        )
+        self._grad.zero_()
+        part_gradient.launch_push_edges(
+            vertices,
+            face_labels,
+            self._edges,
+            **view,
+            all_edges=False,
+            over_farther=True,
+            max_distance=math.inf,
+            depth=self._depth,
+            gradient=target,
+            found=self._found,
+            grad_vertices=self._grad,
+        )
+        part_gradient.launch_push_depths(
+            vertices,
+            faces,
+            face_labels,
+            **view,
+            depth_weight=DEFAULT_DEPTH_WEIGHT,
+            gradient=target,
+            keys=self._zbuffer.keys,
+            grad_vertices=self._grad,
+        )
+
+    def check(self) -> None:
+        """Hold the runs against ``label_loss``.
+
+        Raises:
+            AssertionError: If they differ.
+        """
+        wp.synchronize_device(self._labels.device)
+        leaf = self._points.clone().requires_grad_()
+        loss, image = label_loss(leaf, self._mesh, self._scene.targets, validate=False)
+        (want,) = torch.autograd.grad(loss.sum(), leaf)
+        for run in (self.labels, self.gradient):
+            self._labels.fill_(_POISON)
+            run()
+            wp.synchronize_device(self._labels.device)
+            torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
+        torch.testing.assert_close(wp.to_torch(self._losses).sum((1, 2)), loss.detach())
+        scale = float(want.abs().max())
+        torch.testing.assert_close(wp.to_torch(self._grad), want, rtol=1e-3, atol=1e-4 * scale)
+
+
+class KinematicsRun:
+    """Posing, mesh vertices, and the adjoints of both."""
+
+    def __init__(self, scene: Scene) -> None:
+        bodies, posed = scene.bodies, scene.posed
+        where = wp.device_from_torch(scene.targets.device)
+        self._tree = bone_tree(where.alias, wp.float32, _SUBDIVISIONS)
+        rotations = _wp(posed.rotations, wp.mat33)  # any will do as local ones
+        self._parameters = [
+            _wp(bodies.global_orient(), wp.mat33),
+            wp.zeros(scene.batch_size, dtype=wp.vec3, device=where),
+            rotations,
+            _wp(bodies.lengths, wp.float32),
+            _wp(bodies.thicknesses, wp.float32),
+        ]
+        centres, axes = _wp(posed.centres, wp.vec3), _wp(posed.axes, wp.mat33)
+        like = [_wp(posed.joints, wp.vec3), rotations, centres, axes, centres]
+        self._posed, self._adjoints = ([wp.zeros_like(array) for array in like] for _ in range(2))
+        self._gradients = [wp.zeros_like(array) for array in self._parameters]
+        shape = (*centres.shape, self._tree.unit_vertices.shape[0])
+        self._vertices, self._adj_vertices = (wp.zeros(shape, dtype=wp.vec3, device=where) for _ in range(2))
+
+    def launch(self) -> None:
+        """Forward and back."""
+        joints, rotations, centres, axes, semi_axes = self._posed
+        kinematics.launch_pose(self._tree, self._parameters, joints, rotations, centres, axes, semi_axes)
+        kinematics.launch_vertices(self._tree, centres, axes, semi_axes, self._vertices)
+        kinematics.launch_vertices_adjoint(self._tree, axes, semi_axes, self._adj_vertices, self._adjoints[2:])
+        orientation, _, local, lengths, _ = self._parameters
+        kinematics.launch_pose_adjoint(
+            self._tree, [orientation, local, lengths, rotations], self._adjoints, self._gradients
+        )
+
+
+class RefinementRun:
+    """The fused refinement with the exact renderer.
+
+    With a learning rate of 0 the bodies stay where they are, and every iteration does the same.
+    """
+
+    def __init__(self, scene: Scene, gradient: Gradient, learning_rate: float = LEARNING_RATE) -> None:
+        self._bodies = scene.bodies
+        energies = scene.energies(gradient)
+        self._fused = FusedRefinement(
+            energies, scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
+        )
+        self._iteration = _wp(self._fused._iteration, wp.int32)
+        self.refine()
+
+    def refine(self) -> None:
+        """All iterations, from the start."""
+        self._fused.refine(self._bodies)
+
+    def iterate(self) -> None:
+        """The first iteration, with the bodies where ``refine`` left them."""
+        self._iteration.fill_(-1)
+        self._fused._iterate()
+
+
+def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
+    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)

@@ -1,0 +1,70 @@
+"""How long the first call takes: with an empty kernel cache, which compiles, and with what that left behind.
+
+``python -m warp_partdr.bench.start DEVICE`` prints the seconds of imports and of the first call in a fresh process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Start:
+    """One fresh process.
+
+    Attributes:
+        imports: Until torch, Warp and this package are loaded [s].
+        first_call: From there until a body is posed and its label loss has a gradient [s].
+    """
+
+    imports: float
+    first_call: float
+
+
+def time_starts(device: str) -> tuple[Start, Start]:
+    """Cold and warm start.
+
+    Raises:
+        RuntimeError: If a process fails.
+    """
+    with tempfile.TemporaryDirectory() as cache:
+        cold, warm = (_start(device, cache) for _ in range(2))
+    return cold, warm
+
+
+def _start(device: str, cache: str) -> Start:
+    command = [sys.executable, "-m", __name__, device]
+    done = subprocess.run(command, env={**os.environ, "WARP_CACHE_PATH": cache}, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
+    return Start(*json.loads(done.stdout.splitlines()[-1]))
+
+
+def main() -> None:
+    """Time this process."""
+    begin = time.perf_counter()
+    import torch
+    import warp as wp
+
+    from ..ellipsoids import ellipsoid_label_loss
+    from ..parameters import BodyParameters
+
+    wp.config.log_level = wp.LOG_ERROR
+    imported = time.perf_counter()
+    device = sys.argv[1]
+    bodies = BodyParameters.mean(1, device=device).leaves()
+    target = torch.zeros(1, 256, 256, dtype=torch.uint8, device=device)
+    loss, _ = ellipsoid_label_loss(bodies.posed(), bodies.camera(256), target)
+    loss.sum().backward()
+    wp.synchronize_device(wp.device_from_torch(bodies.shift.device))
+    print(json.dumps([imported - begin, time.perf_counter() - imported]))
+
+
+if __name__ == "__main__":
+    main()
