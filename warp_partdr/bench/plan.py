@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..ellipsoids import Gradient
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
-TORCH_GRADIENT, TORCH_REFINEMENT = "pose, forward, backward in torch", "50 iterations in torch"
+TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 MINIMISE = "50 iterations, one target, with set-up"
 EXACT, PARTDR, MESH = "exact, coverage", "exact, PartDR", "mesh E1"
 GRADIENTS: dict[str, Gradient] = {EXACT: "coverage", PARTDR: "partdr"}  # of the exact renderer
