@@ -354,7 +354,7 @@ def _gradients(
         def launch(part: slice) -> None:
             posed = [_cut(array, part) for array in arrays]
             here = {name: _cut(array, part) for name, array in sums.items()}
-            common = {"perspective": view.perspective, "gradient": _cut_target(gradient, part)}
+            wanted = _cut_target(gradient, part)
             if options.gradient == "coverage":
                 ellipsoid_coverage.launch_coverage_forces(
                     posed,
@@ -362,7 +362,8 @@ def _gradients(
                     _cut(parts, part),
                     steps_per_pixel=options.steps_per_pixel,
                     halvings=options.halvings,
-                    **common,
+                    perspective=view.perspective,
+                    gradient=wanted,
                     **here,
                 )
             else:
@@ -373,7 +374,8 @@ def _gradients(
                     over_farther=options.over_farther,
                     max_distance=options.max_distance,
                     depth_weight=options.depth_weight,
-                    **common,
+                    perspective=view.perspective,
+                    gradient=wanted,
                     **here,
                 )
             cut = {name: _cut(array, part) for name, array in outputs.items()}
@@ -390,9 +392,9 @@ def _cut(array: wp.array, part: slice) -> wp.array:
     return array if part.stop - part.start == array.shape[0] or not array.size else array[part]
 
 
-def _cut_target(gradient: LabelTarget | DenseGradient, part: slice) -> LabelTarget | DenseGradient:
+def _cut_target(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGradient, which Warp makes classes of its own
     """The target of some bodies; one for all stays."""
-    if isinstance(gradient, DenseGradient.cls):
+    if hasattr(gradient, "maps"):
         dense = DenseGradient()
         dense.maps = gradient.maps[part]
         return dense
