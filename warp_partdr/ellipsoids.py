@@ -5,29 +5,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import torch
-import warp as wp
 
 from .cameras import Camera
 from .checks import check_finite, check_tensor
-from .kernels import ellipsoid_coverage, ellipsoid_partdr, ellipsoid_picture, surface_forces
-from .kernels import ellipsoids as kernel_ellipsoids
-from .kernels.ellipsoids import Seen, launch_see
-from .kernels.targets import DenseGradient, LabelTarget, launch_find_reach
-from .kernels.threads import launch_in_slices
+from .ellipsoid_passes import (
+    Gradient,
+    Options,
+    View,
+    dense_gradient,
+    draw,
+    gradients,
+    label_target,
+    loss_graph,
+)
 from .mesh import MAX_LABEL
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion
-from .streams import on_torch_stream
-
-Gradient = Literal["coverage", "partdr"]
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 DEFAULT_STEPS_PER_PIXEL = 1.0
 DEFAULT_HALVINGS = 4
+_SMALL_PIXELS = 2**20
 MAX_HALVINGS = 20  # finer than float32 tells angles apart
 
 
@@ -106,14 +107,14 @@ def draw_ellipsoids(
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
     """
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
-    tensors, table, view = _check(ellipsoids, camera, image_size, part_labels, near, validate)
+    tensors, view = _check(ellipsoids, camera, image_size, part_labels, near, validate)
     if not 0 <= num_maps <= MAX_LABEL:
         raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
     if num_maps == 0:
         with torch.no_grad():
-            picture = _draw(tensors, table, view)
+            picture = draw(tensors, view)
         return EllipsoidImage(picture.labels, picture.depth, picture.parts)
-    return EllipsoidImage(*_Maps.apply(*tensors, table, view, options, num_maps))
+    return EllipsoidImage(*_Maps.apply(*tensors, view, options, num_maps))
 
 
 def ellipsoid_label_loss(
@@ -157,7 +158,7 @@ def ellipsoid_label_loss(
     """
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,), like=("centres", ellipsoids.centres))
-    tensors, table, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
+    tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
     weights = torch.ones(256, device=target.device)
@@ -167,44 +168,14 @@ def ellipsoid_label_loss(
             raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
         weights[: label_weights.shape[0]] = label_weights.to(weights)
     weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
-    loss, labels, depth, parts = _LabelLoss.apply(*tensors, table, target.contiguous(), weights, view, options)
+    # Without grad mode, autograd would ask for gradients all the same.
+    given = tensors if torch.is_grad_enabled() else [tensor.detach() for tensor in tensors]
+    loss, labels, depth, parts = _LabelLoss.apply(*given, target.contiguous(), weights, view, options)
     return loss, EllipsoidImage(labels, depth, parts)
 
 
 _DTYPES = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 _Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
-
-
-@dataclass(frozen=True)
-class _View:
-    """How the picture is taken."""
-
-    height: int
-    width: int
-    near: float
-    perspective: bool
-    num_labels: int
-
-
-@dataclass(frozen=True)
-class _Options:
-    """How the gradient is estimated."""
-
-    gradient: Gradient
-    over_farther: bool
-    max_distance: float
-    depth_weight: float
-    steps_per_pixel: float
-    halvings: int
-
-
-@dataclass(frozen=True)
-class _Picture:
-    seen: Seen
-    parts: torch.Tensor
-    labels: torch.Tensor
-    depth: torch.Tensor
-    loss: torch.Tensor
 
 
 def _options(
@@ -214,7 +185,7 @@ def _options(
     depth_weight: float,
     steps_per_pixel: float,
     halvings: int,
-) -> _Options:
+) -> Options:
     if gradient not in ("coverage", "partdr"):
         raise ValueError(f"gradient: {gradient!r}; expected 'coverage' or 'partdr'")
     if occlusion not in ("depth", "paper"):
@@ -224,7 +195,7 @@ def _options(
     if not 0 <= halvings <= MAX_HALVINGS:
         raise ValueError(f"halvings: {halvings}; expected 0 to {MAX_HALVINGS}")
     over_farther = occlusion == "depth"
-    return _Options(
+    return Options(
         gradient, over_farther, float(max_distance), float(depth_weight), float(steps_per_pixel), int(halvings)
     )
 
@@ -236,7 +207,7 @@ def _check(
     part_labels: Sequence[int] | None,
     near: float | None,
     validate: bool,
-) -> tuple[_Tensors, torch.Tensor, _View]:
+) -> tuple[_Tensors, View]:
     """What both entry points share."""
     centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
     check_tensor("centres", centres, (None, None, 3), dtypes=_DTYPES)
@@ -265,157 +236,9 @@ def _check(
             raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
     if near is None:
         near = DEFAULT_NEAR if camera.perspective else -math.inf
-    num_labels = max((label for label in table if label <= MAX_LABEL), default=0)
-    view = _View(image_size[0], image_size[1], float(near), camera.perspective, num_labels)
+    view = View(image_size[0], image_size[1], float(near), camera.perspective, tuple(table))
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
-    return tensors, _label_table(tuple(table), centres.device), view
-
-
-@lru_cache(maxsize=64)
-def _label_table(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
-    """On the device once: a copy from the host in every call would wait for it."""
-    return torch.tensor(labels, dtype=torch.uint8, device=device)
-
-
-def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
-    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
-
-
-def _arrays(tensors: Sequence[torch.Tensor]) -> list[wp.array]:
-    return [_wp(tensor, kind) for tensor, kind in zip(tensors, (wp.vec3, wp.mat33, wp.vec3, wp.vec4), strict=True)]
-
-
-def _draw(
-    tensors: Sequence[torch.Tensor],
-    part_labels: torch.Tensor,
-    view: _View,
-    target: LabelTarget | None = None,
-) -> _Picture:
-    """The picture, and its loss where there is a target."""
-    device = part_labels.device
-    batch, count = tensors[0].shape[:2]
-    shape = (batch, view.height, view.width)
-    parts = torch.empty(shape, dtype=torch.uint8, device=device)
-    labels = torch.empty(shape, dtype=torch.uint8, device=device)
-    depth = torch.empty(shape, device=device)
-    loss = torch.empty(batch, device=device)
-    with on_torch_stream(device) as where:
-        seen = Seen.empty(batch, count, where)
-        arrays, table = _arrays(tensors), _wp(part_labels, wp.uint8)
-        sums = ellipsoid_picture.num_partial_losses(table.device, batch, view.height, view.width)
-        losses = torch.empty((batch, sums) if target is not None else (0, 0), device=device)
-        outputs = {
-            "nearest": wp.empty(shape if device.type == "cpu" else (0, 0, 0), dtype=float, device=where),
-            "parts": _wp(parts, wp.uint8),
-            "labels": _wp(labels, wp.uint8),
-            "depth": _wp(depth, wp.float32),
-            "losses": _wp(losses, wp.float32),
-        }
-        totals = _wp(loss, wp.float32)
-
-        def launch(part: slice) -> None:
-            cut = {name: _cut(array, part) for name, array in outputs.items()}
-            seen_here = seen.cut(part)
-            posed = [_cut(array, part) for array in arrays]
-            launch_see(posed, table, near=view.near, perspective=view.perspective, seen=seen_here)
-            compared = LabelTarget() if target is None else _cut_target(target, part)
-            ellipsoid_picture.launch_draw(seen_here.silhouettes, perspective=view.perspective, target=compared, **cut)
-            if target is not None:
-                surface_forces.launch_sum_rows(cut["losses"], _cut(totals, part))
-
-        if batch:  # Warp cuts nothing out of an empty array
-            launch_in_slices(
-                launch, batch, table.device, modules=(kernel_ellipsoids, ellipsoid_picture, surface_forces)
-            )
-    return _Picture(seen, parts, labels, depth, loss)
-
-
-def _gradients(
-    tensors: Sequence[torch.Tensor], picture: _Picture, view: _View, options: _Options, gradient: Any
-) -> tuple[torch.Tensor, ...]:
-    """With respect to centres, axes, semi-axes and camera."""
-    device = picture.parts.device
-    batch, count = tensors[0].shape[:2]
-    force = torch.empty(batch, count, 3, device=device)
-    moment = torch.empty(batch, count, 3, 3, device=device)
-    camera_force = torch.empty(batch, count, 4, device=device)
-    grads = tuple(torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in tensors)
-    with on_torch_stream(device) as where:
-        arrays = _arrays(tensors)
-        sums = {
-            "force": _wp(force, wp.vec3),
-            "moment": _wp(moment, wp.mat33),
-            "camera_force": _wp(camera_force, wp.vec4),
-        }
-        parts = _wp(picture.parts, wp.uint8)
-        names = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera")
-        outputs = dict(zip(names, _arrays(grads), strict=True))
-
-        def launch(part: slice) -> None:
-            posed = [_cut(array, part) for array in arrays]
-            here = {name: _cut(array, part) for name, array in sums.items()}
-            wanted = _cut_target(gradient, part)
-            if options.gradient == "coverage":
-                ellipsoid_coverage.launch_coverage_forces(
-                    posed,
-                    picture.seen.cut(part),
-                    _cut(parts, part),
-                    steps_per_pixel=options.steps_per_pixel,
-                    halvings=options.halvings,
-                    perspective=view.perspective,
-                    gradient=wanted,
-                    **here,
-                )
-            else:
-                ellipsoid_partdr.launch_partdr_forces(
-                    posed,
-                    picture.seen.cut(part),
-                    _cut(parts, part),
-                    over_farther=options.over_farther,
-                    max_distance=options.max_distance,
-                    depth_weight=options.depth_weight,
-                    perspective=view.perspective,
-                    gradient=wanted,
-                    **here,
-                )
-            cut = {name: _cut(array, part) for name, array in outputs.items()}
-            surface_forces.launch_spread(posed[1], posed[2], *here.values(), **cut)
-
-        estimator = ellipsoid_coverage if options.gradient == "coverage" else ellipsoid_partdr
-        if batch:
-            launch_in_slices(launch, batch, wp.get_device(where), modules=(estimator, surface_forces))
-    return grads
-
-
-def _cut(array: wp.array, part: slice) -> wp.array:
-    """Some bodies' share of an array; all of it without a view, which would cost 15 us, and nothing of an empty one."""
-    return array if part.stop - part.start == array.shape[0] or not array.size else array[part]
-
-
-def _cut_target(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGradient, which Warp makes classes of its own
-    """The target of some bodies; one for all stays."""
-    if hasattr(gradient, "maps"):
-        dense = DenseGradient()
-        dense.maps = gradient.maps[part]
-        return dense
-    if gradient.target.shape[0] == 1:
-        return gradient
-    target = LabelTarget()
-    target.target, target.label_weights = gradient.target[part], gradient.label_weights
-    target.reach = _cut(gradient.reach, part)
-    return target
-
-
-def _label_target(target: torch.Tensor, weights: torch.Tensor, num_labels: int, needs_reach: bool) -> LabelTarget:
-    with on_torch_stream(target.device) as device:
-        made = LabelTarget()
-        made.target = _wp(target, wp.uint8)
-        made.label_weights = _wp(weights, wp.float32)
-        shape = (target.shape[0], 2, num_labels + 1, max(target.shape[1:])) if needs_reach else (0, 0, 0, 0)
-        made.reach = wp.empty(shape, dtype=wp.vec2i, device=device)
-        if needs_reach:
-            launch_find_reach(made.target, made.reach)
-    return made
+    return tensors, view
 
 
 class _LabelLoss(torch.autograd.Function):
@@ -423,29 +246,42 @@ class _LabelLoss(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, table, target, weights, view, options = inputs
-        label_target = _label_target(target, weights, view.num_labels, options.gradient == "partdr")
-        picture = _draw(tensors, table, view, label_target)
-        if any(ctx.needs_input_grad):
-            ctx.save_for_backward(*_gradients(tensors, picture, view, options, label_target))
-        ctx.mark_non_differentiable(picture.labels, picture.depth, picture.parts)
+        *tensors, target, weights, view, options = inputs
+        grads: tuple[torch.Tensor, ...] = ()
+        if any(ctx.needs_input_grad) and _is_small(target, len(tensors[0])):
+            shown, grads = loss_graph(tensors, target, view, options)(tensors, target, weights)
+        else:
+            wanted = label_target(target, weights, view.num_labels, options.gradient == "partdr")
+            picture = draw(tensors, view, wanted)
+            shown = (picture.loss, picture.labels, picture.depth, picture.parts)
+            if any(ctx.needs_input_grad):
+                grads = gradients(tensors, picture, view, options, wanted)
+        ctx.save_for_backward(*grads)
+        ctx.mark_non_differentiable(*shown[1:])
         ctx.set_materialize_grads(False)
-        return picture.loss, picture.labels, picture.depth, picture.parts
+        return shown
 
     @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
+    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
         grads: tuple[torch.Tensor | None, ...] = (None,) * 4
-        if gradients[0] is not None:
-            grads = tuple(gradients[0].view(-1, *[1] * (saved.dim() - 1)) * saved for saved in ctx.saved_tensors)
-        return *grads, None, None, None, None, None
+        if incoming[0] is not None:
+            grads = tuple(incoming[0].view(-1, *[1] * (saved.dim() - 1)) * saved for saved in ctx.saved_tensors)
+        return *grads, None, None, None, None
+
+
+def _is_small(target: torch.Tensor, batch: int) -> bool:
+    """Whether a batch is done before Python has launched it, so that a graph pays for its copies."""
+    if target.device.type == "cpu":
+        return batch == 1  # more are shared among threads
+    return 0 < batch * target.shape[1] * target.shape[2] <= _SMALL_PIXELS
 
 
 class _Maps(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, table, view, options, num_maps = inputs
-        picture = _draw(tensors, table, view)
-        index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=table.device)
+        *tensors, view, options, num_maps = inputs
+        picture = draw(tensors, view)
+        index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=picture.labels.device)
         maps = (picture.labels[:, None] == index[:, None, None]).float()
         ctx.save_for_backward(*tensors)
         ctx.picture, ctx.view, ctx.options = picture, view, options
@@ -454,10 +290,9 @@ class _Maps(torch.autograd.Function):
         return picture.labels, picture.depth, picture.parts, maps
 
     @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
+    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
         grads: tuple[torch.Tensor | None, ...] = (None,) * 4
-        if gradients[3] is not None:
-            dense = DenseGradient()
-            dense.maps = _wp(gradients[3].float(), wp.float32)
-            grads = _gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, dense)
-        return *grads, None, None, None, None
+        if incoming[3] is not None:
+            wanted = dense_gradient(incoming[3])
+            grads = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, wanted)
+        return *grads, None, None, None

@@ -17,7 +17,8 @@ import torch
 from .body.labels import LabelSet
 from .body.landmarks import landmark_points
 from .body.template import template
-from .ellipsoids import Gradient, draw_ellipsoids, ellipsoid_label_loss
+from .ellipsoid_passes import Gradient
+from .ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartMesh, ellipbody_mesh
 from .parameters import BodyParameters
 from .pose_prior import PosePrior, up_direction

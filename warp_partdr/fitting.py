@@ -13,7 +13,7 @@ import torch
 from .body.labels import IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
-from .ellipsoids import Gradient
+from .ellipsoid_passes import Gradient
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
 from .errors import InputError
 from .fused import minimise

@@ -13,7 +13,8 @@ import torch
 import warp as wp
 
 from ..body.ellipbody import bone_tree
-from ..ellipsoids import Gradient, ellipsoid_label_loss
+from ..ellipsoid_passes import Gradient
+from ..ellipsoids import ellipsoid_label_loss
 from ..fused import FusedRefinement
 from ..fused_picture import EllipsoidPicture
 from ..kernels import kinematics, part_gradient, rasterize

@@ -10,7 +10,8 @@ import torch
 from ..body.labels import label_set
 from ..body.skeletons import skeleton
 from ..cameras import WeakPerspective
-from ..ellipsoids import Gradient, draw_ellipsoids
+from ..ellipsoid_passes import Gradient
+from ..ellipsoids import draw_ellipsoids
 from ..energy import Energy, LandmarkGather, Observation
 from ..parameters import BodyParameters
 from ..pose_prior import PosePrior
