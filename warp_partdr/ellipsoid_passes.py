@@ -254,7 +254,7 @@ class LossGraph:
         target = label_target(self._target, self._weights, view.num_labels, reaches)
         self._picture, launch_picture = prepare_picture(self._inputs, view, target)
         self._grads, launch_gradients = prepare_gradients(self._inputs, self._picture, view, options, target)
-        self._kept = target
+        self._kept = target, launch_picture, launch_gradients  # the graph holds no memory alive
         whole = slice(0, batch)
         with on_torch_stream(device) as where:
             warp_device = wp.get_device(where)
