@@ -56,7 +56,7 @@ def subtree_torque(ellipsoids: Ellipsoids, wrenches: Wrenches, b: int, subtree: 
 
 
 @wp.func
-def gather_part(
+def gather_rotation(
     skeleton: Skeleton,
     bodies: Bodies,
     ellipsoids: Ellipsoids,
@@ -69,7 +69,7 @@ def gather_part(
     b: int,
     k: int,
 ):
-    """Rotation of part k, length k and thickness k."""
+    """Rotation of part k."""
     if not has_bit(skeleton.locked, k):
         axes = ellipsoids.axes[b, k]
         start = ellipsoids.centres[b, k] - ellipsoids.semi_axes[b, k][0] * column(axes, 0)
@@ -80,6 +80,13 @@ def gather_part(
             share = mixture_gradient(exponents, slopes, log_density(exponents, b), b, mixture.slots[k])
             total += weights.prior * share
         gradient.rotations[b, k] = total
+
+
+@wp.func
+def gather_length(
+    skeleton: Skeleton, bodies: Bodies, ellipsoids: Ellipsoids, wrenches: Wrenches, gradient: Bodies, b: int, k: int
+):
+    """Length k, of one part or of two."""
     if k < bodies.lengths.shape[1]:
         length = gradient.lengths[b, k]
         for part in range(wrenches.force.shape[1]):
@@ -89,6 +96,11 @@ def gather_part(
                 along = wp.dot(carried, column(ellipsoids.axes[b, part], 0))
                 length += along + 0.5 * wrenches.semi_axes[b, part][0]
         gradient.lengths[b, k] = length
+
+
+@wp.func
+def gather_thickness(skeleton: Skeleton, bodies: Bodies, wrenches: Wrenches, gradient: Bodies, b: int, k: int):
+    """Thickness k."""
     if k < bodies.thicknesses.shape[1]:
         thickness = gradient.thicknesses[b, k]
         for part in range(wrenches.force.shape[1]):
@@ -169,15 +181,23 @@ def gather_gradients(
     gradient: Bodies,  # MODIFIED: the forces' share is added
     records: Records,  # MODIFIED
 ):
-    """Thread k < P owns part k, thread P the body.
+    """Threads 0 to P - 1 own a rotation each, P more a length, P more a thickness, and the last one the body.
 
     The latter may clear ``active`` while the others read it: what they do then matters to nobody.
     """
-    b, k = wp.tid()
+    b, thread = wp.tid()
     num_parts = wrenches.force.shape[1]
-    if k < num_parts:
+    if thread < 3 * num_parts:
         if active[b] == 1:
-            gather_part(skeleton, bodies, ellipsoids, wrenches, mixture, exponents, slopes, weights, gradient, b, k)
+            k = thread % num_parts
+            if thread < num_parts:
+                gather_rotation(
+                    skeleton, bodies, ellipsoids, wrenches, mixture, exponents, slopes, weights, gradient, b, k
+                )
+            elif thread < 2 * num_parts:
+                gather_length(skeleton, bodies, ellipsoids, wrenches, gradient, b, k)
+            else:
+                gather_thickness(skeleton, bodies, wrenches, gradient, b, k)
         return
     if active[b] == 0:
         records.better[b] = 0
@@ -224,4 +244,4 @@ def launch_gather(
     """Complete ``gradient`` and update ``records`` and ``active``."""
     state = [skeleton, bodies, ellipsoids, orientations, costs, wrenches, mixture, exponents, slopes]
     inputs = [active, iteration, *state, weights, stopping, gradient, records]
-    launch(gather_gradients, (costs.shape[0], costs.shape[1] + 1), inputs, active.device)
+    launch(gather_gradients, (costs.shape[0], 3 * costs.shape[1] + 1), inputs, active.device)

@@ -11,7 +11,7 @@ import warp as wp
 
 # One module for all five: each of its own would cost seconds when compiled first.
 MODULE = wp.get_module("warp_partdr.refine")
-wp.set_module_options({"enable_backward": False}, module=MODULE)
+wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
 BLOCK = 64  # threads a block on CUDA: small, so that even one body spreads; the same for all, or they compile again
 
 # Columns of the energy's terms.
