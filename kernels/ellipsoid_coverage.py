@@ -3,8 +3,8 @@
 The loss is the integral of cost(label(x), pixel of x) over the picture. It changes where the labels' borders move, by
 (cost inside - cost outside) times the way along the normal. Borders are of two kinds: outlines, which one ellipsoid
 owns and which are walked in steps of a share of a pixel, and creases, where two ellipsoids that meet in space are
-equally near; those are found between neighbouring pixels that show the two. One block of threads owns an ellipsoid and
-adds in a fixed order.
+equally near; those are looked for on lines a share of a pixel apart, wherever neighbouring pixels differ. One block of
+threads owns an ellipsoid and adds in a fixed order.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,15 @@ from .surface_forces import (
     from_unit,
     load_ellipsoid,
     make_scene,
+    rests,
 )
 from .targets import DenseGradient, LabelTarget, cost_at, flat, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 BLOCK = 128  # threads that share one ellipsoid on CUDA; four such blocks at once leave each thread 128 registers
-_ROOT_STEPS = wp.constant(4)  # of false position within a pixel
-_STRIP_SAMPLES = wp.constant(4)  # places where a crease's cost is looked up in its row or column
+_ROOT_STEPS = wp.constant(4)  # of false position within a piece of a line
+_MAX_STEPS = wp.constant(float(2**22))  # of an outline: with more, float32 would hardly tell their angles apart
 _TINY = wp.constant(1.0e-20)
 
 
@@ -186,8 +187,8 @@ def walk_outline(
     """Forces of an ellipsoid's own outline; each thread walks one piece of it."""
     circle = outline_circle(e, perspective)
     half = 0.5 * (s.high - s.low)
-    # The root mean square of the radii bounds the perimeter from above.
-    count = int(wp.ceil(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5))) + 8
+    # The root mean square of the radii bounds the perimeter from above. One of millions of pixels gets longer steps.
+    count = int(wp.min(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
     each = (count + lanes - 1) // lanes
     step = 2.0 * wp.pi / float(each * lanes)
     n = lane * each
@@ -222,95 +223,173 @@ def walk_outline(
 
 
 @wp.func
-def cross_crease(
+def hidden(
+    silhouettes: wp.array[Silhouette], neighbours: wp.array[wp.uint32], j: int, x: float, y: float, nearness: float
+):
+    """Whether a neighbour other than ellipsoid j is nearer at (x, y)."""
+    for word in range(neighbours.shape[0]):
+        bits = neighbours[word]
+        while bits != wp.uint32(0):
+            i = 32 * word + lowest_bit(bits)
+            bits &= bits - wp.uint32(1)
+            if i != j:
+                other = silhouettes[i]
+                room = room_at(other, x, y)
+                if room > 0.0 and middle_at(other, x, y) + wp.sqrt(room) > nearness:
+                    return True
+    return False
+
+
+@wp.func
+def push_crease(
     sums: SurfaceForces,
-    e: Ellipsoid,
+    scene: Scene,
+    b: int,
+    k: int,
     s: Silhouette,
-    other: Silhouette,
+    silhouettes: wp.array[Silhouette],
+    neighbours: wp.array[wp.uint32],
     t: int,
+    j: int,
     axis: int,
-    row: int,
-    column: int,
-    s_first: bool,
+    x: float,
+    y: float,
+    lines: int,
+    gradient: Any,
     height: int,
     width: int,
-    perspective: bool,
-    gradient: Any,
 ):
-    """Force on an ellipsoid where a pixel shows it and the next one another, or the other way round (``s_first``)."""
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    begin = wp.where(axis == 0, x, y)
-    along_x = wp.where(axis == 0, 1.0, 0.0)
-    along_y = 1.0 - along_x
-    # On the way from the first pixel's centre to the next, both are there from ``low`` to ``high``.
-    first_side = wp.where(s_first, 1.0, -1.0)
-    low = wp.max(outline_end(wp.where(s_first, other, s), x, y, axis, -1.0) - begin, 0.0)
-    high = wp.min(outline_end(wp.where(s_first, s, other), x, y, axis, 1.0) - begin, 1.0)
-    low_lead = first_side * lead(s, other, x + along_x * low, y + along_y * low)
-    high_lead = first_side * lead(s, other, x + along_x * high, y + along_y * high)
-    if low >= high or low_lead <= 0.0 or high_lead >= 0.0:
-        return sums  # an outline lies between the two, in front of what is behind
-    place = float(0.0)
-    for _ in range(_ROOT_STEPS):
-        place = low + (high - low) * low_lead / (low_lead - high_lead)
-        here = first_side * lead(s, other, x + along_x * place, y + along_y * place)
-        if here > 0.0:
-            low = place
-            low_lead = here
-            high_lead *= 0.5  # Illinois: or one end would stay where it is
-        else:
-            high = place
-            high_lead = here
-            low_lead *= 0.5
-    x += along_x * place
-    y += along_y * place
+    """Force on an ellipsoid at (x, y), where on one of ``lines`` lines a pixel its front and that of j cross."""
+    other = silhouettes[j]
+    row = wp.min(int(y), height - 1)
+    column = wp.min(int(x), width - 1)
+    excess = cost_at(gradient, t, s.label, row, column) - cost_at(gradient, t, other.label, row, column)
+    nearness = middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+    if excess == 0.0 or hidden(silhouettes, neighbours, j, x, y, nearness):
+        return sums
     slope = nearness_slope(s, x, y)
     away = slope - nearness_slope(other, x, y)
     # A row and a column that cross a border at one place share it by the squares of its normal, so that each bit counts
-    # once. Over the height of its row the border runs along its tangent.
+    # once.
     across = wp.abs(wp.where(axis == 0, away[0], away[1]))
     length2 = wp.dot(away, away)
     if across * across < 1.0e-6 * length2 or length2 == 0.0:
         return sums
-    lean = wp.where(axis == 0, -away[1] / away[0], -away[0] / away[1])
-    excess = float(0.0)
-    for i in range(_STRIP_SAMPLES):
-        off = (float(i) + 0.5) / float(_STRIP_SAMPLES) - 0.5
-        shift = wp.clamp(lean * off, -1.0, 1.0)
-        at_row = wp.clamp(int(wp.floor(y + wp.where(axis == 0, off, shift))), 0, height - 1)
-        at_column = wp.clamp(int(wp.floor(x + wp.where(axis == 0, shift, off))), 0, width - 1)
-        excess += cost_at(gradient, t, s.label, at_row, at_column)
-        excess -= cost_at(gradient, t, other.label, at_row, at_column)
-    if excess == 0.0:
+    amount = excess * across / (float(lines) * length2)
+    # Loaded where it is used: crossings are few, and it would take registers all the way.
+    e = load_ellipsoid(scene, b, k)
+    return add_nearness_force(sums, e, x, y, nearness, slope, amount, scene.perspective)
+
+
+@wp.func
+def walk_line(
+    sums: SurfaceForces,
+    scene: Scene,
+    b: int,
+    k: int,
+    silhouettes: wp.array[Silhouette],
+    neighbours: wp.array[wp.uint32],
+    t: int,
+    j: int,
+    axis: int,
+    x: float,
+    y: float,
+    lines: int,
+    gradient: Any,
+    height: int,
+    width: int,
+):
+    """Forces of the creases with ellipsoid j on the pixel's length ahead of (x, y) along an axis."""
+    s = silhouettes[k]
+    other = silhouettes[j]
+    along_x = wp.where(axis == 0, 1.0, 0.0)
+    along_y = 1.0 - along_x
+    # Both are there, and in the picture, from ``begin`` to ``end``.
+    start = wp.where(axis == 0, x, y)
+    begin = wp.max(outline_end(s, x, y, axis, -1.0), outline_end(other, x, y, axis, -1.0))
+    end = wp.min(outline_end(s, x, y, axis, 1.0), outline_end(other, x, y, axis, 1.0))
+    begin = wp.max(wp.max(begin, 0.0) - start, 0.0)
+    end = wp.min(wp.min(end, float(wp.where(axis == 0, width, height))) - start, 1.0)
+    aside = wp.where(axis == 0, y, x)
+    if begin >= end or aside < 0.0 or aside >= float(wp.where(axis == 0, height, width)):
         return sums
-    amount = excess / float(_STRIP_SAMPLES) * across / length2
-    nearness = middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
-    return add_nearness_force(sums, e, x, y, nearness, slope, amount, perspective)
+    # Two fronts can cross twice within a pixel, so as many pieces as lines are looked at one by one.
+    step = (end - begin) / float(lines)
+    next_lead = lead(s, other, x + along_x * begin, y + along_y * begin)
+    for piece in range(lines):
+        low = begin + float(piece) * step
+        high = low + step
+        low_lead = next_lead
+        high_lead = lead(s, other, x + along_x * high, y + along_y * high)
+        next_lead = high_lead
+        if low_lead * high_lead < 0.0:
+            place = low
+            for _ in range(_ROOT_STEPS):
+                place = low + (high - low) * low_lead / (low_lead - high_lead)
+                here = lead(s, other, x + along_x * place, y + along_y * place)
+                if here * low_lead > 0.0:
+                    low = place
+                    low_lead = here
+                    high_lead *= 0.5  # Illinois: or one end would stay where it is
+                else:
+                    high = place
+                    high_lead = here
+                    low_lead *= 0.5
+            sums = push_crease(
+                sums,
+                scene,
+                b,
+                k,
+                s,
+                silhouettes,
+                neighbours,
+                t,
+                j,
+                axis,
+                x + along_x * place,
+                y + along_y * place,
+                lines,
+                gradient,
+                height,
+                width,
+            )
+    return sums
+
+
+@wp.func
+def is_mixed(parts: wp.array[wp.uint8], row: int, column: int, height: int, width: int):
+    """Whether the pixels around a cell, from the centre of (row, column) to the next, differ or are not all there."""
+    if row < 0 or column < 0 or row + 1 >= height or column + 1 >= width:
+        return True
+    upper = row * width + column
+    lower = upper + width
+    first = parts[upper]
+    return first != parts[upper + 1] or first != parts[lower] or first != parts[lower + 1]
 
 
 @wp.func
 def walk_creases(
     sums: SurfaceForces,
-    e: Ellipsoid,
-    s: Silhouette,
+    scene: Scene,
+    b: int,
+    k: int,
     silhouettes: wp.array[Silhouette],
+    neighbours: wp.array[wp.uint32],
     creases: wp.array[wp.uint32],
     parts: wp.array[wp.uint8],
     height: int,
     width: int,
     t: int,
-    k: int,
     lane: int,
     lanes: int,
-    perspective: bool,
+    lines: int,
     gradient: Any,
 ):
-    """Forces of the creases between an ellipsoid and those that it meets in space."""
+    """Forces of the creases between an ellipsoid and those that it meets in space, on ``lines`` lines a pixel."""
     for word in range(creases.shape[0]):
         bits = creases[word]
-        # Pixels are dealt to the threads as one line over all boxes. Each thread looks for its next border, then all
-        # threads work on one each: looking is quick, working is not.
+        # Cells between pixel centres are dealt to the threads as one line over all boxes. Each thread looks for its
+        # next mixed cell, then all threads work on one each: looking is quick, working is not.
         n = int(lane)
         begin = int(0)
         end = int(0)
@@ -320,47 +399,52 @@ def walk_creases(
         row = int(0)
         column = int(0)
         j = int(-1)
-        axis = int(1)
         searching = bool(True)
-        first = bool(False)
         while searching:
             found = bool(False)
             while searching and not found:
-                if axis == 0:
-                    axis = 1
-                else:
-                    axis = 0
-                    while n >= end and bits != wp.uint32(0):
-                        j = 32 * word + lowest_bit(bits)
-                        bits &= bits - wp.uint32(1)
-                        low = silhouettes[j].low
-                        high = silhouettes[j].high
-                        # Where both are, and one pixel more on either side, clamped in float against overflow.
-                        left = int(wp.clamp(wp.max(s.low[0], low[0]) - 1.0, 0.0, float(width)))
-                        right = int(wp.clamp(wp.min(s.high[0], high[0]) + 1.0, -1.0, float(width - 1)))
-                        top = int(wp.clamp(wp.max(s.low[1], low[1]) - 1.0, 0.0, float(height)))
-                        bottom = int(wp.clamp(wp.min(s.high[1], high[1]) + 1.0, -1.0, float(height - 1)))
-                        columns = right - left + 1
-                        begin = end
-                        end = begin + wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
-                    if n >= end:
-                        searching = False
-                    else:
-                        row = top + (n - begin) // columns
-                        column = left + (n - begin) % columns
-                        n += lanes
+                while n >= end and bits != wp.uint32(0):
+                    j = 32 * word + lowest_bit(bits)
+                    bits &= bits - wp.uint32(1)
+                    low = wp.max(silhouettes[k].low, silhouettes[j].low)
+                    high = wp.min(silhouettes[k].high, silhouettes[j].high)
+                    # Cells that hold a place where both are, clamped in float against overflow. The first begins half
+                    # a pixel before the picture.
+                    left = int(wp.floor(wp.clamp(low[0] - 0.5, -1.0, float(width))))
+                    right = int(wp.floor(wp.clamp(high[0] - 0.5, -2.0, float(width - 1))))
+                    top = int(wp.floor(wp.clamp(low[1] - 0.5, -1.0, float(height))))
+                    bottom = int(wp.floor(wp.clamp(high[1] - 0.5, -2.0, float(height - 1))))
+                    columns = right - left + 1
+                    begin = end
+                    end = begin + wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
+                searching = n < end
                 if searching:
-                    here = int(parts[row * width + column])
-                    next_row = row + axis
-                    next_column = column + 1 - axis
-                    if (here == k + 1 or here == j + 1) and next_row < height and next_column < width:
-                        there = int(parts[next_row * width + next_column])
-                        found = there == k + j + 2 - here
-                        first = here == k + 1
+                    row = top + (n - begin) // columns
+                    column = left + (n - begin) % columns
+                    n += lanes
+                    found = is_mixed(parts, row, column, height, width)
             if found:
-                sums = cross_crease(
-                    sums, e, s, silhouettes[j], t, axis, row, column, first, height, width, perspective, gradient
-                )
+                for i in range(2 * lines):
+                    # Each line halves a strip, and whole strips fill a pixel: one cost holds for all of a strip.
+                    off = (float(lines // 2 + i // 2) + 0.5) / float(lines)
+                    axis = i % 2
+                    sums = walk_line(
+                        sums,
+                        scene,
+                        b,
+                        k,
+                        silhouettes,
+                        neighbours,
+                        t,
+                        j,
+                        axis,
+                        float(column) + wp.where(axis == 0, 0.5, off),
+                        float(row) + wp.where(axis == 0, off, 0.5),
+                        lines,
+                        gradient,
+                        height,
+                        width,
+                    )
     return sums
 
 
@@ -375,6 +459,8 @@ def coverage_on(
     s = silhouettes[k]
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
+    if rests(scene.active, b):
+        return sums
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
         e = load_ellipsoid(scene, b, k)
         t = target_of(gradient, b)
@@ -396,18 +482,19 @@ def coverage_on(
         )
         sums = walk_creases(
             sums,
-            e,
-            s,
+            scene,
+            b,
+            k,
             silhouettes,
+            scene.neighbours[b, k],
             scene.creases[b, k],
             flat(scene.parts[b]),
             height,
             width,
             t,
-            k,
             lane,
             lanes,
-            scene.perspective,
+            int(wp.ceil(steps_per_pixel)),
             gradient,
         )
     return sums
@@ -472,9 +559,15 @@ def launch_coverage_forces(
     force: wp.array,
     moment: wp.array,
     camera_force: wp.array,
+    active: wp.array | None = None,
 ) -> None:
-    """Fill the sums of forces on every ellipsoid."""
-    inputs = [make_scene(ellipsoids, seen, parts, perspective=perspective), steps_per_pixel, halvings, gradient]
+    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
+    inputs = [
+        make_scene(ellipsoids, seen, parts, perspective=perspective, active=active),
+        steps_per_pixel,
+        halvings,
+        gradient,
+    ]
     outputs = [force, moment, camera_force]
     shape, device = seen.silhouettes.shape, parts.device
     if device.is_cpu:

@@ -23,10 +23,11 @@ from .ellipsoid_passes import (
 )
 from .mesh import MAX_LABEL
 from .posing import Posed
-from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion
+from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion, check_gradient_options
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 DEFAULT_STEPS_PER_PIXEL = 1.0
+MAX_STEPS_PER_PIXEL = 64  # the work on creases grows with its square
 DEFAULT_HALVINGS = 4
 _SMALL_PIXELS = 2**20
 MAX_HALVINGS = 20  # finer than float32 tells angles apart
@@ -96,7 +97,8 @@ def draw_ellipsoids(
         occlusion: "partdr": as in ``rasterize_parts``.
         max_distance: "partdr": as in ``rasterize_parts`` [px].
         depth_weight: "partdr": as in ``rasterize_parts``.
-        steps_per_pixel: "coverage": how densely outlines are walked.
+        steps_per_pixel: "coverage": how densely outlines are walked, and, rounded up, on how many rows and columns a
+            pixel creases are looked for; at most 64. Outlines get longer steps where they would take more than 2**22.
         halvings: "coverage": how often a step is halved to find where on it the cost changes.
         validate: Look for NaN, infinity and axes that are not positive; on CUDA that waits for the device.
 
@@ -146,7 +148,7 @@ def ellipsoid_label_loss(
         occlusion: "depth" or "paper".
         max_distance: Reach of a pixel [px].
         depth_weight: The paper's lambda of the z gradient.
-        steps_per_pixel: How densely outlines are walked.
+        steps_per_pixel: How densely borders are sampled.
         halvings: How often a step is halved.
         validate: Look for NaN, infinity and axes that are not positive.
 
@@ -188,10 +190,9 @@ def _options(
 ) -> Options:
     if gradient not in ("coverage", "partdr"):
         raise ValueError(f"gradient: {gradient!r}; expected 'coverage' or 'partdr'")
-    if occlusion not in ("depth", "paper"):
-        raise ValueError(f"occlusion: {occlusion!r}; expected 'depth' or 'paper'")
-    if not 0 < steps_per_pixel < math.inf:
-        raise ValueError(f"steps_per_pixel: {steps_per_pixel}; expected a positive number")
+    check_gradient_options(occlusion, max_distance, depth_weight)
+    if not 0 < steps_per_pixel <= MAX_STEPS_PER_PIXEL:
+        raise ValueError(f"steps_per_pixel: {steps_per_pixel}; expected a positive number up to {MAX_STEPS_PER_PIXEL}")
     if not 0 <= halvings <= MAX_HALVINGS:
         raise ValueError(f"halvings: {halvings}; expected 0 to {MAX_HALVINGS}")
     over_farther = occlusion == "depth"

@@ -82,9 +82,10 @@ def rasterize_parts(
         derivative of the step function.
 
     Raises:
-        ValueError: If a shape, size or dtype is wrong, devices differ, or ``vertices`` holds NaN or infinity.
+        ValueError: If a shape, size, dtype or option is wrong, devices differ, or ``vertices`` holds NaN or infinity.
     """
-    near = _check(vertices, mesh, image_size, perspective, near, edges, occlusion, validate)
+    check_gradient_options(occlusion, max_distance, depth_weight)
+    near = _check(vertices, mesh, image_size, perspective, near, edges, validate)
     if not 0 <= num_maps <= MAX_LABEL:
         raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
     height, width = image_size
@@ -147,7 +148,8 @@ def label_loss(
         ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
     """
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
-    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, occlusion, validate)
+    check_gradient_options(occlusion, max_distance, depth_weight)
+    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
     weights = torch.ones(256, device=vertices.device)
     if label_weights is not None:
         check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
@@ -176,6 +178,16 @@ def label_loss(
     return loss, PartImage(labels, depth, face_index)
 
 
+def check_gradient_options(occlusion: str, max_distance: float, depth_weight: float) -> None:
+    """Raise ValueError unless PartDR's rule can take these, for a mesh or for ellipsoids."""
+    if occlusion not in ("depth", "paper"):
+        raise ValueError(f"occlusion: {occlusion!r}; expected 'depth' or 'paper'")
+    if not max_distance >= 0:
+        raise ValueError(f"max_distance: {max_distance}; expected a number of pixels from 0, or infinity")
+    if not 0 <= depth_weight < math.inf:
+        raise ValueError(f"depth_weight: {depth_weight}; expected a finite number from 0")
+
+
 def _check(
     vertices: torch.Tensor,
     mesh: PartMesh,
@@ -183,7 +195,6 @@ def _check(
     perspective: bool,
     near: float | None,
     edges: str,
-    occlusion: str,
     validate: bool,
 ) -> float:
     """Check what both entry points share; returns the near plane."""
@@ -194,8 +205,6 @@ def _check(
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
-    if occlusion not in ("depth", "paper"):
-        raise ValueError(f"occlusion: {occlusion!r}; expected 'depth' or 'paper'")
     if validate and not torch.compiler.is_compiling():
         check_finite("vertices", vertices)
     if mesh.num_vertices > vertices.shape[1]:
