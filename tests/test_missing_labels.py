@@ -106,13 +106,13 @@ def test_a_small_gap_stays() -> None:
         assert (ignore_missing_limbs(groups, keypoints) == groups).all() == stays
 
 
-def test_observations_of_labels_and_of_maps_ignore_the_same(device: str) -> None:
+def test_observations_of_labels_and_of_maps_ignore_the_same() -> None:
     keypoints, parts = standing("left_forearm", "right_lower_leg")
     maps = (parts.groups == np.arange(len(PART_NAMES) + 1)[:, None, None]).astype(np.float32)
-    seen, _ = observe(keypoints, replace(parts, maps=maps), device=device)
+    seen, _ = observe(keypoints, replace(parts, maps=maps))
     assert seen.labels is not None
     assert seen.known is not None
-    whole, _ = observe(*standing(), device=device)
+    whole, _ = observe(*standing())
     assert whole.labels is not None
     assert (seen.labels == IGNORE).sum() > (whole.labels == IGNORE).sum() + 1000
     torch.testing.assert_close(seen.known, (seen.labels != IGNORE).float())
