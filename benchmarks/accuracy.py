@@ -101,6 +101,8 @@ SUPERVISIONS: dict[str, tuple[Callable[[PartLabels], PartLabels | None], FitOpti
     "parts, no outline": (_same, FitOptions().without_outline()),
     "full silhouette": (silhouette, FitOptions()),
     "parts, background trusted": (_same, FitOptions(trust_background=True)),
+    "parts, labels first": (_same, FitOptions().labels_first()),
+    "the same, background trusted": (_same, FitOptions(trust_background=True).labels_first()),
     "parts": (_same, FitOptions()),
 }
 

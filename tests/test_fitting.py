@@ -232,3 +232,24 @@ def test_without_outline_leaves_out_that_stage_alone():
     options = FitOptions()
     assert [stage.name for stage in options.without_outline().stages] == [s.name for s in options.stages][:-1]
     assert options.without_outline().weights == options.weights
+
+
+def test_labels_first_ends_with_the_true_gradient_of_the_outlines():
+    usual, first = FitOptions(trust_background=True), FitOptions(trust_background=True).labels_first()
+    assert first.stages[:-1] == usual.without_outline().stages
+    assert first.stages[-1].name == usual.stages[-1].name
+    assert (first.stages[-1].gradient, first.trust_background) == ("coverage", True)
+
+
+def test_labels_first_fills_the_labels_better():
+    keypoints, parts = seen_by(walker())
+    options = FitOptions()
+    options = replace(options, stages=tuple(replace(s, bodies=min(s.bodies, 4), iterations=20) for s in options.stages))
+
+    def wrong(chosen):
+        shown = fit_body(keypoints, parts, options=chosen).draw(parts.groups.shape).labels[0].numpy()
+        return (shown != parts.groups).mean()
+
+    *before, last = options.labels_first().stages
+    quick = replace(options, stages=(*before, replace(last, iterations=60)))
+    assert wrong(quick) < wrong(options.without_outline())

@@ -87,6 +87,12 @@ def fit(
             help="End with a stage that fills the labels' outlines; without it, joints are nearer to the truth."
         ),
     ] = True,
+    labels_first: Annotated[
+        bool,
+        typer.Option(
+            "--labels-first", help="Follow the labels' outlines as far as the model can; joints get worse in 3D."
+        ),
+    ] = False,
     trust_background: Annotated[
         bool,
         typer.Option(
@@ -122,6 +128,8 @@ def fit(
     from .output import RESULT_FILES, check_folder, save_fit
     from .progress import FitProgress
 
+    if labels_first and not outline:
+        raise InputError("--labels-first: with --no-outline; expected one of the two")
     if threads < 0:
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
@@ -137,6 +145,8 @@ def fit(
     with FitProgress() as progress:
         _load_kernels(where)
         options = FitOptions(seed=seed, renderer=renderer.value, trust_background=trust_background)
+        if labels_first:
+            options = options.labels_first()
         if not outline:
             options = options.without_outline()
         result = fit_body(chosen, image, others=others, options=options, device=where, progress=progress)

@@ -65,6 +65,7 @@ class Stage:
 # with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
 OUTLINE = "outline"
 _OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
+_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), gradient="coverage")
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,13 @@ class FitOptions:
     renderer: Renderer = "exact"
     trust_background: bool = False
     seed: int = 0
+
+    def labels_first(self) -> FitOptions:
+        """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
+
+        With the coverage gradient, whose steps lower the loss, and the weights of the other stages but for L_seg's.
+        """
+        return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
 
     def without_outline(self) -> FitOptions:
         """The same but for the last stage: joints nearer to the truth, outlines farther from the labels."""
