@@ -117,6 +117,7 @@ def test_help_is_quick(tmp_path: Path) -> None:
         ("fit --keypoints k.json --renderer dots", "--renderer"),
         ("fit --keypoints k.json --threads -1", "--threads: -1; expected 0 or more"),
         ("fit --keypoints k.json --labels-first --no-outline", "--labels-first"),
+        ("fit --keypoints k.json --labels-first --renderer mesh", "--labels-first"),
     ],
 )
 def test_usage_errors_are_one_line(line: str, says: str, run: Run, files: Path) -> None:

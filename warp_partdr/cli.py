@@ -130,6 +130,8 @@ def fit(
 
     if labels_first and not outline:
         raise InputError("--labels-first: with --no-outline; expected one of the two")
+    if labels_first and renderer is Renderer.mesh:
+        raise InputError("--labels-first: with --renderer mesh, which has no coverage gradient; expected exact")
     if threads < 0:
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
