@@ -17,7 +17,7 @@ from .kernels.ellipsoids import Seen, launch_see
 from .kernels.targets import DenseGradient, LabelTarget, launch_find_reach
 from .kernels.threads import launch_in_slices
 from .mesh import MAX_LABEL
-from .streams import on_torch_stream
+from .streams import capture_apart, on_torch_stream
 
 Gradient = Literal["coverage", "partdr"]
 Launch = Callable[[slice], None]  # the work of some bodies of the batch
@@ -256,7 +256,7 @@ class LossGraph:
         self._grads, launch_gradients = prepare_gradients(self._inputs, self._picture, view, options, target)
         self._kept = target, launch_picture, launch_gradients  # the graph holds no memory alive
         whole = slice(0, batch)
-        with on_torch_stream(device) as where:
+        with capture_apart(device), on_torch_stream(device) as where:
             warp_device = wp.get_device(where)
             # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
             stream = None if warp_device.is_cpu else wp.Stream(warp_device)

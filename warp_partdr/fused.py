@@ -23,7 +23,7 @@ from .kernels.threads import run_slices, split_batch
 from .parameters import BodyParameters
 from .refine_tables import LANDMARK_NAMES, landmarks, mixture, rules, skeleton
 from .refinement import LEARNING_RATE, LENGTH_BOUNDS, SHAPE_RATE, THICKNESS_BOUNDS, Refined, rate_share, refine
-from .streams import on_torch_stream
+from .streams import capture_apart, on_torch_stream
 
 TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
 
@@ -248,7 +248,7 @@ class FusedRefinement:
         device = wp.device_from_torch(self._device)
         # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
         stream = None if device.is_cpu else wp.Stream(device)
-        with wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
+        with capture_apart(self._device), wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
             self._iterate()
         return capture.graph
 

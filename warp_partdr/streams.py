@@ -1,12 +1,64 @@
-"""Where a Warp launch goes: the device of the tensors, on torch's current stream."""
+"""Where a Warp launch goes: the device of the tensors, on torch's current stream; and captures left undisturbed."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch
 import warp as wp
+
+
+class _Gate:
+    """Warp records every CPU launch of the process into a capture in progress, whichever thread launches it.
+
+    So a capture waits until no other thread launches, and the others wait until it ends.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._launching = 0
+        self._capturing: int | None = None  # a thread
+
+    @contextmanager
+    def launching(self) -> Iterator[None]:
+        """Any number of threads, and the capturing one itself."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._capturing in (None, threading.get_ident()))
+            self._launching += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._launching -= 1
+                self._changed.notify_all()
+
+    @contextmanager
+    def capturing(self) -> Iterator[None]:
+        """One thread, which is not launching yet."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._capturing is None and self._launching == 0)
+            self._capturing = threading.get_ident()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._capturing = None
+                self._changed.notify_all()
+
+
+_gate = _Gate()
+
+
+@contextmanager
+def capture_apart(device: torch.device) -> Iterator[None]:
+    """Keep other threads' launches out of a capture; to be entered outside ``on_torch_stream``."""
+    if device.type == "cpu":
+        with _gate.capturing():
+            yield
+    else:
+        yield
 
 
 @contextmanager
@@ -21,7 +73,8 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
     wp.init()  # does nothing the second time; device_from_torch relies on it
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
-        yield warp_device.alias
+        with _gate.launching():
+            yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
     if wp.get_stream(warp_device).cuda_stream == torch_stream.cuda_stream:

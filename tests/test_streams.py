@@ -1,0 +1,49 @@
+"""Captures on the CPU device hold nothing that another thread launched meanwhile."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+from test_fitting import seen_by, walker
+
+from warp_partdr.ellipsoids import draw_ellipsoids
+from warp_partdr.fitting import FitOptions, fit_body
+from warp_partdr.parameters import BodyParameters
+from warp_partdr.streams import capture_apart, on_torch_stream
+
+
+def test_a_capture_waits_for_launches_and_launches_for_it():
+    order: list[str] = []
+    cpu = torch.device("cpu")
+
+    def capture():
+        with capture_apart(cpu), on_torch_stream(cpu):  # the capturing thread itself may launch
+            order.append("captured")
+
+    with ThreadPoolExecutor(1) as pool:
+        with on_torch_stream(cpu), on_torch_stream(cpu):
+            waiting = pool.submit(capture)
+            assert not waiting.done()
+            order.append("launched")
+        waiting.result(timeout=10)
+    assert order == ["launched", "captured"]
+
+
+def test_fits_and_pictures_of_two_threads_are_those_of_one():
+    keypoints, parts = seen_by(walker())
+    options = FitOptions()
+    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
+    body = BodyParameters.mean(1)
+
+    def fit(_):
+        return fit_body(keypoints, parts, options=options).parameters.rotations
+
+    def draw(_):
+        return draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+
+    want_fit, want_picture = fit(0), draw(0)
+    with ThreadPoolExecutor(3) as pool:
+        fits, pictures = pool.map(fit, range(4)), pool.map(draw, range(200))
+        assert all(torch.equal(have, want_picture) for have in pictures)
+        assert all(torch.equal(have, want_fit) for have in fits)
