@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
+FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
+
 
 def check_tensor(
     name: str,
@@ -43,6 +45,12 @@ def check_tensor(
             raise ValueError(f"{name}: on {tensor.device}; expected {other.device}, as {other_name}")
         if tensor.is_floating_point() and other.is_floating_point() and tensor.dtype != other.dtype:
             raise ValueError(f"{name}: {tensor.dtype}; expected {other.dtype}, as {other_name}")
+
+
+def check_image_size(image_size: Sequence[int]) -> None:
+    """Raise ValueError unless ``image_size`` is two positive integers."""
+    if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
+        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
 
 
 def check_finite(name: str, tensor: torch.Tensor) -> None:

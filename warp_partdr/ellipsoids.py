@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from .cameras import Camera
-from .checks import check_finite, check_tensor
+from .checks import FLOATS, check_finite, check_image_size, check_tensor
 from .ellipsoid_passes import (
     Gradient,
     Options,
@@ -23,7 +23,7 @@ from .ellipsoid_passes import (
 )
 from .mesh import MAX_LABEL
 from .posing import Posed
-from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, IGNORE_LABEL, Occlusion, check_gradient_options
+from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, Occlusion, check_gradient_options, weight_table
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 DEFAULT_STEPS_PER_PIXEL = 1.0
@@ -163,20 +163,13 @@ def ellipsoid_label_loss(
     tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
-    weights = torch.ones(256, device=target.device)
-    if label_weights is not None:
-        check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
-        if label_weights.shape[0] > 256:
-            raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
-        weights[: label_weights.shape[0]] = label_weights.to(weights)
-    weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
+    weights = weight_table(label_weights, target.device)
     # Without grad mode, autograd would ask for gradients all the same.
     given = tensors if torch.is_grad_enabled() else [tensor.detach() for tensor in tensors]
     loss, labels, depth, parts = _LabelLoss.apply(*given, target.contiguous(), weights, view, options)
     return loss, EllipsoidImage(labels, depth, parts)
 
 
-_DTYPES = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 _Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
@@ -211,16 +204,15 @@ def _check(
 ) -> tuple[_Tensors, View]:
     """What both entry points share."""
     centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
-    check_tensor("centres", centres, (None, None, 3), dtypes=_DTYPES)
+    check_tensor("centres", centres, (None, None, 3), dtypes=FLOATS)
     batch, count = centres.shape[:2]
     like = ("centres", centres)
-    check_tensor("axes", axes, (batch, count, 3, 3), dtypes=_DTYPES, like=like)
-    check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=_DTYPES, like=like)
-    check_tensor("camera", intrinsics, (batch, 4), dtypes=_DTYPES)
+    check_tensor("axes", axes, (batch, count, 3, 3), dtypes=FLOATS, like=like)
+    check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
+    check_tensor("camera", intrinsics, (batch, 4), dtypes=FLOATS)
     if intrinsics.device != centres.device:
         raise ValueError(f"camera: on {intrinsics.device}; expected {centres.device}, as centres")
-    if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
-        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
+    check_image_size(image_size)
     if batch * image_size[0] * image_size[1] >= 2**31:
         raise ValueError(
             f"image_size: {batch} pictures of {image_size}; expected fewer than 2**31 pixels, split the batch"

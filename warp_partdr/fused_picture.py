@@ -18,9 +18,7 @@ from .kernels.ellipsoids import Seen, launch_see
 from .kernels.refine_costs import Drawn
 from .kernels.refine_state import Ellipsoids
 from .kernels.targets import LabelTarget, launch_find_reach
-from .render import DEFAULT_DEPTH_WEIGHT
-
-_NUM_LABELS = 256
+from .render import DEFAULT_DEPTH_WEIGHT, weight_table
 
 
 class EllipsoidPicture:
@@ -58,11 +56,9 @@ class EllipsoidPicture:
 
         torch_device = wp.device_to_torch(device)
         self._targets = torch.empty(len(energies), size, size, dtype=torch.uint8, device=torch_device)
-        weights = torch.ones(_NUM_LABELS, device=torch_device)
-        weights[[0, -1]] = 0.0  # neither background nor what is ignored has a map
         target = self._target = LabelTarget()
         target.target = wp.from_torch(self._targets)
-        target.label_weights = wp.from_torch(weights)
+        target.label_weights = wp.from_torch(weight_table(None, torch_device))
         reach = (len(energies), 2, label_set.num_groups + 1, size) if energy.gradient == "partdr" else (0, 0, 0, 0)
         target.reach = wp.empty(reach, dtype=wp.vec2i, device=device)
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import torch
 import warp as wp
 
-from .checks import check_finite, check_tensor
+from .checks import FLOATS, check_finite, check_image_size, check_tensor
 from .kernels import part_gradient, rasterize
 from .kernels.threads import launch_in_slices
 from .mesh import MAX_LABEL, PartMesh
@@ -25,7 +25,6 @@ Occlusion = Literal["depth", "paper"]
 IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
 DEFAULT_NEAR = 0.01  # [m], perspective cameras: nearer faces are not drawn
 DEFAULT_DEPTH_WEIGHT = 1.0  # the paper's lambda in eq. 12, which it does not name
-_DTYPES = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 
 
 @dataclass(frozen=True)
@@ -150,11 +149,7 @@ def label_loss(
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
     check_gradient_options(occlusion, max_distance, depth_weight)
     near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
-    weights = torch.ones(256, device=vertices.device)
-    if label_weights is not None:
-        check_tensor("label_weights", label_weights, (None,), dtypes=_DTYPES)
-        weights[: label_weights.shape[0]] = label_weights.to(weights)
-    weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
+    weights = weight_table(label_weights, vertices.device)
     if validate and not torch.compiler.is_compiling():
         strange = target[(target > mesh.num_labels) & (target != IGNORE_LABEL)]
         if strange.numel():
@@ -188,6 +183,22 @@ def check_gradient_options(occlusion: str, max_distance: float, depth_weight: fl
         raise ValueError(f"depth_weight: {depth_weight}; expected a finite number from 0")
 
 
+def weight_table(label_weights: torch.Tensor | None, device: torch.device) -> torch.Tensor:
+    """Weight of every byte that a label may be, shape (256,): 1 where none is given, 0 for background and ignored.
+
+    Raises:
+        ValueError: If ``label_weights`` is no vector of at most 256 numbers.
+    """
+    weights = torch.ones(256, device=device)
+    if label_weights is not None:
+        check_tensor("label_weights", label_weights, (None,), dtypes=FLOATS)
+        if label_weights.shape[0] > 256:
+            raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
+        weights[: label_weights.shape[0]] = label_weights.to(weights)
+    weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
+    return weights
+
+
 def _check(
     vertices: torch.Tensor,
     mesh: PartMesh,
@@ -198,11 +209,10 @@ def _check(
     validate: bool,
 ) -> float:
     """Check what both entry points share; returns the near plane."""
-    check_tensor("vertices", vertices, (None, None, 3), dtypes=_DTYPES)
+    check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
-    if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
-        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
+    check_image_size(image_size)
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
     if validate and not torch.compiler.is_compiling():

@@ -24,7 +24,7 @@ from ..kernels.refine_state import Ellipsoids
 from ..kernels.targets import LabelTarget
 from ..mesh import ellipbody_mesh
 from ..refinement import LEARNING_RATE
-from ..render import DEFAULT_DEPTH_WEIGHT, label_loss
+from ..render import DEFAULT_DEPTH_WEIGHT, label_loss, weight_table
 from .scene import LABELS, Scene
 
 _VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}
@@ -123,9 +123,7 @@ class MeshRun:
         self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
         self._target = target = part_gradient.LabelTarget()
         target.target = _wp(scene.targets, wp.uint8)
-        weights = torch.ones(256, device=device)
-        weights[0] = weights[255] = 0.0  # neither background nor what is ignored has a map
-        target.label_weights = _wp(weights, wp.float32)
+        target.label_weights = _wp(weight_table(None, device), wp.float32)
         target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
         extents = (scene.batch_size, rasterize.NUM_EXTENTS, mesh.num_labels + 1)
         target.extents = wp.zeros(extents, dtype=wp.vec4i, device=where)
