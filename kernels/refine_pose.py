@@ -1,78 +1,56 @@
-"""Kinematics with a thread a part: each walks its own ancestors up to the root and waits for nobody."""
+"""Kinematics with a task a part: each walks its own ancestors up to the root and waits for nobody."""
 
 import warp as wp
 
-from .refine_state import MODULE, Bodies, Ellipsoids, Skeleton, column, has_bit, launch
+from .refine_state import Problem, State, column, has_bit
 from .rotations import rotation_from_6d, rotation_from_axis_angle
 
 
 @wp.func
-def local_rotation(skeleton: Skeleton, bodies: Bodies, b: int, k: int):
-    if has_bit(skeleton.locked, k):
-        return wp.identity(n=3, dtype=float)
-    return rotation_from_axis_angle(bodies.rotations[b, k])
+def turn_part(problem: Problem, state: State, b: int, k: int):
+    """Local rotation of part k, and what the prior looks at."""
+    v = state.bodies.rotations[b, k]
+    turn = wp.identity(n=3, dtype=float)
+    if not has_bit(problem.skeleton.locked, k):
+        turn = rotation_from_axis_angle(v)
+    state.turns[b, k] = turn
+    slot = problem.mixture.slots[k]
+    if slot >= 0:
+        state.likelihood.directions[b, slot] = v
 
 
-@wp.kernel(module=MODULE)
-def pose_parts(
-    active: wp.array[int],  # (B,)
-    skeleton: Skeleton,
-    bodies: Bodies,
-    half_size: float,  # of the drawn crop [px]
-    slots: wp.array[int],  # (P + 1,) see ``Mixture``
-    iteration: wp.array[int],  # (1,) MODIFIED: counts up before another kernel reads it
-    ellipsoids: Ellipsoids,  # OUTPUT
-    orientations: wp.array[wp.mat33],  # (B,)  OUTPUT
-    directions: wp.array2d[wp.vec3],  # (B, S) what the prior looks at  OUTPUT
-):
-    """The same as ``pose_bones`` of the flexible path, from axis-angle and 6D numbers."""
-    b, k = wp.tid()
-    if b == 0 and k == 0:
-        iteration[0] = iteration[0] + 1
-    if active[b] == 0:
-        return
-    rotation = local_rotation(skeleton, bodies, b, k)
+@wp.func
+def turn_body(problem: Problem, state: State, b: int):
+    """Orientation and camera."""
+    orientation = rotation_from_6d(state.bodies.orientation[b, 0], state.bodies.orientation[b, 1])
+    state.orientations[b] = orientation
+    up = problem.mixture.slots[problem.mixture.slots.shape[0] - 1]
+    if up >= 0:
+        # The camera's y is down.
+        state.likelihood.directions[b, up] = -wp.vec3(orientation[1, 0], orientation[1, 1], orientation[1, 2])
+    half_size = problem.half_size
+    focal = wp.exp(state.bodies.log_scale[b]) * half_size
+    shift = state.bodies.shift[b]
+    state.ellipsoids.camera[b] = wp.vec4(focal, focal, (shift[0] + 1.0) * half_size, (shift[1] + 1.0) * half_size)
+
+
+@wp.func
+def place_part(problem: Problem, state: State, b: int, k: int):
+    """The same as ``pose_bones`` of the flexible path, from local rotations."""
+    rotation = state.turns[b, k]
     start = wp.vec3(0.0)
-    above = skeleton.parents[k]
+    above = problem.skeleton.bones[k].parent
     while above >= 0:
-        turn = local_rotation(skeleton, bodies, b, above)
-        bone = column(skeleton.rest_axes[above], 0) * bodies.lengths[b, skeleton.shape_indices[above][0]]
-        start = turn * (start + bone)
+        turn = state.turns[b, above]
+        length = state.bodies.lengths[b, problem.skeleton.bones[above].shape[0]]
+        start = turn * (start + column(problem.skeleton.bones[above].rest_axes, 0) * length)
         rotation = turn * rotation
-        above = skeleton.parents[above]
-    orientation = rotation_from_6d(bodies.orientation[b, 0], bodies.orientation[b, 1])
-    shape = skeleton.shape_indices[k]
-    semi_axes = 0.5 * wp.vec3(
-        bodies.lengths[b, shape[0]], bodies.thicknesses[b, shape[1]], bodies.thicknesses[b, shape[2]]
-    )
-    axes = orientation * rotation * skeleton.rest_axes[k]
-    ellipsoids.axes[b, k] = axes
-    ellipsoids.semi_axes[b, k] = semi_axes
-    ellipsoids.centres[b, k] = orientation * start + semi_axes[0] * column(axes, 0)
-    if slots[k] >= 0:
-        directions[b, slots[k]] = bodies.rotations[b, k]
-    if k == 0:
-        orientations[b] = orientation
-        up = slots[slots.shape[0] - 1]
-        if up >= 0:
-            # The camera's y is down.
-            directions[b, up] = -wp.vec3(orientation[1, 0], orientation[1, 1], orientation[1, 2])
-        focal = wp.exp(bodies.log_scale[b]) * half_size
-        shift = bodies.shift[b]
-        ellipsoids.camera[b] = wp.vec4(focal, focal, (shift[0] + 1.0) * half_size, (shift[1] + 1.0) * half_size)
-
-
-def launch_pose(
-    active: wp.array,
-    skeleton: Skeleton,
-    bodies: Bodies,
-    half_size: float,
-    slots: wp.array,
-    iteration: wp.array,
-    ellipsoids: Ellipsoids,
-    orientations: wp.array,
-    directions: wp.array,
-) -> None:
-    """Fill ``ellipsoids``, ``orientations`` and ``directions``, and start the next iteration."""
-    inputs = [active, skeleton, bodies, half_size, slots, iteration, ellipsoids, orientations, directions]
-    launch(pose_parts, ellipsoids.centres.shape, inputs, active.device)
+        above = problem.skeleton.bones[above].parent
+    orientation = state.orientations[b]
+    shape = problem.skeleton.bones[k].shape
+    thicknesses = state.bodies.thicknesses[b]
+    semi_axes = 0.5 * wp.vec3(state.bodies.lengths[b, shape[0]], thicknesses[shape[1]], thicknesses[shape[2]])
+    axes = orientation * rotation * problem.skeleton.bones[k].rest_axes
+    state.ellipsoids.axes[b, k] = axes
+    state.ellipsoids.semi_axes[b, k] = semi_axes
+    state.ellipsoids.centres[b, k] = orientation * start + semi_axes[0] * column(axes, 0)

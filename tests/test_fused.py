@@ -15,7 +15,8 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.ellipsoids import draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation, Weights
 from warp_partdr.fused import FusedRefinement, _split
-from warp_partdr.kernels.refine_costs import Drawn
+from warp_partdr.kernels.refine_state import Drawn
+from warp_partdr.kernels.surface_forces import Forces
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.pose_prior import PosePrior
 from warp_partdr.refinement import LENGTH_BOUNDS, THICKNESS_BOUNDS, refine
@@ -91,9 +92,12 @@ class FixedForces:
         )
         self.drawn = Drawn()
         self.drawn.loss = wp.array(np.ones((shape[0], 7)), dtype=float, device=device)
-        self.drawn.force = wp.array(self.force, dtype=wp.vec3, device=device)
-        self.drawn.moment = wp.array(self.moment, dtype=wp.mat33, device=device)
-        self.drawn.camera_force = wp.array(self.camera, dtype=wp.vec4, device=device)
+        # In shares that lose no bit when they are added.
+        shares = np.array([0.25, 0.25, 0.5], dtype=np.float32)
+        numbers = np.concatenate([self.force, self.moment.reshape(*shape, 9), self.camera], -1)
+        forces = Forces()
+        forces.values = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
+        self.drawn.forces = forces
 
     def observe(self, energies) -> None:
         pass
@@ -249,6 +253,21 @@ def test_a_run_repeats_bit_for_bit(device):
     for name, tensor in runs[0].parameters.tensors().items():
         assert torch.equal(tensor, runs[1].parameters.tensors()[name]), name
     assert torch.equal(runs[0].history, runs[1].history)
+
+
+def test_further_iterations_leave_bodies_where_they_are(device):
+    """They repeat the last one, and write nothing beyond the history."""
+    body = walker(device)
+    fused = FusedRefinement(energy_of(body, labels=True), 2, iterations=3)
+    want = fused.refine(moved(body, 2))
+    parameters, history = fused._parameters.clone(), fused._history.clone()
+    wp.synchronize_device(device)
+    for _ in range(5):
+        fused.iterate()
+    wp.synchronize_device(device)
+    assert torch.equal(fused._parameters, parameters)
+    assert torch.equal(fused._history, history)
+    assert torch.equal(fused.refine(moved(body, 2)).history, want.history)
 
 
 def test_two_threads_give_what_one_gives():

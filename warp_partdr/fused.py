@@ -13,15 +13,27 @@ from .body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES
 from .checks import check_tensor
 from .energy import REFERENCE_SIZE, Energy
 from .fused_picture import EllipsoidPicture
-from .kernels.refine_costs import Drawn, TermWeights, Wrenches, launch_costs
-from .kernels.refine_gradient import Records, Stopping, launch_gather
-from .kernels.refine_pose import launch_pose
-from .kernels.refine_prior import launch_mixture
-from .kernels.refine_state import NUM_TERMS, Bodies, Ellipsoids, Terms
-from .kernels.refine_step import BETAS, StepRule, launch_step
+from .kernels.refine_iteration import launch_start, launch_step
+from .kernels.refine_state import (
+    NUM_TERMS,
+    Bodies,
+    Drawn,
+    Ellipsoids,
+    Load,
+    Problem,
+    Pull,
+    State,
+    StepRule,
+    Stopping,
+    Terms,
+    TermWeights,
+    Wrench,
+)
+from .kernels.refine_step import BETAS
+from .kernels.surface_forces import NUM_SUMS
 from .kernels.threads import run_slices, split_batch
 from .parameters import BodyParameters
-from .refine_tables import LANDMARK_NAMES, landmarks, mixture, rules, skeleton
+from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
 from .refinement import LEARNING_RATE, LENGTH_BOUNDS, SHAPE_RATE, THICKNESS_BOUNDS, Refined, rate_share, refine
 from .streams import capture_apart, on_torch_stream
 
@@ -61,7 +73,7 @@ MakeRenderer = Callable[[Sequence[Energy], Ellipsoids, wp.array], PartRenderer]
 class FusedRefinement:
     """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
 
-    Five launches beside the renderer's make an iteration. They are captured once and replayed, and the host waits for
+    One launch beside the renderer's makes an iteration. They are captured once and replayed, and the host waits for
     nothing in between. A run repeats bit for bit.
 
     Args:
@@ -96,9 +108,10 @@ class FusedRefinement:
         energies = _as_list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device
+        labels = _compares_labels(energy)
         if energy.observation.maps is not None:
             raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
-        if _compares_labels(energy) and energy.renderer != "exact":
+        if labels and energy.renderer != "exact":
             raise ValueError(f"energies: renderer {energy.renderer!r}; expected 'exact', ``refine`` takes others")
 
         def buffer(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -107,8 +120,7 @@ class FusedRefinement:
         # What the host reads or writes, in torch's memory.
         rows = batch_size, sum(_WIDTHS)
         self._parameters, self._gradient, self._best = buffer(*rows), buffer(*rows), buffer(*rows)
-        self._moments = buffer(2, *rows)
-        self._iteration, self._active = buffer(1, dtype=torch.int32), buffer(batch_size, dtype=torch.int32)
+        self._active = buffer(batch_size, dtype=torch.int32)
         self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
         self._history = buffer(iterations + 1, batch_size)
         self._points = buffer(len(energies), len(LANDMARK_NAMES), 2)
@@ -119,60 +131,58 @@ class FusedRefinement:
         stopping = Stopping()
         stopping.tolerance, stopping.patience = -1.0 if tolerance is None else tolerance, patience
         with on_torch_stream(self._device) as where:
-            self._iterate = self._build(where, energies, stopping, renderer)
+            self._state = self._make_state(where)
+            self._problem = self._make_problem(where, stopping)
+            self._renderer = renderer(energies, self._state.ellipsoids, self._state.active) if labels else None
+            self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         self.observe(energies)
-        self._graph = self._capture() if batch_size > 0 else None
+        if batch_size > 0:
+            self._rewind_graph, self._graph = self._capture(self._rewind), self._capture(self.iterate)
 
-    def _build(
-        self, where: str, energies: Sequence[Energy], stopping: Stopping, renderer: MakeRenderer
-    ) -> Callable[[], None]:
-        """Allocate what the kernels alone use; returns one iteration, which keeps it alive."""
-        energy, batch = self._energy, len(self._parameters)
+    def _make_state(self, where: str) -> State:
+        """What the host reads or writes, and what the kernels alone use."""
+        batch, prior = len(self._parameters), self._energy.prior
 
         def zeros(*shape: int, dtype: Any = float) -> wp.array:
             return wp.zeros((batch, *shape), dtype=dtype, device=where)
 
-        ellipsoids, wrenches, records = Ellipsoids(), Wrenches(), Records()
-        ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
-        ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
-        wrenches.force, wrenches.torque = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.vec3)
-        wrenches.semi_axes, wrenches.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.vec3)
+        state = State()
+        state.active, state.iteration = _wp(self._active), zeros(dtype=int)
+        state.bodies, state.gradient = _bodies(self._parameters), _bodies(self._gradient)
+        rows = state.rows
+        rows.parameters, rows.gradient, rows.best = map(_wp, (self._parameters, self._gradient, self._best))
+        rows.first_moment, rows.second_moment = zeros(sum(_WIDTHS)), zeros(sum(_WIDTHS))
+        records = state.records
         records.better, records.mark, records.mark_iteration = zeros(dtype=int), zeros(), zeros(dtype=int)
         records.energy, records.terms = _wp(self._best_energy), _wp(self._best_terms, Terms)
         records.history = _wp(self._history)
 
-        active, iteration = _wp(self._active), _wp(self._iteration)
-        bodies, gradient = _bodies(self._parameters), _bodies(self._gradient)
-        flat = [_wp(rows) for rows in (self._gradient, self._parameters, *self._moments, self._best)]
-        orientations, costs = zeros(dtype=wp.mat33), zeros(NUM_PARTS, dtype=Terms)
-        prior = mixture(where, energy.prior)
-        directions, exponents = zeros(prior.means.shape[1], dtype=wp.vec3), zeros(prior.means.shape[0])
-        slopes, squares = zeros(*prior.means.shape, dtype=wp.vec3), zeros(*prior.means.shape)
-        tree, limits = skeleton(where), rules(where, energy.prior)
-        seen = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
-        weights, rule = _term_weights(energy), _step_rule(self._rates, self._device)
-        picture = self._renderer = renderer(energies, ellipsoids, active) if _compares_labels(energy) else None
-        if picture is None:
-            drawn = Drawn()
-            drawn.loss, drawn.force = zeros(0), zeros(NUM_PARTS, dtype=wp.vec3)
-            drawn.moment, drawn.camera_force = zeros(NUM_PARTS, dtype=wp.mat33), zeros(NUM_PARTS, dtype=wp.vec4)
-        else:
-            drawn = picture.drawn
+        state.turns, state.orientations = zeros(NUM_PARTS, dtype=wp.mat33), zeros(dtype=wp.mat33)
+        ellipsoids = state.ellipsoids
+        ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
+        ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
+        components, directions = mixture(where, prior).means.shape
+        likelihood = state.likelihood
+        likelihood.directions = zeros(directions, dtype=wp.vec3)
+        likelihood.slopes = zeros(components, directions, dtype=wp.vec3)
+        likelihood.squares = zeros(components, directions)
+        likelihood.exponents, likelihood.shares = zeros(components), zeros(components)
+        likelihood.log_density = zeros()
+        state.pulls = zeros(len(LANDMARK_NAMES), dtype=Pull)
+        state.drawn = zeros(NUM_PARTS, NUM_SUMS)
+        state.wrenches, state.costs = zeros(NUM_PARTS, dtype=Wrench), zeros(NUM_PARTS, dtype=Terms)
+        state.loads = zeros(NUM_PARTS + 1, dtype=Load)
+        return state
 
-        def iterate() -> None:
-            posed = ellipsoids, orientations, directions
-            launch_pose(active, tree, bodies, energy.size / 2, prior.slots, iteration, *posed)
-            if energy.prior is not None:
-                launch_mixture(active, directions, prior, slopes, squares)
-            if picture is not None:
-                picture.launch()
-            asked = drawn, seen, limits, weights, prior, squares
-            launch_costs(active, tree, bodies, ellipsoids, *asked, costs, exponents, wrenches, gradient)
-            state = tree, bodies, ellipsoids, orientations, costs, wrenches, prior, exponents, slopes
-            launch_gather(active, iteration, *state, weights, stopping, gradient, records)
-            launch_step(active, records.better, iteration, rule, *flat)
-
-        return iterate
+    def _make_problem(self, where: str, stopping: Stopping) -> Problem:
+        """What stays the same, but for what is seen."""
+        energy, problem = self._energy, Problem()
+        problem.skeleton, problem.half_size = skeleton(where), energy.size / 2
+        problem.landmarks = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
+        problem.rules, problem.mixture = rules(where, energy.prior), mixture(where, energy.prior)
+        problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, self._device)
+        problem.stopping = stopping
+        return problem
 
     def observe(self, energies: Energy | Sequence[Energy]) -> None:
         """Copy what other energies saw into the fixed buffers; all else stays.
@@ -194,9 +204,27 @@ class FusedRefinement:
             index = [LANDMARK_NAMES.index(name) for name in energy.observation.landmarks]
             self._points[row, index] = energy.observation.points
             self._votes[row, index] = energy.votes
+        table = self._problem.landmarks
+        seen = {name for energy in energies for name in energy.observation.landmarks}
+        with on_torch_stream(self._device):
+            for array, rows in zip((table.touches, table.first_touch), find_touches(seen), strict=True):
+                array.assign(rows)
         if self._renderer is not None:
             with on_torch_stream(self._device):
                 self._renderer.observe(energies)
+
+    def iterate(self) -> None:
+        """Launch one iteration on Warp's current stream: draw, compare, step; what ``refine`` replays.
+
+        After ``iterations`` of them the last one repeats, at rate 0: it leaves the bodies where they are.
+        """
+        if self._renderer is not None:
+            self._renderer.launch()
+        launch_step(self._problem, self._state, self._drawn)
+
+    def _rewind(self) -> None:
+        """To the beginning, from the parameters as they are."""
+        launch_start(self._problem, self._state)
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
         """What ``refinement.refine`` returns, from B starts.
@@ -218,11 +246,9 @@ class FusedRefinement:
                 tensor.reshape(batch, width) for tensor, width in zip(start.tensors().values(), _WIDTHS, strict=True)
             ]
             torch.cat(rows, dim=1, out=self._parameters)
-            self._moments.zero_()
-            self._iteration.fill_(-1)
-            self._active.fill_(1)
-        if self._graph is not None:
+        if batch > 0:
             with on_torch_stream(self._device):
+                wp.capture_launch(self._rewind_graph)
                 for step in range(len(self._rates)):
                     wp.capture_launch(self._graph)
                     if on_iteration is not None and step + 1 < len(self._rates):
@@ -243,13 +269,13 @@ class FusedRefinement:
             self._history[:-1].clone(),
         )
 
-    def _capture(self) -> wp.Graph:
-        """One iteration."""
+    def _capture(self, launch: Callable[[], None]) -> wp.Graph:
+        """What ``launch`` launches."""
         device = wp.device_from_torch(self._device)
         # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
         stream = None if device.is_cpu else wp.Stream(device)
         with capture_apart(self._device), wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
-            self._iterate()
+            launch()
         return capture.graph
 
 

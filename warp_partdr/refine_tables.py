@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import lru_cache
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -10,9 +12,7 @@ import warp as wp
 
 from .body.landmarks import LANDMARKS, landmark_points
 from .body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
-from .kernels.refine_costs import Landmarks, Rules
-from .kernels.refine_prior import Mixture
-from .kernels.refine_state import Skeleton
+from .kernels.refine_state import Bone, Landmark, Landmarks, Mixture, Rules, Skeleton, Touch
 from .pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
 
 LANDMARK_NAMES = tuple(LANDMARKS)
@@ -26,14 +26,26 @@ def _subtrees() -> list[int]:
     return masks
 
 
+def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
+    """An array of Warp structs, from their members."""
+    rows: Any = np.zeros(len(next(iter(columns.values()))), dtype=kind.numpy_dtype())
+    for name, column in columns.items():
+        rows[name] = column
+    return wp.array(rows, dtype=kind, device=device)
+
+
 @lru_cache(maxsize=8)
 def skeleton(device: str) -> Skeleton:
     """The template on a Warp device."""
     table = Skeleton()
-    table.parents = wp.array(PARENTS, dtype=int, device=device)
-    table.shape_indices = wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device)
-    table.rest_axes = wp.array(template().rest_axes, dtype=wp.mat33, device=device)
-    table.subtrees = wp.array(_subtrees(), dtype=int, device=device)
+    table.bones = _structs(
+        Bone,
+        device,
+        parent=(*PARENTS, -1),
+        subtree=_subtrees(),
+        shape=(*SHAPE_INDICES, (0, 0, 0)),
+        rest_axes=(*template().rest_axes, np.eye(3)),
+    )
     table.locked = sum(1 << part for part in LOCKED_PARTS)
     return table
 
@@ -41,16 +53,32 @@ def skeleton(device: str) -> Skeleton:
 def landmarks(device: str, points: wp.array, votes: wp.array) -> Landmarks:
     """All ``LANDMARK_NAMES`` on a Warp device; ``points`` and ``votes`` say where which of them are seen."""
     parts, normalised, shares = landmark_points(LANDMARK_NAMES)
-    touches = [np.flatnonzero(((parts == part) & (shares > 0)).any(1)) for part in range(NUM_PARTS)]
+    first, second = normalised.swapaxes(0, 1)
     table = Landmarks()
-    table.touches = wp.array(np.concatenate(touches), dtype=int, device=device)
-    table.first_touch = wp.array(np.cumsum([0, *map(len, touches)]), dtype=int, device=device)
-    table.parts = wp.array(parts, dtype=int, device=device)
-    table.normalised = wp.array(normalised, dtype=wp.vec3, device=device)
-    table.shares = wp.array(shares, dtype=float, device=device)
+    table.landmarks = _structs(Landmark, device, parts=parts, shares=shares, first=first, second=second)
+    touches, first_touch = find_touches(LANDMARK_NAMES)
+    table.touches = wp.array(touches, dtype=Touch, device=device)
+    table.first_touch = wp.array(first_touch, dtype=int, device=device)
     table.points = points
     table.votes = votes
     return table
+
+
+def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Which landmarks hold on to part 0, to part 1, ..., and where each part's begin.
+
+    Rows of ``Touch``, as many as all ``LANDMARK_NAMES`` have: those of ``names`` first. The others are never read, for
+    each costs time in every iteration.
+    """
+    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
+    index, end = np.nonzero(shares > 0)
+    wanted = np.isin(LANDMARK_NAMES, list(names))[index]
+    order = np.lexsort((np.arange(len(index)), parts[index, end], ~wanted))
+    index, end, count = index[order], end[order], np.count_nonzero(wanted)
+    rows: Any = np.zeros(len(index), dtype=Touch.numpy_dtype())
+    rows["landmark"], rows["share"], rows["normalised"] = index, shares[index, end], normalised[index, end]
+    rows["counts"] = np.equal(end, 0)
+    return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
 def rules(device: str, prior: PosePrior | None) -> Rules:
@@ -89,10 +117,10 @@ def _mixture(device: str, precisions: np.ndarray, means: np.ndarray, log_weights
     if len(log_weights):
         slots[[*FREE_PARTS, NUM_PARTS]] = np.arange(len(FREE_PARTS) + 1)
     count = NUM_FEATURES // 3
-    blocks = precisions.reshape(-1, count, 3, count, 3).transpose(0, 3, 1, 2, 4)
+    blocks = precisions.reshape(-1, count, 3, count, 3).transpose(3, 2, 4, 0, 1).reshape(count, 9, -1)
     table = Mixture()
     table.slots = wp.array(slots, dtype=int, device=device)
     table.means = wp.array(means.reshape(-1, count, 3), dtype=wp.vec3, device=device)
-    table.precisions = wp.array(np.ascontiguousarray(blocks), dtype=wp.mat33, device=device)
+    table.precisions = wp.array(np.ascontiguousarray(blocks), dtype=float, device=device)
     table.log_weights = wp.array(log_weights, dtype=float, device=device)
     return table
