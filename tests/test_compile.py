@@ -4,7 +4,6 @@ import pytest
 import torch
 from test_render import body_scene, noisy_target
 
-from warp_partdr import render
 from warp_partdr.render import label_loss, rasterize_parts
 
 
@@ -52,7 +51,6 @@ def test_fullgraph_gives_eager_numbers(device, path):
 
 
 def test_eager_takes_the_function():
-    assert render._LabelLoss.apply is not None
     leaf, mesh, target = scene("cpu")
     loss, _ = label_loss(leaf, mesh, target)
     assert "LabelLoss" in type(loss.grad_fn).__name__

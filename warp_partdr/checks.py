@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -12,7 +13,7 @@ FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken,
 def check_tensor(
     name: str,
     tensor: torch.Tensor,
-    shape: Sequence[int | None],
+    shape: tuple[int | None, ...],
     *,
     dtypes: Sequence[torch.dtype],
     like: tuple[str, torch.Tensor] | None = None,
@@ -32,18 +33,19 @@ def check_tensor(
     """
     if not isinstance(tensor, torch.Tensor):
         raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
-    if len(shape) != tensor.dim() or any(
-        want is not None and want != have for want, have in zip(shape, tensor.shape, strict=True)
+    have = tensor.shape
+    if have != shape and (
+        len(have) != len(shape) or any(want not in (None, size) for want, size in zip(shape, have, strict=True))
     ):
         expected = ", ".join("*" if size is None else str(size) for size in shape)
-        raise ValueError(f"{name}: shape {tuple(tensor.shape)}; expected ({expected})")
+        raise ValueError(f"{name}: shape {tuple(have)}; expected ({expected})")
     if tensor.dtype not in dtypes:
         raise ValueError(f"{name}: {tensor.dtype}; expected {' or '.join(map(str, dtypes))}")
     if like is not None:
         other_name, other = like
         if tensor.device != other.device:
             raise ValueError(f"{name}: on {tensor.device}; expected {other.device}, as {other_name}")
-        if tensor.is_floating_point() and other.is_floating_point() and tensor.dtype != other.dtype:
+        if tensor.dtype != other.dtype and tensor.is_floating_point() and other.is_floating_point():
             raise ValueError(f"{name}: {tensor.dtype}; expected {other.dtype}, as {other_name}")
 
 
@@ -53,7 +55,12 @@ def check_image_size(image_size: Sequence[int]) -> None:
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
 
 
-def check_finite(name: str, tensor: torch.Tensor) -> None:
-    """Raise ValueError if ``tensor`` holds NaN or infinity (synchronises with the device)."""
-    if not torch.isfinite(tensor).all():
-        raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
+def check_finite(**tensors: torch.Tensor) -> None:
+    """Raise ValueError if a tensor holds NaN or infinity; synchronises with the device, once for all of them."""
+    with torch.no_grad():
+        sums = torch.stack([tensor.sum(dtype=torch.float64) for tensor in tensors.values()])
+        if math.isfinite(sums.sum()):
+            return
+        for name, tensor in tensors.items():  # which one, if any: large float64 numbers may just add up to infinity
+            if not torch.isfinite(tensor).all():
+                raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")

@@ -6,8 +6,9 @@ Eager code takes a ``torch.autograd.Function``; under ``torch.compile`` the same
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import torch
@@ -16,6 +17,8 @@ import warp as wp
 from .checks import FLOATS, check_finite, check_image_size, check_tensor
 from .kernels import part_gradient, rasterize
 from .kernels.threads import launch_in_slices
+from .later import DrawnLater
+from .loss_graph import Buffers, find_label_loss
 from .mesh import MAX_LABEL, PartMesh
 from .streams import on_torch_stream
 
@@ -42,6 +45,10 @@ class PartImage:
     depth: torch.Tensor
     face_index: torch.Tensor
     maps: torch.Tensor | None = None
+
+
+class _LaterImage(DrawnLater, PartImage):
+    pass
 
 
 def rasterize_parts(
@@ -141,7 +148,7 @@ def label_loss(
         validate: Look for NaN and infinity.
 
     Returns:
-        The loss of each body [pixels of maps], shape (B,), and the picture.
+        The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
         ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
@@ -151,11 +158,10 @@ def label_loss(
     near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
     weights = weight_table(label_weights, vertices.device)
     if validate and not torch.compiler.is_compiling():
-        strange = target[(target > mesh.num_labels) & (target != IGNORE_LABEL)]
-        if strange.numel():
-            raise ValueError(
-                f"target: label {int(strange[0])}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore"
-            )
+        strange = (target > mesh.num_labels) & (target != IGNORE_LABEL)
+        if strange.any():
+            label = int(target[strange][0])
+            raise ValueError(f"target: label {label}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore")
     walked = mesh.edges if edges == "silhouette" else mesh.every_edge
     options = (
         mesh.num_labels,
@@ -166,11 +172,24 @@ def label_loss(
         float(max_distance),
         float(depth_weight),
     )
-    function = torch.ops.warp_partdr.label_loss if torch.compiler.is_compiling() else _LabelLoss.apply
-    loss, labels, depth, face_index, _ = function(
-        vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
-    )
-    return loss, PartImage(labels, depth, face_index)
+    if torch.compiler.is_compiling():
+        loss, labels, depth, face_index, _ = torch.ops.warp_partdr.label_loss(
+            vertices.float(), mesh.faces, mesh.face_labels, walked, target.contiguous(), weights, *options
+        )
+        return loss, PartImage(labels, depth, face_index)
+    recipe = _recipe(mesh.faces, mesh.face_labels, walked, options)
+    loss, rows = find_label_loss(recipe, (vertices,), target, weights)
+    return loss, _LaterImage(partial(_draw_rows, rows, vertices.shape, mesh, target.shape, near, perspective))
+
+
+def _draw_rows(
+    rows: torch.Tensor, shape: torch.Size, mesh: PartMesh, size: torch.Size, near: float, perspective: bool
+) -> dict[str, torch.Tensor]:
+    """The picture that a loss was found for, from its copy of the vertices."""
+    with torch.no_grad():
+        vertices, (_, height, width) = rows[0].view(shape), size
+        labels, depth, face_index = _rasterize(vertices, mesh.faces, mesh.face_labels, height, width, near, perspective)
+    return {"labels": labels, "depth": depth, "face_index": face_index}
 
 
 def check_gradient_options(occlusion: str, max_distance: float, depth_weight: float) -> None:
@@ -186,17 +205,32 @@ def check_gradient_options(occlusion: str, max_distance: float, depth_weight: fl
 def weight_table(label_weights: torch.Tensor | None, device: torch.device) -> torch.Tensor:
     """Weight of every byte that a label may be, shape (256,): 1 where none is given, 0 for background and ignored.
 
+    Not to be written to: even weights are the same tensor in every call.
+
     Raises:
         ValueError: If ``label_weights`` is no vector of at most 256 numbers.
     """
+    if label_weights is None:
+        return _even_weights(device) if torch.compiler.is_compiling() else _kept_even_weights(device)
+    check_tensor("label_weights", label_weights, (None,), dtypes=FLOATS)
+    if label_weights.shape[0] > 256:
+        raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
+    weights = _even_weights(device)
+    weights[1 : label_weights.shape[0]] = label_weights[1:].to(weights)
+    weights[IGNORE_LABEL] = 0.0
+    return weights
+
+
+def _even_weights(device: torch.device) -> torch.Tensor:
     weights = torch.ones(256, device=device)
-    if label_weights is not None:
-        check_tensor("label_weights", label_weights, (None,), dtypes=FLOATS)
-        if label_weights.shape[0] > 256:
-            raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
-        weights[: label_weights.shape[0]] = label_weights.to(weights)
     weights[0] = weights[IGNORE_LABEL] = 0.0  # neither has a map
     return weights
+
+
+@lru_cache(maxsize=16)
+def _kept_even_weights(device: torch.device) -> torch.Tensor:
+    with torch.inference_mode(False):  # or autograd might refuse it later
+        return _even_weights(device)
 
 
 def _check(
@@ -216,7 +250,7 @@ def _check(
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
     if validate and not torch.compiler.is_compiling():
-        check_finite("vertices", vertices)
+        check_finite(vertices=vertices)
     if mesh.num_vertices > vertices.shape[1]:
         raise ValueError(f"vertices: {vertices.shape[1]} a body; expected {mesh.num_vertices} or more, as the mesh")
     if near is None:
@@ -234,6 +268,19 @@ def _launch(work: Callable[[slice], None], like: torch.Tensor) -> None:
         launch_in_slices(work, like.shape[0], wp.get_device(device), modules=(rasterize, part_gradient))
 
 
+_Launch = Callable[[], None]
+_Images = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def _empty_images(shape: tuple[int, ...], device: torch.device) -> _Images:
+    """For labels, depth and face-index map, shape (B, H, W)."""
+    return (
+        torch.empty(shape, dtype=torch.uint8, device=device),
+        torch.empty(shape, dtype=torch.float32, device=device),
+        torch.empty(shape, dtype=torch.int32, device=device),
+    )
+
+
 def _rasterize(
     vertices: torch.Tensor,
     faces: torch.Tensor,
@@ -243,96 +290,127 @@ def _rasterize(
     near: float,
     perspective: bool,
     then: Callable[[slice, torch.Tensor], None] | None = None,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> _Images:
     """Labels, depth and face-index map; ``then`` launches what follows on a slice of the batch's labels."""
-    shape = (vertices.shape[0], height, width)
-    labels = torch.empty(shape, dtype=torch.uint8, device=vertices.device)
-    depth = torch.empty(shape, dtype=torch.float32, device=vertices.device)
-    face_index = torch.empty(shape, dtype=torch.int32, device=vertices.device)
+    images = _empty_images((vertices.shape[0], height, width), vertices.device)
 
     def work(part: slice) -> None:
-        screen = _wp(vertices[part], wp.vec3)
-        rasterize.launch_rasterize(
-            screen,
-            _wp(faces, wp.vec3i),
-            _wp(face_labels, wp.uint8),
-            near=near,
-            perspective=perspective,
-            zbuffer=rasterize.ZBuffer.make(screen.shape[0], height, width, screen.device),
-            labels=_wp(labels[part], wp.uint8),
-            depth=_wp(depth[part], wp.float32),
-            face_index=_wp(face_index[part], wp.int32),
-        )
+        here = tuple(image[part] for image in images)
+        _prepare_raster(vertices[part], faces, face_labels, near, perspective, here)[0]()
         if then is not None:
-            then(part, labels)
+            then(part, images[0])
 
-    _launch(work, labels)
-    return labels, depth, face_index
+    _launch(work, vertices)
+    return images
 
 
-def _gradient(
+def _prepare_raster(
     vertices: torch.Tensor,
     faces: torch.Tensor,
     face_labels: torch.Tensor,
-    edges: torch.Tensor,
-    labels: torch.Tensor,
-    face_index: torch.Tensor,
-    depth: torch.Tensor,
-    turns: Callable[[slice], Iterable[Any]],
-    options: tuple[float, bool, bool, bool, float, float],
-) -> torch.Tensor:
-    """Gradient with respect to the vertices, shape (B, V, 3).
+    near: float,
+    perspective: bool,
+    images: Sequence[torch.Tensor],
+    background: bool = True,
+) -> tuple[_Launch, rasterize.ZBuffer]:
+    """What fills labels, depth and face-index map, and the z-buffer it empties again."""
+    screen = _wp(vertices, wp.vec3)
+    labels, depth, face_index = images
+    batch, height, width = labels.shape
+    zbuffer = rasterize.ZBuffer.make(batch, height, width, screen.device)
+    launch = partial(
+        rasterize.launch_rasterize,
+        screen,
+        _wp(faces, wp.vec3i),
+        _wp(face_labels, wp.uint8),
+        near=near,
+        perspective=perspective,
+        zbuffer=zbuffer,
+        labels=_wp(labels, wp.uint8),
+        depth=_wp(depth, wp.float32),
+        face_index=_wp(face_index, wp.int32),
+        background=background,
+    )
+    return launch, zbuffer
 
-    ``turns`` gives the loss gradient of a slice of the batch, once for each label that the z pass has to look for.
+
+def _gradient(
+    geometry: Sequence[torch.Tensor],
+    images: _Images,
+    turns: Callable[[slice], Iterable[Any]],
+    options: tuple[Any, ...],
+) -> torch.Tensor:
+    """Gradient with respect to the vertices, shape (B, V, 3), of images from ``_rasterize``.
+
+    ``geometry`` is vertices, faces, their labels and edges. ``turns`` gives the loss gradient of a slice of the batch,
+    once for each label that the z pass has to look for.
     """
-    near, perspective, all_edges, over_farther, max_distance, depth_weight = options
-    grad_vertices = torch.zeros(vertices.shape, device=vertices.device)
+    vertices, *mesh = geometry
+    grad_vertices = torch.empty(vertices.shape, device=vertices.device)
 
     def work(part: slice) -> None:
-        screen = _wp(vertices[part], wp.vec3)
-        mesh_labels = _wp(face_labels, wp.uint8)
-        shown = _wp(labels[part], wp.uint8)
-        shown_faces = _wp(face_index[part], wp.int32)
-        grad_screen = _wp(grad_vertices[part], wp.float32)
-        keys = None
-        for turn, gradient in enumerate(turns(part)):
+        here = [image[part] for image in images]
+        keys = rasterize.empty_keys(tuple(here[0].shape), wp.device_from_torch(vertices.device))
+        grads = grad_vertices[part]
+        _prepare_gradient((vertices[part], *mesh), here, partial(turns, part), options, keys, grads)()
+
+    _launch(work, vertices)
+    return grad_vertices
+
+
+def _prepare_gradient(
+    geometry: Sequence[torch.Tensor],
+    images: Sequence[torch.Tensor],
+    turns: Callable[[], Iterable[Any]],
+    options: tuple[Any, ...],
+    keys: wp.array,
+    grad_vertices: torch.Tensor,
+) -> _Launch:
+    """What fills ``grad_vertices``; ``keys`` are a ``ZBuffer``'s, empty before and after."""
+    near, perspective, all_edges, over_farther, max_distance, depth_weight = options
+    vertices, faces, face_labels, edges = geometry
+    screen, mesh_labels = _wp(vertices, wp.vec3), _wp(face_labels, wp.uint8)
+    labels, depth, face_index = images
+    grad_screen = _wp(grad_vertices, wp.float32)
+    view: dict[str, Any] = {
+        "near": near,
+        "perspective": perspective,
+        "labels": _wp(labels, wp.uint8),
+        "face_index": _wp(face_index, wp.int32),
+        "grad_vertices": grad_screen,
+    }
+    push_edges = partial(
+        part_gradient.launch_push_edges,
+        screen,
+        mesh_labels,
+        _wp(edges, wp.int32),
+        **view,
+        all_edges=all_edges,
+        over_farther=over_farther,
+        max_distance=max_distance,
+        depth=_wp(depth, wp.float32),
+        found=part_gradient.SilhouetteList.make(screen.shape[0], edges.shape[0], screen.device),
+    )
+    push_depths = partial(
+        part_gradient.launch_push_depths,
+        screen,
+        _wp(faces, wp.vec3i),
+        mesh_labels,
+        **view,
+        depth_weight=depth_weight,
+        keys=keys,
+    )
+
+    def launch() -> None:
+        grad_screen.zero_()
+        for turn, gradient in enumerate(turns()):
             if turn == 0:
-                part_gradient.launch_push_edges(
-                    screen,
-                    mesh_labels,
-                    _wp(edges, wp.int32),
-                    near=near,
-                    perspective=perspective,
-                    all_edges=all_edges,
-                    over_farther=over_farther,
-                    max_distance=max_distance,
-                    labels=shown,
-                    face_index=shown_faces,
-                    depth=_wp(depth[part], wp.float32),
-                    gradient=gradient,
-                    found=part_gradient.SilhouetteList.make(screen.shape[0], edges.shape[0], screen.device),
-                    grad_vertices=grad_screen,
-                )
+                push_edges(gradient=gradient)
             if depth_weight == 0.0:
                 break
-            if keys is None:
-                keys = rasterize.empty_keys(shown.shape, screen.device)
-            part_gradient.launch_push_depths(
-                screen,
-                _wp(faces, wp.vec3i),
-                mesh_labels,
-                near=near,
-                perspective=perspective,
-                depth_weight=depth_weight,
-                labels=shown,
-                face_index=shown_faces,
-                gradient=gradient,
-                keys=keys,
-                grad_vertices=grad_screen,
-            )
+            push_depths(gradient=gradient)
 
-    _launch(work, labels)
-    return grad_vertices
+    return launch
 
 
 def _maps_forward(
@@ -346,7 +424,7 @@ def _maps_forward(
 
 
 def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
-    vertices, faces, face_labels, edges, labels, face_index, depth = saved
+    *geometry, labels, face_index, depth = saved
     grad_maps = grad_maps.float()
 
     def turns(part: slice) -> Iterator[Any]:
@@ -356,7 +434,7 @@ def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, opt
             gradient.wanted = wanted
             yield gradient
 
-    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, turns, options[3:])
+    return _gradient(geometry, (labels, depth, face_index), turns, options[3:])
 
 
 class _PartMaps(torch.autograd.Function):
@@ -392,13 +470,7 @@ def _loss_forward(
     losses = torch.empty(rasterize.pixel_lanes(target.shape, vertices.is_cpu), device=vertices.device)
 
     def compare(part: slice, labels: torch.Tensor) -> None:
-        rasterize.launch_compare_labels(
-            _wp(labels[part], wp.uint8),
-            _wp(target[part], wp.uint8),
-            _wp(weights, wp.float32),
-            extents=_wp(extents[part], wp.vec4i),
-            losses=_wp(losses[part], wp.float32),
-        )
+        _prepare_compare(labels[part], target[part], weights, extents[part], losses[part])()
 
     labels, depth, face_index = _rasterize(vertices, faces, face_labels, height, width, near, perspective, then=compare)
     return losses.sum((1, 2)), labels, depth, face_index, extents
@@ -409,39 +481,81 @@ def _extents_shape(batch: int, num_labels: int) -> tuple[int, int, int, int]:
     return (batch, rasterize.NUM_EXTENTS, num_labels + 1, 4)
 
 
+def _prepare_compare(
+    labels: torch.Tensor, target: torch.Tensor, weights: torch.Tensor, extents: torch.Tensor, losses: torch.Tensor
+) -> _Launch:
+    """What fills ``losses``, and ``extents`` for the gradient."""
+    return partial(
+        rasterize.launch_compare_labels,
+        _wp(labels, wp.uint8),
+        _wp(target, wp.uint8),
+        _wp(weights, wp.float32),
+        extents=_wp(extents, wp.vec4i),
+        losses=_wp(losses, wp.float32),
+    )
+
+
+def _label_target(
+    target: torch.Tensor, weights: torch.Tensor, scale: torch.Tensor, extents: torch.Tensor
+) -> part_gradient.LabelTarget:
+    """The loss gradient where L_seg's own is ``scale``."""
+    gradient = part_gradient.LabelTarget()
+    gradient.target = _wp(target, wp.uint8)
+    gradient.label_weights = _wp(weights, wp.float32)
+    gradient.scale = _wp(scale, wp.float32)
+    gradient.extents = _wp(extents, wp.vec4i)
+    return gradient
+
+
 def _loss_backward(saved: tuple[torch.Tensor, ...], grad_loss: torch.Tensor, options: tuple[Any, ...]) -> torch.Tensor:
-    vertices, faces, face_labels, edges, target, weights, labels, face_index, depth, extents = saved
+    *geometry, target, weights, labels, face_index, depth, extents = saved
     grad_loss = grad_loss.float()
 
-    def turns(part: slice) -> Iterator[Any]:
-        gradient = part_gradient.LabelTarget()
-        gradient.target = _wp(target[part], wp.uint8)
-        gradient.label_weights = _wp(weights, wp.float32)
-        gradient.scale = _wp(grad_loss[part], wp.float32)
-        gradient.extents = _wp(extents[part], wp.vec4i)
-        yield gradient
+    def turns(part: slice) -> Iterable[Any]:
+        return [_label_target(target[part], weights, grad_loss[part], extents[part])]
 
-    return _gradient(vertices, faces, face_labels, edges, labels, face_index, depth, turns, options[1:])
+    return _gradient(geometry, (labels, depth, face_index), turns, options[1:])
 
 
-class _LabelLoss(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, vertices: torch.Tensor, faces: torch.Tensor, face_labels: torch.Tensor, *rest: Any) -> Any:
-        edges, target, weights, *options = rest
-        loss, *image = _loss_forward(vertices, faces, face_labels, target, weights, tuple(options))
-        labels, depth, face_index, extents = image
-        ctx.save_for_backward(vertices, faces, face_labels, edges, target, weights, labels, face_index, depth, extents)
-        ctx.options = tuple(options)
-        ctx.mark_non_differentiable(*image)
-        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
-        return loss, *image
+@dataclass(frozen=True, eq=False)
+class _LossRecipe:
+    """L_seg and its gradient, for ``loss_graph``."""
 
-    @staticmethod
-    def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
-        grad_vertices = None
-        if gradients[0] is not None:
-            grad_vertices = _loss_backward(ctx.saved_tensors, gradients[0], ctx.options)
-        return grad_vertices, *([None] * (5 + len(ctx.options)))
+    faces: torch.Tensor
+    face_labels: torch.Tensor
+    edges: torch.Tensor
+    options: tuple[int, float, bool, bool, bool, float, float]
+
+    modules = rasterize, part_gradient
+
+    def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
+        return math.prod(rasterize.pixel_lanes((batch, height, width), device.type == "cpu")[1:])
+
+    def prepare(self, buffers: Buffers) -> _Launch:
+        (vertices,), target, weights = buffers.inputs, buffers.target, buffers.weights
+        num_labels, near, perspective = self.options[:3]
+        device, batch = vertices.device, len(vertices)
+        images = _empty_images(tuple(target.shape), device)
+        extents = torch.empty(_extents_shape(batch, num_labels), dtype=torch.int32, device=device)
+        losses = buffers.losses.view(rasterize.pixel_lanes(tuple(target.shape), vertices.is_cpu))
+        mesh = self.faces, self.face_labels
+        draw, zbuffer = _prepare_raster(vertices, *mesh, near, perspective, images, background=False)
+        launches = [draw, _prepare_compare(images[0], target, weights, extents, losses)]
+        if buffers.grads:
+            gradient = _label_target(target, weights, torch.ones(batch, device=device), extents)
+            turns, (grads,) = lambda: [gradient], buffers.grads
+            options, keys = self.options[1:], zbuffer.keys
+            geometry = vertices, *mesh, self.edges
+            launches.append(_prepare_gradient(geometry, images, turns, options, keys, grads))
+
+        def launch() -> None:
+            for part in launches:
+                part()
+
+        return launch
+
+
+_recipe = lru_cache(maxsize=16)(_LossRecipe)  # the same object for the same mesh and options
 
 
 # --- torch.compile -----------------------------------------------------------------------------------------------
