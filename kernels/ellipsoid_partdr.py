@@ -2,7 +2,7 @@
 
 A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
 silhouette edge is, and the force acts on that point of the surface. ``tests/ellipsoid_reference.py`` is the definition.
-One block of threads owns an ellipsoid and adds in a fixed order.
+Every thread adds in a fixed order.
 """
 
 from collections.abc import Sequence
@@ -13,21 +13,25 @@ import warp as wp
 from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
 from .surface_forces import (
     Ellipsoid,
+    Forces,
     Scene,
     SurfaceForces,
+    Worker,
     add_force,
     add_image_force,
+    launch_on_ellipsoids,
     load_ellipsoid,
     make_scene,
     rests,
+    store_forces,
     to_unit,
     unproject,
+    worker_of,
 )
 from .targets import DenseGradient, LabelTarget, column_of, flat, gradient_at, pull_range, row_of, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-BLOCK = 128  # threads that share one ellipsoid on CUDA
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
 
 
@@ -264,28 +268,18 @@ def walk_depths(
 
 
 @wp.func
-def partdr_on(
-    scene: Scene,
-    b: int,
-    k: int,
-    lane: int,
-    lanes: int,
-    over_farther: bool,
-    max_distance: float,
-    depth_weight: float,
-    gradient: Any,
-):
-    """The share of one of ``lanes`` threads in the forces on ellipsoid k."""
+def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float, depth_weight: float, gradient: Any):
+    """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
     # Views of one body: an index of one dimension costs a fraction of one of three.
-    silhouettes = scene.silhouettes[b]
-    parts = flat(scene.parts[b])
+    silhouettes = scene.silhouettes[w.b]
+    parts = flat(scene.parts[w.b])
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
-    s = silhouettes[k]
-    if s.low[0] <= s.high[0] and not rests(scene.active, b):
-        e = load_ellipsoid(scene, b, k)
-        t = target_of(gradient, b)
+    s = silhouettes[w.k]
+    if s.low[0] <= s.high[0] and not rests(scene.active, w.b):
+        e = load_ellipsoid(scene, w.b, w.k)
+        t = target_of(gradient, w.b)
         sums = walk_lines(
             sums,
             e,
@@ -295,8 +289,8 @@ def partdr_on(
             height,
             width,
             t,
-            lane,
-            lanes,
+            w.number,
+            w.count,
             scene.perspective,
             over_farther,
             max_distance,
@@ -312,9 +306,9 @@ def partdr_on(
                 height,
                 width,
                 t,
-                k,
-                lane,
-                lanes,
+                w.k,
+                w.number,
+                w.count,
                 scene.perspective,
                 depth_weight,
                 gradient,
@@ -322,53 +316,23 @@ def partdr_on(
     return sums
 
 
-# On CUDA a block of threads shares an ellipsoid. The CPU device has a kernel of its own: a tile there, even one in a
-# branch not taken, is memory that all threads of the process share.
 @wp.kernel
-def partdr_shared(
+def partdr_forces(
     scene: Scene,
     over_farther: bool,
     max_distance: float,  # [px]
     depth_weight: float,
     gradient: Any,
-    force: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
-    moment: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
-    camera_force: wp.array2d[wp.vec4],  # (B, P)  OUTPUT
+    lanes: int,
+    forces: Forces,  # OUTPUT
 ):
     """Sums over the forces on each ellipsoid."""
-    b, k, lane = wp.tid()
-    sums = partdr_on(scene, b, k, lane, wp.block_dim(), over_farther, max_distance, depth_weight, gradient)
-    total_force = wp.tile_sum(wp.tile(wp.vec3(sums.force), preserve_type=True))
-    total_moment = wp.tile_sum(wp.tile(wp.mat33(sums.moment), preserve_type=True))
-    total_camera = wp.tile_sum(wp.tile(wp.vec4(sums.camera), preserve_type=True))
-    if lane == 0:
-        force[b, k] = total_force[0]
-        moment[b, k] = total_moment[0]
-        camera_force[b, k] = total_camera[0]
-
-
-@wp.kernel
-def partdr_alone(
-    scene: Scene,
-    over_farther: bool,
-    max_distance: float,  # [px]
-    depth_weight: float,
-    gradient: Any,
-    force: wp.array2d[wp.vec3],
-    moment: wp.array2d[wp.mat33],
-    camera_force: wp.array2d[wp.vec4],
-):
-    """The same with one thread an ellipsoid."""
-    b, k = wp.tid()
-    sums = partdr_on(scene, b, k, 0, 1, over_farther, max_distance, depth_weight, gradient)
-    force[b, k] = sums.force
-    moment[b, k] = sums.moment
-    camera_force[b, k] = sums.camera
+    w = worker_of(forces, lanes, wp.tid())
+    store_forces(forces, w, push_partdr(scene, w, over_farther, max_distance, depth_weight, gradient))
 
 
 for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(partdr_shared, {"gradient": _gradient})
-    wp.overload(partdr_alone, {"gradient": _gradient})
+    wp.overload(partdr_forces, {"gradient": _gradient})
 
 
 def launch_partdr_forces(
@@ -381,22 +345,10 @@ def launch_partdr_forces(
     max_distance: float,
     depth_weight: float,
     gradient: Any,  # LabelTarget or DenseGradient
-    force: wp.array,
-    moment: wp.array,
-    camera_force: wp.array,
+    forces: Forces,
     active: wp.array | None = None,
 ) -> None:
     """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
-    inputs = [
-        make_scene(ellipsoids, seen, parts, perspective=perspective, active=active),
-        over_farther,
-        max_distance,
-        depth_weight,
-        gradient,
-    ]
-    outputs = [force, moment, camera_force]
-    shape, device = seen.silhouettes.shape, parts.device
-    if device.is_cpu:
-        wp.launch(partdr_alone, shape, inputs, outputs, device=device)
-    else:
-        wp.launch(partdr_shared, (*shape, BLOCK), inputs, outputs, device=device, block_dim=BLOCK)
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
+    inputs = [scene, over_farther, max_distance, depth_weight, gradient]
+    launch_on_ellipsoids(partdr_forces, inputs, forces)

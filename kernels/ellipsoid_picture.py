@@ -7,21 +7,22 @@ shows, and of equal ones that with the lower index.
 import warp as wp
 
 from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
+from .lanes import LANES, ballot, sum_lanes
 from .surface_forces import rests
-from .targets import LabelTarget, cost_at, flat, target_of
+from .targets import LabelTarget, are_words, cost_of, flat, target_of, words_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# On CUDA a block draws a tile of the picture. Its threads side by side draw four neighbouring pixels of a row each, in
-# as many passes of eight rows as it takes: few long threads cost least, but few bodies need many.
-_TILE_WIDTH = wp.constant(32)
-_PASS_ROWS = wp.constant(8)
+# On CUDA a warp draws a tile of the picture strip by strip. Its threads draw four neighbouring pixels of a row each.
+# Few long warps cost least, but few bodies need many.
 _QUAD = wp.constant(4)
-_QUADS = wp.constant(8)  # a row of a tile
-_BLOCK = wp.constant(64)
-_LONG_PASSES = 4
-_MANY_PIXELS = 2**21  # in a batch: enough to fill the device with long threads
-_Sets = wp.types.vector(length=8, dtype=wp.uint32)  # a bit for each of 255 ellipsoids
+_STRIP_WIDTH = wp.constant(16)
+_STRIP_ROWS = wp.constant(8)
+_QUADS = wp.constant(4)  # a row of a strip
+_BLOCK = 128
+_MAX_STRIPS = 8  # of 255 ellipsoids fit into 64 bits
+_WARPS_TO_FILL = 4096  # of 132 multiprocessors
+_SLACK = wp.constant(1.0e-5)  # relative; of bounds in float32
 
 
 @wp.func
@@ -49,106 +50,126 @@ def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, valu
             image[b, row, column + i] = wp.uint8(values[i])
 
 
-@wp.kernel(launch_bounds=(64, 16))  # 64 registers: 30 % faster with 1024 bodies, no slower with one
+@wp.func
+def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float):
+    """Whether an outline may meet a rectangle of pixels: no is sure, yes is not."""
+    if not (s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top):
+        return False
+    # Within these rows the outline goes farthest right where it does at all, or at the row next to there.
+    half = s.high[0] - s.mean[0]
+    tilt = s.conic[1] / s.conic[2] * half
+    dy = wp.clamp(-tilt, top - s.mean[1], bottom - s.mean[1])
+    lean = s.conic[1] * dy
+    root = wp.max(lean * lean + s.conic[0] * (s.room - s.conic[2] * dy * dy), 0.0)
+    slack = 0.5 + _SLACK * half
+    if s.mean[0] + (wp.sqrt(root) - lean) / s.conic[0] + slack < left:
+        return False
+    dy = wp.clamp(tilt, top - s.mean[1], bottom - s.mean[1])
+    lean = s.conic[1] * dy
+    root = wp.max(lean * lean + s.conic[0] * (s.room - s.conic[2] * dy * dy), 0.0)
+    # A root that overflowed is no reason to leave anything out, so the test must not be the other way round.
+    return not s.mean[0] - (wp.sqrt(root) + lean) / s.conic[0] - slack > right
+
+
+@wp.kernel(launch_bounds=(_BLOCK, 8))  # 64 registers
 def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
     perspective: bool,
     target: LabelTarget,
     active: wp.array[int],  # (B,) 0: the body's picture stays as it is; empty: all are drawn
-    passes: int,
-    in_words: bool,  # whether the pictures below are read and written four pixels at once
-    target_words: wp.array3d[wp.uint32],  # (B or 1, H, W / 4) ``target.target``, if in words
+    strips: int,  # a tile
     parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background  OUTPUT
-    parts_words: wp.array3d[wp.uint32],  # (B, H, W / 4) the same memory
     labels: wp.array3d[wp.uint8],  # (B, H, W) or empty  OUTPUT
-    labels_words: wp.array3d[wp.uint32],
     depth: wp.array3d[float],  # (B, H, W) [m], inf = background, or empty  OUTPUT
     losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
 ):
-    """CUDA: a block looks only at the ellipsoids whose boxes meet its tile."""
+    """CUDA: a warp looks only at the ellipsoids that may meet its strip, each thread at one to find out."""
     # One dimension, split in 32 bits: Warp's own split takes 64-bit divisions for every dimension.
     thread = wp.tid()
-    lane = thread % _BLOCK
+    lane = thread % LANES
     height = parts.shape[1]
     width = parts.shape[2]
-    tile_height = passes * _PASS_ROWS
-    tiles = (width + _TILE_WIDTH - 1) // _TILE_WIDTH
+    tile_height = strips * _STRIP_ROWS
+    tiles = (width + _STRIP_WIDTH - 1) // _STRIP_WIDTH
     in_picture = tiles * ((height + tile_height - 1) // tile_height)
-    b = (thread // _BLOCK) // in_picture
-    tile = (thread // _BLOCK) - b * in_picture
-    if rests(active, b):
+    b = (thread // LANES) // in_picture
+    tile = (thread // LANES) - b * in_picture
+    if b >= parts.shape[0] or rests(active, b):
         return
     ellipsoids = silhouettes[b]
-    left = (tile % tiles) * _TILE_WIDTH
+    left = (tile % tiles) * _STRIP_WIDTH
     top = (tile // tiles) * tile_height
     column = left + (lane % _QUADS) * _QUAD
     x = float(column) + 0.5
     count = silhouettes.shape[1]
+    words = (count + LANES - 1) // LANES
     t = target_of(target, b)
-    loss = float(0.0)
-    words = (count + 31) // 32
-    sets = _Sets()
+    has_labels = labels.shape[0] > 0
+    has_losses = losses.shape[0] > 0
+    in_words = are_words(parts) and (are_words(labels) or not has_labels)
+    by_word = in_words and has_losses and are_words(target.target)
+    # Which strips each thread's own ellipsoids may meet: bit 8 word + strip.
+    meets = wp.uint64(0)
     for word in range(words):
-        hit = wp.uint32(0)
-        k = 32 * word + lane
-        if lane < 32 and k < count:
-            low = ellipsoids[k].low
-            high = ellipsoids[k].high
-            if (
-                low[0] < float(left + _TILE_WIDTH)
-                and high[0] > float(left)
-                and low[1] < float(top + tile_height)
-                and high[1] > float(top)
-            ):
-                hit = wp.uint32(1) << wp.uint32(lane)
-        hits = wp.tile_sum(wp.tile(hit))
-        sets[word] = hits[0]
-    row = top + lane // _QUADS
-    while row < wp.min(top + tile_height, height) and column < width:
+        k = LANES * word + lane
+        if k < count:
+            own = ellipsoids[k]
+            for strip in range(strips):
+                first = float(top + strip * _STRIP_ROWS)
+                if may_meet(own, float(left), float(left + _STRIP_WIDTH), first, first + float(_STRIP_ROWS)):
+                    meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
+    loss = float(0.0)
+    for strip in range(strips):
+        row = top + strip * _STRIP_ROWS + lane // _QUADS
         y = float(row) + 0.5
         best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
         shown = wp.vec4i(0, 0, 0, 0)
         label = wp.vec4i(0, 0, 0, 0)
         for word in range(words):
-            bits = sets[word]
+            bits = ballot((meets >> wp.uint64(8 * word + strip)) & wp.uint64(1) == wp.uint64(1))
             while bits != wp.uint32(0):
-                k = 32 * word + lowest_bit(bits)
+                k = LANES * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
                 s = ellipsoids[k]
+                first_room = room_at(s, x, y)
+                first_middle = middle_at(s, x, y)
+                fall = 2.0 * (s.conic[0] * (x - s.mean[0]) + s.conic[1] * (y - s.mean[1]))
                 for i in range(_QUAD):
-                    room = room_at(s, x + float(i), y)
-                    if room > 0.0:
-                        nearness = middle_at(s, x + float(i), y) + wp.sqrt(room)
-                        if nearness > best[i]:
-                            best[i] = nearness
-                            shown[i] = k + 1
-                            label[i] = s.label
-        at = (row * width + column) // _QUAD
-        if in_words:
-            flat(parts_words[b])[at] = pack(shown)
-            if labels.shape[0] > 0:
-                flat(labels_words[b])[at] = pack(label)
-        else:
-            write_bytes(parts, b, row, column, shown)
-            if labels.shape[0] > 0:
-                write_bytes(labels, b, row, column, label)
-        if depth.shape[0] > 0:
-            for i in range(_QUAD):
-                if column + i < width:
-                    depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
-        if losses.shape[0] > 0:
-            wrong = bool(True)
+                    # Selects, not branches: neighbours disagree.
+                    room = first_room - float(i) * (fall + float(i) * s.conic[0])
+                    nearness = first_middle + float(i) * s.slope[0] + wp.sqrt(wp.max(room, 0.0))
+                    nearer = room > 0.0 and nearness > best[i]
+                    best[i] = wp.where(nearer, nearness, best[i])
+                    shown[i] = wp.where(nearer, k + 1, shown[i])
+                    label[i] = wp.where(nearer, s.label, label[i])
+        if row < height and column < width:
+            at = (row * width + column) // _QUAD
             if in_words:
-                wrong = flat(target_words[t])[at] != pack(label)
-            if wrong:
+                words_of(parts[b])[at] = pack(shown)
+                if has_labels:
+                    words_of(labels[b])[at] = pack(label)
+            else:
+                write_bytes(parts, b, row, column, shown)
+                if has_labels:
+                    write_bytes(labels, b, row, column, label)
+            if depth.shape[0] > 0:
                 for i in range(_QUAD):
                     if column + i < width:
-                        loss += cost_at(target, t, label[i], row, column + i)
-        row += _PASS_ROWS
-    if losses.shape[0] > 0:
-        total = wp.tile_sum(wp.tile(loss))
+                        depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
+            if has_losses:
+                if by_word:
+                    wanted = words_of(target.target[t])[at]
+                    if wanted != pack(label):
+                        for i in range(_QUAD):
+                            loss += cost_of(target, int(wanted >> wp.uint32(8 * i)) & 255, label[i])
+                else:
+                    for i in range(_QUAD):
+                        if column + i < width:
+                            loss += cost_of(target, int(target.target[t, row, column + i]), label[i])
+    if has_losses:
+        total = sum_lanes(loss)
         if lane == 0:
-            losses[b, tile] = total[0]
+            losses[b, tile] = total
 
 
 @wp.kernel
@@ -158,10 +179,7 @@ def draw_rows(
     target: LabelTarget,
     active: wp.array[int],
     nearest: wp.array3d[float],  # (B, H, W) scratch
-    in_words: bool,
-    target_words: wp.array3d[wp.uint32],
     parts: wp.array3d[wp.uint8],
-    parts_words: wp.array3d[wp.uint32],
     labels: wp.array3d[wp.uint8],
     depth: wp.array3d[float],
     losses: wp.array2d[float],  # (B, H)
@@ -176,8 +194,9 @@ def draw_rows(
     fronts = flat(nearest[b])
     ellipsoids = silhouettes[b]
     y = float(row) + 0.5
+    words = words_of(parts[b])
+    in_words = are_words(parts)
     if in_words:
-        words = flat(parts_words[b])
         for at in range(begin // _QUAD, (begin + width) // _QUAD):
             words[at] = wp.uint32(0)
     else:
@@ -222,6 +241,8 @@ def draw_rows(
     if whole_picture or losses.shape[0] > 0:
         loss = float(0.0)
         t = target_of(target, b)
+        if losses.shape[0] > 0:
+            in_words = in_words and are_words(target.target)
         together = wp.where(in_words, _QUAD, 1)
         column = int(0)
         while column < width:
@@ -229,7 +250,7 @@ def draw_rows(
             if in_words and not whole_picture:
                 # Four pixels that show background and should.
                 at = (begin + column) // _QUAD
-                wrong_or_shown = (flat(parts_words[b])[at] | flat(target_words[t])[at]) != wp.uint32(0)
+                wrong_or_shown = (words[at] | words_of(target.target[t])[at]) != wp.uint32(0)
             if wrong_or_shown:
                 for i in range(together):
                     at = begin + column + i
@@ -244,7 +265,7 @@ def draw_rows(
                         if part > 0:
                             depth[b, row, column + i] = depth_of(fronts[at], perspective)
                     if losses.shape[0] > 0:
-                        loss += cost_at(target, t, label, row, column + i)
+                        loss += cost_of(target, int(target.target[t, row, column + i]), label)
             column += together
         if losses.shape[0] > 0:
             losses[b, row] = loss
@@ -254,11 +275,13 @@ def num_partial_losses(device: wp.Device, batch: int, height: int, width: int) -
     """T, how many sums of each picture's loss ``launch_draw`` fills."""
     if device.is_cpu:
         return height
-    return -(-height // (_PASS_ROWS * _passes(batch, height, width))) * -(-width // _TILE_WIDTH)
+    return -(-height // (_STRIP_ROWS * _strips(batch, height, width))) * -(-width // _STRIP_WIDTH)
 
 
-def _passes(batch: int, height: int, width: int) -> int:
-    return _LONG_PASSES if batch * height * width >= _MANY_PIXELS else 1
+def _strips(batch: int, height: int, width: int) -> int:
+    """How many strips a warp draws."""
+    warps = batch * -(-height // _STRIP_ROWS) * -(-width // _STRIP_WIDTH)
+    return max(min(warps // _WARPS_TO_FILL, _MAX_STRIPS), 1)
 
 
 def launch_draw(
@@ -275,28 +298,17 @@ def launch_draw(
 ) -> None:
     """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
 
-    ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses`` only. Bodies whose flag in
-    ``active`` is 0 stay as they are.
+    All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses``
+    only. Bodies whose flag in ``active`` is 0 stay as they are.
     """
     device = silhouettes.device
     batch, height, width = parts.shape
     moving = wp.empty(0, dtype=int, device=device) if active is None else active
-    bytes_ = [target.target if losses.size else parts, parts, labels if labels.size else parts]
-    in_words = width % _QUAD == 0 and all(image.ptr % 4 == 0 for image in bytes_)
-    words = [_words(image) if in_words else wp.empty((0, 0, 0), dtype=wp.uint32, device=device) for image in bytes_]
+    inputs = [silhouettes, perspective, target, moving]
+    outputs = [parts, labels, depth, losses]
     if device.is_cpu:
-        inputs = [silhouettes, perspective, target, moving, nearest, in_words, words[0]]
-        outputs = [parts, words[1], labels, depth, losses]
-        wp.launch(draw_rows, (batch, height), inputs, outputs, device=device)
+        wp.launch(draw_rows, (batch, height), [*inputs, nearest], outputs, device=device)
         return
-    passes = _passes(batch, height, width)
-    inputs = [silhouettes, perspective, target, moving, passes, in_words, words[0]]
-    outputs = [parts, words[1], labels, words[2], depth, losses]
-    dim = batch * num_partial_losses(device, batch, height, width) * _BLOCK
-    wp.launch(draw_tiles, dim, inputs, outputs, device=device, block_dim=_BLOCK)
-
-
-def _words(image: wp.array) -> wp.array:
-    """The same memory, four pixels a word."""
-    *rest, width = image.shape
-    return wp.array(ptr=image.ptr, shape=(*rest, width // _QUAD), dtype=wp.uint32, device=image.device)
+    warps = batch * num_partial_losses(device, batch, height, width)
+    dim = -(-warps * int(LANES) // _BLOCK) * _BLOCK
+    wp.launch(draw_tiles, dim, [*inputs, _strips(batch, height, width)], outputs, device=device, block_dim=_BLOCK)

@@ -211,11 +211,12 @@ def lowest_bit(bits: wp.uint32):
 
 @dataclass(frozen=True)
 class Seen:
-    """What ``launch_see`` fills: B bodies of P ellipsoids as their cameras see them.
+    """B bodies of P ellipsoids as their cameras see them.
 
     Attributes:
-        silhouettes: Shape (B, P).
-        neighbours: Sets of ellipsoids that may hide or be hidden, shape (B, P, N), uint32, a bit each.
+        silhouettes: From ``launch_see``, shape (B, P).
+        neighbours: From ``launch_find_neighbours``: sets of ellipsoids that may hide or be hidden, shape (B, P, N),
+            uint32, a bit each.
         creases: Sets of those that may meet it, the same.
     """
 
@@ -243,10 +244,15 @@ class Seen:
 def launch_see(
     ellipsoids: Sequence[wp.array], part_labels: wp.array, *, near: float, perspective: bool, seen: Seen
 ) -> None:
-    """Fill ``seen`` from centres, axes, semi-axes and camera."""
+    """Fill the silhouettes of ``seen`` from centres, axes, semi-axes and camera."""
     device, shape = part_labels.device, seen.silhouettes.shape
     inputs = [*ellipsoids, part_labels, near, perspective]
     wp.launch(see_ellipsoids, shape, inputs, [seen.silhouettes], device=device, block_dim=_FEW)
+
+
+def launch_find_neighbours(seen: Seen) -> None:
+    """Fill the sets of ``seen`` from its silhouettes."""
+    device, shape = seen.silhouettes.device, seen.silhouettes.shape
     wp.launch(
         find_neighbours, shape, [seen.silhouettes], [seen.neighbours, seen.creases], device=device, block_dim=_FEW
     )

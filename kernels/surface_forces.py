@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import warp as wp
 
 from .ellipsoids import Seen, Silhouette
+from .lanes import LANES, sum_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -140,29 +141,117 @@ def add_nearness_force(
     return sums
 
 
+@wp.struct
+class Forces:
+    """Sums over the forces on each of P ellipsoids, in S shares to be added up: one from each warp that worked on it.
+
+    Of 16 numbers, force, moment and camera, row by row.
+    """
+
+    values: wp.array4d[float]  # (B, P, S, 16)
+
+
+@wp.struct
+class Worker:
+    """Which thread of those that share an ellipsoid's work this is."""
+
+    b: int
+    k: int
+    share: int
+    lane: int
+    number: int  # of ``count`` threads
+    count: int
+
+
+@wp.func
+def worker_of(forces: Forces, lanes: int, thread: int):
+    """Split the number of a thread: ``lanes`` to a share, S shares to an ellipsoid."""
+    parts = forces.values.shape[1]
+    shares = forces.values.shape[2]
+    w = Worker()
+    w.count = lanes * shares
+    ellipsoid = thread // w.count
+    w.number = thread - ellipsoid * w.count
+    w.share = w.number // lanes
+    w.lane = w.number - w.share * lanes
+    w.b = ellipsoid // parts
+    w.k = ellipsoid - w.b * parts
+    return w
+
+
+@wp.func
+def store_forces(forces: Forces, w: Worker, sums: SurfaceForces):
+    """Add up the threads of a share and store it."""
+    shares = forces.values[w.b, w.k]
+    for i in range(3):
+        force = sum_lanes(sums.force[i])
+        if w.lane == 0:
+            shares[w.share, i] = force
+        for j in range(3):
+            moment = sum_lanes(sums.moment[i, j])
+            if w.lane == 0:
+                shares[w.share, 3 + 3 * i + j] = moment
+    for i in range(4):
+        camera = sum_lanes(sums.camera[i])
+        if w.lane == 0:
+            shares[w.share, 12 + i] = camera
+
+
+@wp.func
+def add_shares(forces: Forces, b: int, k: int, i: int):
+    """One of the 16 numbers."""
+    shares = forces.values[b, k]
+    total = float(0.0)
+    for share in range(shares.shape[0]):
+        total += shares[share, i]
+    return total
+
+
 @wp.kernel
 def spread_forces(
     axes: wp.array2d[wp.mat33],  # (B, P)
     semi_axes: wp.array2d[wp.vec3],  # (B, P)
-    force: wp.array2d[wp.vec3],  # (B, P)
-    moment: wp.array2d[wp.mat33],  # (B, P)
-    camera_force: wp.array2d[wp.vec4],  # (B, P)
+    forces: Forces,
+    lanes: int,  # of a warp, of which each adds some of the shares
     grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
     grad_semi_axes: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_camera: wp.array[wp.vec4],  # (B,)  OUTPUT
 ):
-    """Gradients with respect to centres, axes, semi-axes and camera."""
-    b, k = wp.tid()
-    m = moment[b, k]
-    grad_centres[b, k] = force[b, k]
-    grad_axes[b, k] = m * wp.diag(semi_axes[b, k])
-    grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * m)
-    if k == 0:
-        total = wp.vec4()
-        for j in range(camera_force.shape[1]):
-            total += camera_force[b, j]
-        grad_camera[b] = total
+    """Gradients with respect to centres, axes, semi-axes and, by one warp more, the camera."""
+    thread = wp.tid()
+    parts = axes.shape[1]
+    lane = thread % lanes
+    b = (thread // lanes) // (parts + 1)
+    k = thread // lanes - b * (parts + 1)
+    shares = forces.values.shape[2]
+    if k == parts:
+        camera = wp.vec4()
+        for n in range(lane, parts * shares, lanes):
+            values = forces.values[b, n // shares]
+            for i in range(4):
+                camera[i] += values[n % shares, 12 + i]
+        for i in range(4):
+            camera[i] = sum_lanes(camera[i])
+        if lane == 0:
+            grad_camera[b] = camera
+        return
+    force = wp.vec3()
+    moment = wp.mat33()
+    values = forces.values[b, k]
+    for share in range(lane, shares, lanes):
+        for i in range(3):
+            force[i] += values[share, i]
+            for j in range(3):
+                moment[i, j] += values[share, 3 + 3 * i + j]
+    for i in range(3):
+        force[i] = sum_lanes(force[i])
+        for j in range(3):
+            moment[i, j] = sum_lanes(moment[i, j])
+    if lane == 0:
+        grad_centres[b, k] = force
+        grad_axes[b, k] = moment * wp.diag(semi_axes[b, k])
+        grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * moment)
 
 
 @wp.kernel
@@ -179,6 +268,10 @@ def sum_rows(
 
 
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
+BLOCK = 64  # of the kernels that fill forces
+NUM_SUMS = 16  # of an ellipsoid's forces
+_WARPS_TO_FILL = 2048  # of 132 multiprocessors
+_MAX_SHARES = 8  # measured: docs/performance.md
 
 
 def make_scene(
@@ -194,12 +287,41 @@ def make_scene(
     return scene
 
 
+def make_forces(batch: int, parts: int, device: wp.Device) -> Forces:
+    """Room for the sums of forces, in as many shares as it takes to fill the device."""
+    shares = 1
+    if not device.is_cpu:
+        shares = max(min(_WARPS_TO_FILL // max(batch * parts, 1), _MAX_SHARES), 1)
+    forces = Forces()
+    forces.values = wp.empty((batch, parts, shares, NUM_SUMS), dtype=float, device=device)
+    return forces
+
+
+def cut_forces(forces: Forces, part: slice) -> Forces:
+    """Some bodies' share."""
+    if part.stop - part.start == forces.values.shape[0]:
+        return forces
+    cut = Forces()
+    cut.values = forces.values[part]
+    return cut
+
+
+def launch_on_ellipsoids(kernel: wp.Kernel, inputs: Sequence[object], forces: Forces) -> None:
+    """Launch a kernel whose threads find their work by ``worker_of``, given the number of lanes and the forces last."""
+    device = forces.values.device
+    lanes = _lanes(device)
+    dim = forces.values.size // NUM_SUMS * lanes
+    wp.launch(kernel, dim, [*inputs, lanes], [forces], device=device, block_dim=BLOCK)
+
+
+def _lanes(device: wp.Device) -> int:
+    return 1 if device.is_cpu else int(LANES)
+
+
 def launch_spread(
     axes: wp.array,
     semi_axes: wp.array,
-    force: wp.array,
-    moment: wp.array,
-    camera_force: wp.array,
+    forces: Forces,
     *,
     grad_centres: wp.array,
     grad_axes: wp.array,
@@ -207,9 +329,16 @@ def launch_spread(
     grad_camera: wp.array,
 ) -> None:
     """From sums of forces to gradients."""
-    inputs = [axes, semi_axes, force, moment, camera_force]
-    outputs = [grad_centres, grad_axes, grad_semi_axes, grad_camera]
-    wp.launch(spread_forces, axes.shape, inputs, outputs, device=axes.device, block_dim=_FEW)
+    batch, parts = axes.shape
+    lanes = _lanes(axes.device)
+    wp.launch(
+        spread_forces,
+        batch * (parts + 1) * lanes,
+        [axes, semi_axes, forces, lanes],
+        [grad_centres, grad_axes, grad_semi_axes, grad_camera],
+        device=axes.device,
+        block_dim=BLOCK,
+    )
 
 
 def launch_sum_rows(values: wp.array, totals: wp.array) -> None:

@@ -23,6 +23,18 @@ def flat(image: wp.array2d[Any]):
     return wp.array(ptr=image.ptr, shape=(image.shape[0] * image.shape[1],), dtype=image.dtype)
 
 
+@wp.func
+def words_of(image: wp.array2d[wp.uint8]):
+    """Four pixels a word, row by row, where ``are_words``."""
+    return wp.array(ptr=image.ptr, shape=(image.shape[0] * image.shape[1] // 4,), dtype=wp.uint32)
+
+
+@wp.func
+def are_words(images: wp.array3d[wp.uint8]):
+    """Whether contiguous images can be read four pixels at once."""
+    return images.shape[2] % 4 == 0 and images.ptr % wp.uint64(4) == wp.uint64(0)
+
+
 @wp.struct
 class LabelTarget:
     """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another."""
@@ -74,6 +86,14 @@ def gradient_at(g: DenseGradient, t: int, label: int, row: int, column: int, sho
 
 
 @wp.func
+def cost_of(g: LabelTarget, want: int, label: int):
+    """What one pixel of area costs that shows a label and should show another, 0 = background."""
+    if want == int(IGNORE) or want == label:
+        return 0.0
+    return g.label_weights[label] + g.label_weights[want]
+
+
+@wp.func
 def cost_at(g: LabelTarget, t: int, label: int, row: int, column: int):
     """What one pixel of area that shows ``label`` costs, 0 = background."""
     want = g.target[t, row, column]
@@ -88,6 +108,24 @@ def cost_at(g: DenseGradient, t: int, label: int, row: int, column: int):
     if label == 0 or label > g.maps.shape[1]:
         return 0.0
     return g.maps[t, label - 1, row, column]
+
+
+@wp.func
+def excess_at(g: LabelTarget, t: int, inside: int, outside: int, pixel: int):
+    """How much more a pixel of area costs that shows one label than another, pixels counted row by row."""
+    want = flat(g.target[t])[pixel]
+    return cost_of(g, int(want), inside) - cost_of(g, int(want), outside)
+
+
+@wp.func
+def excess_at(g: DenseGradient, t: int, inside: int, outside: int, pixel: int):
+    """To first order."""
+    excess = float(0.0)
+    if inside > 0 and inside <= g.maps.shape[1]:
+        excess = flat(g.maps[t, inside - 1])[pixel]
+    if outside > 0 and outside <= g.maps.shape[1]:
+        excess -= flat(g.maps[t, outside - 1])[pixel]
+    return excess
 
 
 @wp.func

@@ -79,6 +79,13 @@ def meet(scene, k, x, y):
     return margin, closest - np.sqrt(np.maximum(margin, 0) / length2)
 
 
+def front_near(scene, k, x, y, depth):
+    """Depth of ellipsoid k's front, to first order, where it is nearly ``depth``: smooth across its outline too."""
+    origin, direction = ray_in_unit_space(scene, k, x, y)
+    place = origin + depth * direction
+    return depth - ((place**2).sum(0) - 1) / (2 * (place * direction).sum(0))
+
+
 def half_extents(scene):
     """Half of each ellipsoid's size along x, y and z, (P, 3)."""
     return np.sqrt(((scene.axes * scene.semi_axes[:, None]) ** 2).sum(2))
@@ -162,7 +169,7 @@ class Borders:
     """Places where lines along one axis of the picture leave the part ``before`` and enter ``after`` (0 = background).
 
     ``kind`` says which surface bounds: 1 = the outline of ``before``, -1 = that of ``after``, 0 = a crease, where both
-    are there and equally deep.
+    are there and equally deep, at ``depth``.
     """
 
     x: np.ndarray
@@ -170,6 +177,7 @@ class Borders:
     before: np.ndarray
     after: np.ndarray
     kind: np.ndarray
+    depth: np.ndarray
 
 
 def find_borders(scene, size, axis, lines, spacing=1 / 32, halvings=24):
@@ -210,7 +218,8 @@ def find_borders(scene, size, axis, lines, spacing=1 / 32, halvings=24):
     for k in range(len(scene.centres)):
         kind[(after == k + 1) & ~np.isfinite(fronts(scene, *on_line(axis, low, across), [k])[k])] = -1
         kind[(before == k + 1) & ~np.isfinite(fronts(scene, *on_line(axis, high, across), [k])[k])] = 1
-    return Borders(*on_line(axis, (low + high) / 2, across), before, after, kind)
+    x, y = on_line(axis, (low + high) / 2, across)
+    return Borders(x, y, before, after, kind, fronts(scene, x, y).min(0))
 
 
 def on_line(axis, along, across):
@@ -250,9 +259,10 @@ def border_value(scene, borders, x, y):
     value = np.zeros_like(x)
     for k in range(len(scene.centres)):
         for parts, sign in ((borders.before, 1.0), (borders.after, -1.0)):
-            mine = (parts == k + 1) & ((borders.kind == sign) | (borders.kind == 0))
-            margin, front = meet(scene, k, x[mine], y[mine])
-            value[mine] += sign * np.where(borders.kind[mine] == 0, -front, margin)
+            mine = (parts == k + 1) & (borders.kind == sign)
+            value[mine] += sign * meet(scene, k, x[mine], y[mine])[0]
+            mine = (parts == k + 1) & (borders.kind == 0)
+            value[mine] -= sign * front_near(scene, k, x[mine], y[mine], borders.depth[mine])
     return value
 
 

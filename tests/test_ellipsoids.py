@@ -253,13 +253,11 @@ def test_gradient_of_outlines_is_that_of_area(device, seed, perspective):
     size = (96, 112)
     scene = apart(random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2])))
     maps = smooth_maps(seed, 5, size)
-    errors = coverage_errors(scene, maps, device, **FINE)
     # What moves the whole picture leaves little: the forces on opposite sides of each ellipsoid nearly cancel.
-    assert errors.pop("camera") < 0.03
-    assert max(errors.values()) < 0.005
-    errors = coverage_errors(scene, maps, device)
-    assert errors.pop("camera") < 0.2
-    assert max(errors.values()) < 0.05
+    for options in (FINE, {}):
+        errors = coverage_errors(scene, maps, device, **options)
+        assert errors.pop("camera") < 0.01
+        assert max(errors.values()) < 0.004
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -267,8 +265,8 @@ def test_gradient_of_a_bodys_outlines_is_that_of_area(device, perspective):
     size = (112, 96)
     scene = body_scene(0, size, perspective, device)
     errors = coverage_errors(apart(scene), smooth_maps(0, 20, size), device, 48, **FINE)
-    assert errors.pop("camera") < 0.05
-    assert max(errors.values()) < 0.01
+    assert errors.pop("camera") < 0.03
+    assert max(errors.values()) < 0.005
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -277,8 +275,7 @@ def test_gradient_of_creases_is_that_of_area(device, seed, perspective):
     size = (96, 112)
     scene = random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
     errors = coverage_errors(scene, smooth_maps(seed, 5, size), device, 64, **FINE)
-    assert errors.pop("camera") < 0.03
-    assert max(errors.values()) < 0.01
+    assert max(errors.values()) < 0.005
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -290,11 +287,11 @@ def test_gradient_of_what_the_pictures_border_cuts(device, perspective):
     labels = reference.draw(scene, size)[0]
     assert all(len(set(edge) - {0}) > 1 for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]))
     errors = coverage_errors(scene, smooth_maps(3, 6, size), device, 64, **FINE)
-    assert max(errors.values()) < 0.01
+    assert max(errors.values()) < 0.005
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, 16, 19])  # 1, 16, 19: creases along an outline, slivers, spikes
 def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
     """The label loss of random bodies, down to the numbers that pose them."""
     size = (112, 96)
@@ -325,11 +322,9 @@ def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
             found[name] = relative_error(*both)
         return found
 
-    fine = errors(**FINE)
-    # Where hips nearly coincide a crease weighs much, and its ends are known to a line: more of that shows here.
-    assert fine.pop("semi_axes") < 0.02
-    assert max(fine.values()) < 0.01
-    assert max(errors().values()) < 0.25
+    assert max(errors(**FINE).values()) < 0.01
+    assert max(errors(steps_per_pixel=4.0, halvings=8).values()) < 0.04
+    assert max(errors().values()) < 0.12
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -479,7 +474,7 @@ def test_of_hidden_twins_the_first_comes_forward(device):
 
 # --- What holds for both estimates -------------------------------------------------------------------------------
 
-GRADIENTS = ["coverage", "partdr"]
+GRADIENTS = ["edges", "coverage", "partdr"]
 
 
 def body_loss(leaves, camera, target, gradient, **options):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, get_args
 
 import torch
 
@@ -18,9 +19,10 @@ from .ellipsoid_passes import (
     dense_gradient,
     draw,
     gradients,
-    label_target,
-    loss_graph,
+    loss_recipe,
 )
+from .later import DrawnLater
+from .loss_graph import Shapes, find_label_loss, split_rows
 from .mesh import MAX_LABEL
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, Occlusion, check_gradient_options, weight_table
@@ -29,7 +31,6 @@ MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 DEFAULT_STEPS_PER_PIXEL = 1.0
 MAX_STEPS_PER_PIXEL = 64  # the work on creases grows with its square
 DEFAULT_HALVINGS = 4
-_SMALL_PIXELS = 2**20
 MAX_HALVINGS = 20  # finer than float32 tells angles apart
 
 
@@ -48,6 +49,10 @@ class EllipsoidImage:
     depth: torch.Tensor
     parts: torch.Tensor
     maps: torch.Tensor | None = None
+
+
+class _LaterImage(DrawnLater, EllipsoidImage):
+    pass
 
 
 @dataclass(frozen=True)
@@ -90,8 +95,9 @@ def draw_ellipsoids(
         part_labels: Label that each ellipsoid shows, 1 to 254, or 255: hides what is behind and shows nothing; P of
             them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
         num_maps: K; maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
-        gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; or "partdr", the
-            paper's rule (eq. 10 to 12), with which far pixels pull.
+        gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; "edges", the same
+            from one crossing of a border between each two pixels that differ: fastest, and blind to what covers no
+            pixel's centre; or "partdr", the paper's rule (eq. 10 to 12), with which far pixels pull.
         near: Ellipsoids that reach this depth [m] are not drawn; default 0.01 for perspective, none for weak
             perspective.
         occlusion: "partdr": as in ``rasterize_parts``.
@@ -143,7 +149,7 @@ def ellipsoid_label_loss(
         target: Wanted label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         part_labels: Label that each ellipsoid shows.
         label_weights: Weight of each label's map, shape (L,), label 0 first and without meaning; 1 by default.
-        gradient: "coverage" or "partdr".
+        gradient: "coverage", "edges" or "partdr".
         near: Near plane [m].
         occlusion: "depth" or "paper".
         max_distance: Reach of a pixel [px].
@@ -153,7 +159,7 @@ def ellipsoid_label_loss(
         validate: Look for NaN, infinity and axes that are not positive.
 
     Returns:
-        The loss of each body [pixels of maps], shape (B,), and the picture.
+        The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
 
     Raises:
         ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
@@ -164,15 +170,21 @@ def ellipsoid_label_loss(
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
     weights = weight_table(label_weights, target.device)
-    # Without grad mode, autograd would ask for gradients all the same.
-    given = tensors if torch.is_grad_enabled() else [tensor.detach() for tensor in tensors]
-    loss, labels, depth, parts = _LabelLoss.apply(*given, target.contiguous(), weights, view, options)
-    return loss, EllipsoidImage(labels, depth, parts)
+    loss, rows = find_label_loss(loss_recipe(view, options), tensors, target, weights)
+    return loss, _LaterImage(partial(_draw_rows, rows, tuple([tensor.shape for tensor in tensors]), view))
+
+
+def _draw_rows(rows: torch.Tensor, shapes: Shapes, view: View) -> dict[str, torch.Tensor]:
+    """The picture that a loss was found for, from its copy of the ellipsoids."""
+    with torch.no_grad():
+        picture = draw(split_rows(rows[0], shapes), view)
+    return {"labels": picture.labels, "depth": picture.depth, "parts": picture.parts}
 
 
 _Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
+@lru_cache(maxsize=64)
 def _options(
     gradient: Gradient,
     occlusion: Occlusion,
@@ -181,8 +193,8 @@ def _options(
     steps_per_pixel: float,
     halvings: int,
 ) -> Options:
-    if gradient not in ("coverage", "partdr"):
-        raise ValueError(f"gradient: {gradient!r}; expected 'coverage' or 'partdr'")
+    if gradient not in get_args(Gradient):
+        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(Gradient))}")
     check_gradient_options(occlusion, max_distance, depth_weight)
     if not 0 < steps_per_pixel <= MAX_STEPS_PER_PIXEL:
         raise ValueError(f"steps_per_pixel: {steps_per_pixel}; expected a positive number up to {MAX_STEPS_PER_PIXEL}")
@@ -219,54 +231,27 @@ def _check(
         )
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
-    table = list(range(1, count + 1)) if part_labels is None else [int(label) for label in part_labels]
-    if len(table) != count or not all(1 <= label <= 255 for label in table):
-        raise ValueError(f"part_labels: {table}; expected {count} labels from 1 to {MAX_LABEL}, or 255")
+    labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
     if validate:
-        for name, tensor in (("centres", centres), ("axes", axes), ("semi_axes", semi_axes), ("camera", intrinsics)):
-            check_finite(name, tensor)
+        check_finite(centres=centres, axes=axes, semi_axes=semi_axes, camera=intrinsics)
         if not (semi_axes > 0).all():
             raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
     if near is None:
         near = DEFAULT_NEAR if camera.perspective else -math.inf
-    view = View(image_size[0], image_size[1], float(near), camera.perspective, tuple(table))
+    view = _view(image_size[0], image_size[1], float(near), camera.perspective, labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
     return tensors, view
 
 
-class _LabelLoss(torch.autograd.Function):
-    """The gradient is made in the forward pass, where all it needs is at hand, and scaled in the backward pass."""
-
-    @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, target, weights, view, options = inputs
-        grads: tuple[torch.Tensor, ...] = ()
-        if any(ctx.needs_input_grad) and _is_small(target, len(tensors[0])):
-            shown, grads = loss_graph(tensors, target, view, options)(tensors, target, weights)
-        else:
-            wanted = label_target(target, weights, view.num_labels, options.gradient == "partdr")
-            picture = draw(tensors, view, wanted)
-            shown = (picture.loss, picture.labels, picture.depth, picture.parts)
-            if any(ctx.needs_input_grad):
-                grads = gradients(tensors, picture, view, options, wanted)
-        ctx.save_for_backward(*grads)
-        ctx.mark_non_differentiable(*shown[1:])
-        ctx.set_materialize_grads(False)
-        return shown
-
-    @staticmethod
-    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
-        grads: tuple[torch.Tensor | None, ...] = (None,) * 4
-        if incoming[0] is not None:
-            grads = tuple(incoming[0].view(-1, *[1] * (saved.dim() - 1)) * saved for saved in ctx.saved_tensors)
-        return *grads, None, None, None, None
+_view = lru_cache(maxsize=64)(View)
 
 
-def _is_small(target: torch.Tensor, batch: int) -> bool:
-    """Whether a batch is done before Python has launched it, so that a graph pays for its copies."""
-    if target.device.type == "cpu":
-        return batch == 1  # more are shared among threads
-    return 0 < batch * target.shape[1] * target.shape[2] <= _SMALL_PIXELS
+@lru_cache(maxsize=64)
+def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
+    labels = tuple(range(1, count + 1)) if given is None else tuple(int(label) for label in given)
+    if len(labels) != count or not all(1 <= label <= 255 for label in labels):
+        raise ValueError(f"part_labels: {list(labels)}; expected {count} labels from 1 to {MAX_LABEL}, or 255")
+    return labels
 
 
 class _Maps(torch.autograd.Function):

@@ -77,7 +77,7 @@ class Energy:
         prior: The pose prior.
         renderer: "exact" ellipsoids, or their "mesh".
         subdivisions: Level of the drawn mesh, 0 to 3.
-        gradient: Of the exact renderer: "partdr" or "coverage"; the mesh has PartDR's alone.
+        gradient: Of the exact renderer: "partdr", "coverage" or "edges"; the mesh has PartDR's alone.
         max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
 
     Attributes:

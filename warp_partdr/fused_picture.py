@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 import warp as wp
 
+from .ellipsoid_passes import Options
 from .ellipsoids import DEFAULT_HALVINGS, DEFAULT_STEPS_PER_PIXEL
 from .energy import Energy
-from .kernels.ellipsoid_coverage import launch_coverage_forces
-from .kernels.ellipsoid_partdr import launch_partdr_forces
 from .kernels.ellipsoid_picture import launch_draw, num_partial_losses
 from .kernels.ellipsoids import Seen, launch_see
-from .kernels.refine_costs import Drawn
-from .kernels.refine_state import Ellipsoids
+from .kernels.refine_state import Drawn, Ellipsoids
+from .kernels.surface_forces import make_forces
 from .kernels.targets import LabelTarget, launch_find_reach
 from .render import DEFAULT_DEPTH_WEIGHT, weight_table
 
@@ -64,21 +62,16 @@ class EllipsoidPicture:
 
         drawn = self.drawn = Drawn()
         drawn.loss = wp.empty((batch, num_partial_losses(device, batch, size, size)), dtype=float, device=device)
-        drawn.force = wp.empty((batch, parts), dtype=wp.vec3, device=device)
-        drawn.moment = wp.empty((batch, parts), dtype=wp.mat33, device=device)
-        drawn.camera_force = wp.empty((batch, parts), dtype=wp.vec4, device=device)
+        drawn.forces = make_forces(batch, parts, device)
 
-        if energy.gradient == "coverage":
-            self._launch_forces = partial(
-                launch_coverage_forces, steps_per_pixel=DEFAULT_STEPS_PER_PIXEL, halvings=DEFAULT_HALVINGS
-            )
-        else:
-            self._launch_forces = partial(
-                launch_partdr_forces,
-                over_farther=True,
-                max_distance=energy.max_distance,
-                depth_weight=DEFAULT_DEPTH_WEIGHT,
-            )
+        self._launch_forces = Options(
+            energy.gradient,
+            over_farther=True,
+            max_distance=energy.max_distance,
+            depth_weight=DEFAULT_DEPTH_WEIGHT,
+            steps_per_pixel=DEFAULT_STEPS_PER_PIXEL,
+            halvings=DEFAULT_HALVINGS,
+        ).launcher()
 
     def observe(self, energies: Sequence[Energy]) -> None:
         """Copy new targets.
@@ -114,8 +107,6 @@ class EllipsoidPicture:
             self._parts,
             perspective=False,
             gradient=self._target,
-            force=self.drawn.force,
-            moment=self.drawn.moment,
-            camera_force=self.drawn.camera_force,
+            forces=self.drawn.forces,
             active=self._active,
         )

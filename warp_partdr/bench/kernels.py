@@ -17,6 +17,7 @@ from .launches import count_bytes, observe_launches, time_kernels
 from .machine import about, copy_bandwidth
 from .peers import OURS, PEERS, MeshView
 from .plan import (
+    COVERAGE,
     EXACT,
     GRADIENT,
     GRADIENTS,
@@ -135,6 +136,7 @@ def _time_kernels(plan: Plan, name: str, make: _MakeRun, batch: int) -> list[Row
 _MakeRun = Callable[[Scene], Callable[[], None]]
 _KERNEL_RUNS: dict[str, _MakeRun] = {
     f"iteration, {EXACT}": lambda scene: RefinementRun(scene, GRADIENTS[EXACT], learning_rate=0.0).iterate,
+    COVERAGE: lambda scene: _renderer(scene, COVERAGE).gradient,
     PARTDR: lambda scene: _renderer(scene, PARTDR).gradient,
     MESH: lambda scene: _renderer(scene, MESH).gradient,
     "kinematics, E1": lambda scene: KinematicsRun(scene).launch,

@@ -9,8 +9,8 @@ from ..ellipsoid_passes import Gradient
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 MINIMISE = "50 iterations, one target, with set-up"
-EXACT, PARTDR, MESH = "exact, coverage", "exact, PartDR", "mesh E1"
-GRADIENTS: dict[str, Gradient] = {EXACT: "coverage", PARTDR: "partdr"}  # of the exact renderer
+EXACT, COVERAGE, PARTDR, MESH = "exact, edges", "exact, coverage", "exact, PartDR", "mesh E1"
+GRADIENTS: dict[str, Gradient] = {EXACT: "edges", COVERAGE: "coverage", PARTDR: "partdr"}  # of the exact renderer
 LEVELS = {f"mesh E{level}": level for level in range(4)}  # of the mesh
 
 
@@ -63,10 +63,11 @@ def make_plan(device: str, *, quick: bool = False) -> Plan:
     ]
     sizes = [(what, name, middle, side) for name in (EXACT, MESH) for what in (LABELS, GRADIENT) for side in (128, 512)]
     more = [
-        *((REFINEMENT, PARTDR, batch, size) for batch in refined),
+        *((REFINEMENT, name, batch, size) for name in (COVERAGE, PARTDR) for batch in refined),
         *((MINIMISE, EXACT, batch, size) for batch in refined),
-        *((TORCH_GRADIENT, PARTDR, 1, size), (TORCH_REFINEMENT, EXACT, 1, size)),
-        *((TORCH_GRADIENT, name, middle, size) for name in (EXACT, PARTDR, MESH)),
+        *((TORCH_GRADIENT, name, 1, size) for name in (COVERAGE, PARTDR)),
+        (TORCH_REFINEMENT, EXACT, 1, size),
+        *((TORCH_GRADIENT, name, middle, size) for name in (EXACT, COVERAGE, PARTDR, MESH)),
     ]
     first = {(what, name, batch, size) for what, name, batch in targets}
     others = tuple(row for row in (*grid, *sizes, *more) if row not in first)

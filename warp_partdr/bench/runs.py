@@ -84,7 +84,7 @@ class ExactRun:
         """
         wp.synchronize_device(self._labels.device)  # torch, which made the inputs, has streams of its own
         self._picture.drawn.loss.fill_(math.nan)
-        self._picture.drawn.force.fill_(wp.vec3(math.nan))
+        self._picture.drawn.forces.values.fill_(math.nan)
         self.labels()
         self.gradient()
         centres = self._scene.posed.centres.detach().requires_grad_()
@@ -97,7 +97,8 @@ class ExactRun:
         torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
         torch.testing.assert_close(wp.to_torch(self._picture.drawn.loss).sum(1), loss.detach())
         scale = float(want.abs().max())
-        torch.testing.assert_close(wp.to_torch(self._picture.drawn.force), want, rtol=1e-3, atol=1e-4 * scale)
+        have = wp.to_torch(self._picture.drawn.forces.values).sum(2)[..., :3]
+        torch.testing.assert_close(have, want, rtol=1e-3, atol=1e-4 * scale)
 
 
 class MeshRun:
@@ -234,7 +235,6 @@ class RefinementRun:
         self._fused = FusedRefinement(
             energies, scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
         )
-        self._iteration = _wp(self._fused._iteration, wp.int32)
         self.refine()
 
     def refine(self) -> None:
@@ -242,9 +242,8 @@ class RefinementRun:
         self._fused.refine(self._bodies)
 
     def iterate(self) -> None:
-        """The first iteration, with the bodies where ``refine`` left them."""
-        self._iteration.fill_(-1)
-        self._fused._iterate()
+        """The last iteration once more, with the bodies where ``refine`` left them."""
+        self._fused.iterate()
 
 
 def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:

@@ -1,0 +1,99 @@
+"""Borders of labels: how fronts and outlines meet at places of the picture, and what a bit of border costs."""
+
+from typing import Any
+
+import warp as wp
+
+from .ellipsoids import Silhouette, middle_at, room_at
+from .targets import excess_at
+
+wp.set_module_options({"enable_backward": False})
+
+_TINY = wp.constant(1.0e-20)
+
+
+@wp.func
+def root_at(s: Silhouette, x: float, y: float):
+    """How much nearer the front surface is than the outline's plane; 0 outside."""
+    return wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+
+
+@wp.func
+def room_slope(s: Silhouette, x: float, y: float):
+    """Gradient in the picture of an ellipsoid's room."""
+    dx = x - s.mean[0]
+    dy = y - s.mean[1]
+    return -2.0 * wp.vec2(s.conic[0] * dx + s.conic[1] * dy, s.conic[1] * dx + s.conic[2] * dy)
+
+
+@wp.func
+def slope_at(s: Silhouette, x: float, y: float, root: float):
+    """Gradient in the picture of the front surface's nearness, where that is ``root`` more than the middle's."""
+    return s.slope + 0.5 * room_slope(s, x, y) / root
+
+
+@wp.func
+def nearness_slope(s: Silhouette, x: float, y: float):
+    """Gradient in the picture of the front surface's nearness."""
+    return slope_at(s, x, y, wp.sqrt(wp.max(room_at(s, x, y), _TINY)))
+
+
+@wp.func
+def lead(one: Silhouette, other: Silhouette, x: float, y: float):
+    """How much nearer one front surface is than another."""
+    return middle_at(one, x, y) - middle_at(other, x, y) + root_at(one, x, y) - root_at(other, x, y)
+
+
+@wp.func
+def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
+    """Where the line through (x, y) along an axis leaves (side 1) or enters (side -1) the outline."""
+    across = wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
+    along = wp.where(axis == 0, s.conic[0], s.conic[2])
+    lean = s.conic[1] * across
+    root = lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
+    return wp.where(axis == 0, s.mean[0], s.mean[1]) + (side * wp.sqrt(wp.max(root, 0.0)) - lean) / along
+
+
+@wp.func
+def chord_shares(
+    start: wp.vec2, end: wp.vec2, inside: int, outside: int, t: int, gradient: Any, height: int, width: int
+):
+    """What a bit of border costs, pixel by pixel: cost of area inside less that outside, shared among its two ends.
+
+    Each place on the way counts for the ends as linear interpolation weighs them.
+    """
+    way = end - start
+    # From ``here`` to ``last`` of the way is in the picture.
+    here = float(0.0)
+    last = float(1.0)
+    for axis in range(2):
+        size = float(wp.where(axis == 0, width, height))
+        if way[axis] != 0.0:
+            one = -start[axis] / way[axis]
+            other = (size - start[axis]) / way[axis]
+            here = wp.max(here, wp.min(one, other))
+            last = wp.min(last, wp.max(one, other))
+        elif start[axis] < 0.0 or start[axis] >= size:
+            last = 0.0
+    column = int(wp.clamp(start[0] + here * way[0], 0.0, float(width - 1)))
+    row = int(wp.clamp(start[1] + here * way[1], 0.0, float(height - 1)))
+    right = int(wp.where(way[0] > 0.0, 1, 0))
+    down = int(wp.where(way[1] > 0.0, 1, 0))
+    shares = wp.vec2()
+    while here < last and column >= 0 and row >= 0 and column < width and row < height:
+        next_x = float(2.0)
+        next_y = float(2.0)
+        if way[0] != 0.0:
+            next_x = (float(column + right) - start[0]) / way[0]
+        if way[1] != 0.0:
+            next_y = (float(row + down) - start[1]) / way[1]
+        there = wp.clamp(wp.min(next_x, next_y), here, last)
+        excess = excess_at(gradient, t, inside, outside, row * width + column)
+        middle = 0.5 * (here + there)
+        shares += excess * (there - here) * wp.vec2(1.0 - middle, middle)
+        if next_x < next_y:
+            column += 2 * right - 1
+        else:
+            row += 2 * down - 1
+        here = there
+    return shares

@@ -1,0 +1,59 @@
+"""What the 32 threads of a CUDA warp tell one another; a thread of the CPU device is alone.
+
+All 32 have to take part.
+"""
+
+import warp as wp
+
+LANES = wp.constant(32)
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, yes);
+#else
+    return yes ? 1u : 0u;
+#endif
+""")
+def ballot(yes: bool) -> wp.uint32:
+    """A bit for each thread that says yes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int distance = 16; distance > 0; distance /= 2)
+        value += __shfl_xor_sync(0xffffffffu, value, distance);
+#endif
+    return value;
+""")
+def sum_lanes(value: float) -> float:
+    """The sum of all threads' values, added in a fixed order."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int distance = 1; distance < 32; distance *= 2) {
+        const int before = __shfl_up_sync(0xffffffffu, value, distance);
+        if ((threadIdx.x & 31) >= distance)
+            value += before;
+    }
+#endif
+    return value;
+""")
+def count_up(value: int) -> int:
+    """The sum of this thread's value and those of all threads before it."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, lane);
+#else
+    return value;
+#endif
+""")
+def tell(value: wp.uint32, lane: int) -> wp.uint32:
+    """Another thread's value."""
+    ...
