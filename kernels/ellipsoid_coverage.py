@@ -12,9 +12,6 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_borders import lead as lead  # TODO(lead): ellipsoid_edges can take these three from there itself
-from .ellipsoid_borders import nearness_slope as nearness_slope
-from .ellipsoid_borders import outline_end as outline_end
 from .ellipsoid_creases import walk_creases
 from .ellipsoid_outlines import walk_outline
 from .ellipsoids import Seen, launch_find_neighbours

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_coverage import lead, nearness_slope, outline_end
+from .ellipsoid_borders import lead, nearness_slope, outline_end
 from .ellipsoids import Seen, Silhouette, middle_at, room_at
 from .lanes import count_up, tell
 from .surface_forces import (

@@ -12,6 +12,7 @@ import warp as wp
 
 from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
 from .surface_forces import (
+    BLOCK,
     Ellipsoid,
     Forces,
     Scene,
@@ -28,7 +29,7 @@ from .surface_forces import (
     unproject,
     worker_of,
 )
-from .targets import DenseGradient, LabelTarget, column_of, flat, gradient_at, pull_range, row_of, target_of
+from .targets import DenseGradient, LabelTarget, flat, gradient_at, may_want, may_want_other, pull_range, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -75,12 +76,12 @@ def walk_line(
         inside = int(wp.ceil(place - 0.5))
         outside = inside - 1
     slope = float(0.0)
+    # Pixels of the line follow one another in memory by ``pitch``.
+    begin = wp.where(axis == 0, line * width, line)
+    pitch = wp.where(axis == 0, 1, width)
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
-        if (
-            label_at(silhouettes, int(parts[row_of(axis, line, outside) * width + column_of(axis, line, outside)]))
-            == s.label
-        ):
+        if label_at(silhouettes, int(parts[begin + outside * pitch])) == s.label:
             return slope
     pulls = pull_range(gradient, t, axis, s.label, line, count)
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
@@ -88,28 +89,29 @@ def walk_line(
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         if distance > max_distance:
             break
-        row = row_of(axis, line, pixel)
-        column = column_of(axis, line, pixel)
-        part = int(parts[row * width + column])
+        at = begin + pixel * pitch
+        part = int(parts[at])
         shown = label_at(silhouettes, part)
         if part > 0 and shown == s.label:
             break
-        switches = part == 0
-        if part > 0 and over_farther:
-            switches = front_at(silhouettes[part - 1], float(column) + 0.5, float(row) + 0.5) < edge_nearness
-        if switches:
-            slope += float(side) * gradient_at(gradient, t, s.label, row, column, shown) / wp.max(distance, 1.0)
+        if may_want(gradient, t, s.label, at):
+            switches = part == 0
+            if part > 0 and over_farther:
+                x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
+                y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
+                switches = front_at(silhouettes[part - 1], x, y) < edge_nearness
+            if switches:
+                slope += float(side) * gradient_at(gradient, t, s.label, at, shown) / wp.max(distance, 1.0)
         pixel += side
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
     while pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
-        row = row_of(axis, line, pixel)
-        column = column_of(axis, line, pixel)
-        part = int(parts[row * width + column])
+        at = begin + pixel * pitch
+        part = int(parts[at])
         if part == 0 or distance > max_distance:
             break
         if label_at(silhouettes, part) == s.label:
-            slope += float(side) * gradient_at(gradient, t, s.label, row, column, s.label) / wp.max(distance, 1.0)
+            slope += float(side) * gradient_at(gradient, t, s.label, at, s.label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
 
@@ -238,26 +240,29 @@ def walk_depths(
         row = top + n // columns
         column = left + n % columns
         n += lanes
-        part = int(parts[row * width + column])
+        at = row * width + column
+        part = int(parts[at])
         if part == 0:
             continue
         x = float(column) + 0.5
         y = float(row) + 0.5
         shown = silhouettes[part - 1].label
         if part == k + 1:
+            if not may_want_other(gradient, t, shown, at):
+                continue
             front = front_at(s, x, y)
             for j in range(silhouettes.shape[0]):
                 other = silhouettes[j].label
-                if other != shown and in_box(silhouettes[j], x, y):
-                    g = gradient_at(gradient, t, other, row, column, shown)
+                if other != shown and may_want(gradient, t, other, at) and in_box(silhouettes[j], x, y):
+                    g = gradient_at(gradient, t, other, at, shown)
                     if g != 0.0 and room_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
                         if is_nearest_of_label(silhouettes, j, back, x, y):
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
-        elif shown != s.label and room_at(s, x, y) > 0.0:
-            g = gradient_at(gradient, t, s.label, row, column, shown)
+        elif shown != s.label and may_want(gradient, t, s.label, at) and room_at(s, x, y) > 0.0:
+            g = gradient_at(gradient, t, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
                 if is_nearest_of_label(silhouettes, k, back, x, y):
@@ -316,7 +321,7 @@ def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float
     return sums
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
 def partdr_forces(
     scene: Scene,
     over_farther: bool,

@@ -64,9 +64,9 @@ def target_of(g: DenseGradient, b: int):
 
 
 @wp.func
-def gradient_at(g: LabelTarget, t: int, label: int, row: int, column: int, shown: int):
-    """dL/dA of map ``label`` at a pixel that shows ``shown``."""
-    want = g.target[t, row, column]
+def gradient_at(g: LabelTarget, t: int, label: int, pixel: int, shown: int):
+    """dL/dA of map ``label`` at a pixel that shows ``shown``; pixels are counted row by row."""
+    want = flat(g.target[t])[pixel]
     if want == IGNORE or int(want) == shown:
         return 0.0
     value = 0.0
@@ -78,11 +78,36 @@ def gradient_at(g: LabelTarget, t: int, label: int, row: int, column: int, shown
 
 
 @wp.func
-def gradient_at(g: DenseGradient, t: int, label: int, row: int, column: int, shown: int):
+def gradient_at(g: DenseGradient, t: int, label: int, pixel: int, shown: int):
     """dL/dA of map ``label`` at a pixel; labels past the last map have none."""
     if label > g.maps.shape[1]:
         return 0.0
-    return g.maps[t, label - 1, row, column]
+    return flat(g.maps[t, label - 1])[pixel]
+
+
+@wp.func
+def may_want(g: LabelTarget, t: int, label: int, pixel: int):
+    """Whether a pixel that does not show a label may have a gradient of its map: cheaper than the gradient."""
+    return int(flat(g.target[t])[pixel]) == label
+
+
+@wp.func
+def may_want(g: DenseGradient, t: int, label: int, pixel: int):
+    """Any pixel may."""
+    return True
+
+
+@wp.func
+def may_want_other(g: LabelTarget, t: int, shown: int, pixel: int):
+    """Whether a pixel may have a gradient of a map whose label it does not show."""
+    want = flat(g.target[t])[pixel]
+    return want != IGNORE and int(want) != shown and int(want) > 0
+
+
+@wp.func
+def may_want_other(g: DenseGradient, t: int, shown: int, pixel: int):
+    """Any pixel may."""
+    return True
 
 
 @wp.func
@@ -91,23 +116,6 @@ def cost_of(g: LabelTarget, want: int, label: int):
     if want == int(IGNORE) or want == label:
         return 0.0
     return g.label_weights[label] + g.label_weights[want]
-
-
-@wp.func
-def cost_at(g: LabelTarget, t: int, label: int, row: int, column: int):
-    """What one pixel of area that shows ``label`` costs, 0 = background."""
-    want = g.target[t, row, column]
-    if want == IGNORE or int(want) == label:
-        return 0.0
-    return g.label_weights[label] + g.label_weights[int(want)]
-
-
-@wp.func
-def cost_at(g: DenseGradient, t: int, label: int, row: int, column: int):
-    """To first order, area that shows ``label`` costs the gradient of that map."""
-    if label == 0 or label > g.maps.shape[1]:
-        return 0.0
-    return g.maps[t, label - 1, row, column]
 
 
 @wp.func
