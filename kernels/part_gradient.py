@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import warp as wp
 
-from .rasterize import EMPTY_KEY, HIDDEN, IGNORE, MISSING, SURPLUS, TILE_ROWS, pixel_lanes, row_lanes
+from .rasterize import EMPTY_KEY, HIDDEN, IGNORE, MISSING, SURPLUS, launch_bodies, row_lane_bits
 from .targets import flat
 from .triangles import (
     Triangle,
@@ -28,22 +28,20 @@ from .triangles import (
     weights_3d,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
 
 # On CUDA, threads a block and blocks a multiprocessor: it takes some spilled registers to have enough threads that wait
 # for memory at once.
-_PUSH_EDGES_BOUNDS = (256, 4)
+_PUSH_EDGES_BOUNDS = (256, 3)
 
-# Threads on CUDA that share one body's silhouette edges, and the scan lines of one edge: more of these where few bodies
-# would leave the device idle.
-_EDGE_SLOTS = 256
-_MIN_LINE_LANES = 4
-_MAX_LINE_LANES = 16
-_LINES_TO_FILL = 512
+# Threads on CUDA for one body: about one for each way of each scan line that a silhouette crosses, and for each hidden
+# pixel, in a picture of 256 x 256.
+_LINE_THREADS = 4096
+_PIXEL_THREADS = 1024
 
-_COUNT_STRIDE = 32  # counters of two bodies share no line of memory, or their atomics would queue
+_COUNT_STRIDE = 16  # counters of two bodies share no line of memory, or their atomics would queue
 
 
 @wp.struct
@@ -135,33 +133,55 @@ def extent(g: DenseGradient, b: int, kind: int, label: int):
 @wp.func
 def along_and_across(axis: int, p: wp.vec3):
     """A point's place along the scan lines, then across them, and its depth."""
-    if axis == 0:
-        return p
-    return wp.vec3(p[1], p[0], p[2])
+    return wp.vec3(wp.where(axis == 0, p[0], p[1]), wp.where(axis == 0, p[1], p[0]), p[2])
+
+
+@wp.func
+def lines_between(start: float, end: float, first: int, last: int, size: int):
+    """First scan line that an edge crosses, of the first to the last, and how many it does."""
+    low = wp.max(first_pixel(wp.min(start, end), size), first)
+    high = wp.min(first_pixel(wp.max(start, end), size), last + 1)
+    return wp.vec2i(low, wp.max(high - low, 0))
+
+
+@wp.func
+def all_wrong(gradient: Any, b: int, label: int):
+    """What ``extent`` says of pixels that show a label or should, both."""
+    missing = extent(gradient, b, MISSING, label)
+    surplus = extent(gradient, b, SURPLUS, label)
+    return wp.vec4i(
+        wp.min(missing[0], surplus[0]),
+        wp.max(missing[1], surplus[1]),
+        wp.min(missing[2], surplus[2]),
+        wp.max(missing[3], surplus[3]),
+    )
 
 
 @wp.kernel
 def find_silhouettes(
+    first_body: int,
+    threads: int,  # of one body: E
     vertices: wp.array2d[wp.vec3],  # (B, V) screen space
     face_labels: wp.array[wp.uint8],  # (F,)
     edges: wp.array2d[int],  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
     near: float,
+    size: wp.vec2i,  # width, height
     gradient: Any,
-    counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
-    silhouettes: wp.array2d[int],  # (B, E)  OUTPUT: edge + 1, negative where ``side`` is
+    counts: wp.array2d[wp.uint64],  # (B, 16), zeroed  MODIFIED: column 0, edges in the high half, lines in the low one
+    silhouettes: wp.array2d[wp.vec2i],  # (B, E)  OUTPUT: edge + 1, negative where ``side`` is; lines of those before it
 ):
-    """List the edges that bound their part, of parts that are wrong somewhere: few of all, and they do all the work."""
-    b, edge = wp.tid()
-    label = int(face_labels[edges[edge, 2]])
-    if extent(gradient, b, MISSING, label)[1] < 0 and extent(gradient, b, SURPLUS, label)[1] < 0:
-        return
-    p0 = vertices[b, edges[edge, 0]]
-    p1 = vertices[b, edges[edge, 1]]
-    q = vertices[b, edges[edge, 4]]
+    """List the edges that bound their part, where it is wrong: few of all, and they do all the work."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    ends = edges[thread % threads]
+    points = vertices[b]
+    p0 = points[ends[0]]
+    p1 = points[ends[1]]
+    q = points[ends[4]]
     side = double_area(p0, p1, q)  # which side of the edge the face lies on
     nearest = wp.min(wp.min(p0[2], p1[2]), q[2])
-    if edges[edge, 3] >= 0:
-        r = vertices[b, edges[edge, 5]]
+    if ends[3] >= 0:
+        r = points[ends[5]]
         other_side = double_area(p0, p1, r)
         nearest = wp.min(nearest, r[2])
         if side * other_side < 0.0:
@@ -170,19 +190,111 @@ def find_silhouettes(
             side = other_side
     if side == 0.0 or nearest <= near:
         return
-    place = wp.atomic_add(counts, b, 0, 1)
-    silhouettes[b, place] = wp.where(side > 0.0, edge + 1, -edge - 1)
+    wrong = all_wrong(gradient, b, int(face_labels[ends[2]]))
+    rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
+    columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
+    lines = rows[1] + columns[1]
+    if lines > 0:
+        # one number, so that lines are counted in the order of the list
+        before = wp.atomic_add(counts, b, 0, (wp.uint64(1) << wp.uint64(32)) + wp.uint64(lines))
+        edge = thread % threads
+        signed = wp.where(side > 0.0, edge + 1, -edge - 1)
+        silhouettes[b, int(before >> wp.uint64(32))] = wp.vec2i(signed, int(before & wp.uint64(0xFFFFFFFF)))
+
+
+@wp.func
+def last_before(found: wp.array[wp.vec2i], count: int, line: int):
+    """Which of a list of silhouettes a line belongs to."""
+    low = int(0)
+    high = int(count)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if found[middle][1] <= line:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def reach_out(
+    picture: wp.array[wp.uint8],
+    depth: wp.array[float],
+    asked: Any,
+    label: int,
+    all_edges: bool,
+    over_farther: bool,
+    edge_depth: float,
+    at: int,  # first pixel
+    step: int,  # to the next
+    left: int,  # how many there are
+    distance: float,  # of the first [px]
+):
+    """What pulls an edge out: the gradient of a pixel less than one away, and of all others, each over its distance."""
+    near_value = float(0.0)
+    far_value = float(0.0)
+    while left > 0:
+        # both loads before anything hangs on them, so that they wait together
+        shown = int(picture[at])
+        value = gradient_at(asked, at, label, False)
+        if shown == label:
+            if not all_edges:
+                break
+        elif value != 0.0:
+            switches = shown == 0
+            if over_farther and not switches:
+                switches = depth[at] > edge_depth
+            if switches:
+                near_value = wp.where(distance < 1.0, value, near_value)
+                far_value += value / wp.max(distance, 1.0)
+        at += step
+        distance += 1.0
+        left -= 1
+    return wp.vec2(near_value, far_value - near_value)
+
+
+@wp.func
+def draw_in(
+    picture: wp.array[wp.uint8],
+    face_index: wp.array[int],
+    asked: Any,
+    label: int,
+    all_edges: bool,
+    face: int,
+    at: int,
+    step: int,
+    left: int,
+    distance: float,
+):
+    """What pushes an edge in, likewise."""
+    near_value = float(0.0)
+    far_value = float(0.0)
+    while left > 0:
+        shown = int(picture[at])
+        value = gradient_at(asked, at, label, True)
+        if shown == 0:
+            break
+        if all_edges:
+            if face_index[at] != face:
+                break
+        value = wp.where(shown == label, value, 0.0)
+        near_value = wp.where(distance < 1.0, value, near_value)
+        far_value += value / wp.max(distance, 1.0)
+        at += step
+        distance += 1.0
+        left -= 1
+    return wp.vec2(near_value, far_value - near_value)
 
 
 @wp.kernel(launch_bounds=_PUSH_EDGES_BOUNDS)
 def push_edges(
+    first_body: int,
+    threads: int,  # of one body
     vertices: wp.array2d[wp.vec3],  # (B, V) screen space
     face_labels: wp.array[wp.uint8],  # (F,)
     edges: wp.array2d[int],  # (E, 6)
-    counts: wp.array2d[int],  # (B, 32), column 0
-    silhouettes: wp.array2d[int],  # (B, E)
-    slots: int,  # threads that share a body's silhouettes
-    lanes: int,  # threads that share an edge's scan lines
+    counts: wp.array2d[wp.uint64],  # (B, 16), column 0
+    silhouettes: wp.array2d[wp.vec2i],  # (B, E)
     perspective: bool,
     all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
     over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
@@ -196,49 +308,59 @@ def push_edges(
     """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
 
     Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
-    others do nothing.
+    others do nothing. Threads share the lines of all edges, outward first: neighbours do the same for about as long.
     """
-    b, way, slot, lane = wp.tid()  # neighbouring threads go the same way, for about as long
-    axis = way // 2  # 0: along rows, x moves; 1: along columns, y moves
-    outward = way % 2 == 0
-    width = labels.shape[2]
-    count_along = wp.where(axis == 0, width, labels.shape[1])
-    count_across = wp.where(axis == 0, labels.shape[1], width)
-    pitch = wp.where(axis == 0, 1, width)  # from one pixel of a scan line to the next
-    line_pitch = wp.where(axis == 0, width, 1)
+    thread = wp.tid()
+    b = first_body + thread // threads
+    found = silhouettes[b]
+    count = int(counts[b, 0] >> wp.uint64(32))
+    lines = int(counts[b, 0] & wp.uint64(0xFFFFFFFF))
+    share = (2 * lines + threads - 1) // threads
+    task = thread % threads * share
+    end = wp.min(task + share, 2 * lines)
+    size = wp.vec2i(labels.shape[2], labels.shape[1])
     picture = flat(labels[b])
-    count = counts[b, 0]
-    while slot < count:
-        signed = silhouettes[b, slot]
-        slot += slots
-        edge = wp.abs(signed) - 1
-        face = edges[edge, 2]
+    while task < end:
+        outward = task < lines
+        line = task - wp.where(outward, 0, lines)
+        silhouette = found[last_before(found, count, line)]
+        line -= silhouette[1]
+        ends = edges[wp.abs(silhouette[0]) - 1]
+        face = ends[2]
         label = int(face_labels[face])
-        asked = pixels_of(gradient, b, label)
-        p0 = along_and_across(axis, vertices[b, edges[edge, 0]])
-        p1 = along_and_across(axis, vertices[b, edges[edge, 1]])
-        length = p1[1] - p0[1]
-        if length == 0.0:
-            continue
-        inward = 1
-        if (length > 0.0) == ((signed > 0) == (axis == 0)):
-            inward = -1
-        step = wp.where(outward, -inward, inward)
+        p0 = vertices[b, ends[0]]
+        p1 = vertices[b, ends[1]]
+        wrong = all_wrong(gradient, b, label)
+        rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
+        columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
         wrong = extent(gradient, b, wp.where(outward, MISSING, SURPLUS), label)
-        if axis == 1:
-            wrong = wp.vec4i(wrong[2], wrong[3], wrong[0], wrong[1])
-        last = wp.where(step > 0, wrong[3], wrong[2])
-        high = wp.max(p0[1], p1[1])
-        pull0 = float(0.0)
-        pull1 = float(0.0)
-        line = wp.max(first_pixel(wp.min(p0[1], p1[1]), count_across), wrong[0]) + lane
-        while line <= wrong[1] and float(line) + 0.5 < high:
-            w1 = (float(line) + 0.5 - p0[1]) / length
+        asked = pixels_of(gradient, b, label)
+        pull_x = wp.vec2()  # of either end
+        pull_y = wp.vec2()
+        while task < end and line < rows[1] + columns[1]:
+            axis = wp.where(line < rows[1], 0, 1)  # 0: along a row, x moves; 1: along a column, y moves
+            across = wp.where(axis == 0, rows[0] + line, columns[0] + line - rows[1])
+            task += 1
+            line += 1
+            q0 = along_and_across(axis, p0)
+            q1 = along_and_across(axis, p1)
+            length = q1[1] - q0[1]
+            inward = 1
+            if (length > 0.0) == ((silhouette[0] > 0) == (axis == 0)):
+                inward = -1
+            step = wp.where(outward, -inward, inward)
+            last = wp.where(axis == 0, wrong[2], wrong[0])
+            if step > 0:
+                last = wp.where(axis == 0, wrong[3], wrong[1])
+            count_along = wp.where(axis == 0, size[0], size[1])
+            pitch = wp.where(axis == 0, 1, size[0])  # from one pixel of a scan line to the next
+            start = across * wp.where(axis == 0, size[0], 1)
+            w1 = (float(across) + 0.5 - q0[1]) / length
             w0 = 1.0 - w1
-            crossing = w0 * p0[0] + w1 * p1[0]
-            edge_depth = w0 * p0[2] + w1 * p1[2]
+            crossing = w0 * q0[0] + w1 * q1[0]
+            edge_depth = w0 * q0[2] + w1 * q1[2]
             if perspective:
-                edge_depth = 1.0 / (w0 / p0[2] + w1 / p1[2])
+                edge_depth = 1.0 / (w0 / q0[2] + w1 / q1[2])
             # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
             place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
             inside = int(wp.ceil(place - 0.5))
@@ -247,7 +369,6 @@ def push_edges(
                 inside = int(wp.floor(place - 0.5))
                 outside = inside + 1
 
-            start = line * line_pitch
             going = bool(True)
             if all_edges:
                 # NMR draws on visible faces only: the pixel just inside must show this one
@@ -262,69 +383,77 @@ def push_edges(
             pixel = wp.where(outward, outside, inside)
             pixel = wp.where(step > 0, wp.max(pixel, 0), wp.min(pixel, count_along - 1))
             distance = wp.abs(float(pixel) + 0.5 - crossing)
+            nearness = 1.0 / wp.max(distance, 1.0e-6)  # of the first pixel
             left = (last - pixel) * step + 1
             if float(left) > max_distance - distance:
                 left = int(wp.floor(max_distance - distance)) + 1
+            if not going:
+                left = 0
             at = start + pixel * pitch
-            while going and left > 0:
-                # both loads before anything hangs on them, so that they wait together
-                shown = int(picture[at])
-                value = gradient_at(asked, at, label, not outward)
-                switches = shown == label
-                if outward:
-                    switches = shown == 0
-                    if shown == label:
-                        going = all_edges
-                    elif over_farther and shown != 0 and value != 0.0:
-                        switches = flat(depth[b])[at] > edge_depth
-                else:
-                    going = shown != 0
-                    if all_edges and going:
-                        going = flat(face_index[b])[at] == face
-                if going and switches and value != 0.0:
-                    nearness = 1.0 / wp.max(distance, 1.0e-6)
-                    pull0 += value * inverse_move(nearness, w0)
-                    pull1 += value * inverse_move(nearness, w1)
-                at += step * pitch
-                distance += 1.0
-                left -= 1
-            line += lanes
+            sums = wp.vec2()
+            if outward:
+                sums = reach_out(
+                    picture,
+                    flat(depth[b]),
+                    asked,
+                    label,
+                    all_edges,
+                    over_farther,
+                    edge_depth,
+                    at,
+                    step * pitch,
+                    left,
+                    distance,
+                )
+            else:
+                sums = draw_in(
+                    picture, flat(face_index[b]), asked, label, all_edges, face, at, step * pitch, left, distance
+                )
+            # 1 / (x1 - x0) of eq. 10: a vertex moves by distance / weight, a pixel at least
+            by0 = sums[0] * wp.clamp(w0 * nearness, 0.0, 1.0) + sums[1] * w0
+            by1 = sums[0] * wp.clamp(w1 * nearness, 0.0, 1.0) + sums[1] * w1
+            by = wp.vec2(by0, by1) * float(-inward)
+            pull_x += wp.where(axis == 0, by, wp.vec2())
+            pull_y += wp.where(axis == 0, wp.vec2(), by)
 
-        if pull0 != 0.0 or pull1 != 0.0:
-            factor = weight_of(gradient, b, label) * float(-inward)
-            wp.atomic_add(grad_vertices, b, edges[edge, 0], axis, factor * pull0)
-            wp.atomic_add(grad_vertices, b, edges[edge, 1], axis, factor * pull1)
-
-
-@wp.func
-def inverse_move(nearness: float, weight: float):
-    """1 / (x1 - x0) of eq. 10: the edge moves by 1 / nearness, so the vertex by that / weight, a pixel at least."""
-    return wp.clamp(weight * nearness, 0.0, 1.0)
+        factor = weight_of(gradient, b, label)
+        for k in range(2):
+            if pull_x[k] != 0.0:
+                wp.atomic_add(grad_vertices, b, ends[k], 0, factor * pull_x[k])
+            if pull_y[k] != 0.0:
+                wp.atomic_add(grad_vertices, b, ends[k], 1, factor * pull_y[k])
 
 
 @wp.kernel
 def draw_hidden_faces(
+    first_body: int,
+    threads: int,  # of one body
     vertices: wp.array2d[wp.vec3],  # (B, V)
     faces: wp.array[wp.vec3i],  # (F,)
     face_labels: wp.array[wp.uint8],  # (F,)
     near: float,
     perspective: bool,
-    lanes: int,
+    lane_bits: int,  # 2 ** lane_bits threads share a face's rows
     labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: the nearest face of the wanted label's key
+    counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
+    pixels: wp.array2d[int],  # (B, H * W)  OUTPUT: where there is a key
 ):
     """Nearest face of the wanted label where another part hides it."""
-    b, face, lane = wp.tid()
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lanes = 1 << lane_bits
+    face = (thread % threads) >> lane_bits
     label = int(face_labels[face])
     wrong = extent(gradient, b, HIDDEN, label)
     if wrong[1] < 0:
         return
-    t = load_triangle(vertices, faces, b, face, near)
+    t = load_triangle(vertices[b], faces[face], near)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
-    first_row = wp.max(rows[0], wrong[0]) + lane
+    first_row = wp.max(rows[0], wrong[0]) + ((thread % threads) & (lanes - 1))
     last_row = wp.min(rows[1], wrong[1])
     if first_row > last_row:
         return
@@ -337,64 +466,60 @@ def draw_hidden_faces(
         columns = pixel_columns(e, y, width)
         for column in range(wp.max(columns[0], wrong[2]), wp.min(columns[1], wrong[3]) + 1):
             at = row * width + column
+            # both loads before anything hangs on them, so that they wait together
             shown = int(picture[at])
-            if shown != 0 and shown != label and wanted_at(gradient, b, at) == label:
+            wanted = wanted_at(gradient, b, at)
+            if shown != 0 and shown != label and wanted == label:
                 values = edge_values(e, float(column) + 0.5, y)
                 if covers(e, values):
                     depth = depth_at(t, weights_3d(t, values, perspective))
-                    wp.atomic_min(body_keys, at, depth_key(depth, face))
+                    if wp.atomic_min(body_keys, at, depth_key(depth, face)) == EMPTY_KEY:
+                        pixels[b, wp.atomic_add(counts, b, 0, 1)] = at
 
 
 @wp.kernel
 def push_depths(
+    first_body: int,
+    threads: int,  # of one body
     vertices: wp.array2d[wp.vec3],  # (B, V)
     faces: wp.array[wp.vec3i],  # (F,)
+    face_labels: wp.array[wp.uint8],  # (F,)
     near: float,
     perspective: bool,
     depth_weight: float,  # the paper's lambda [m]
-    lanes: int,
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
     face_index: wp.array3d[int],  # (B, H, W), read where something shows
     gradient: Any,
+    counts: wp.array2d[int],  # (B, 32), column 0
+    pixels: wp.array2d[int],  # (B, H * W)
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
 ):
     """z (paper, eq. 12): the face that should be seen comes forward, the one that hides it goes back by as much."""
-    b, tile_row, lane = wp.tid()
-    wrong = extent(gradient, b, HIDDEN, 0)
-    width = labels.shape[2]
-    picture = flat(labels[b])
+    thread = wp.tid()
+    b = first_body + thread // threads
+    width = keys.shape[2]
     body_keys = flat(keys[b])
-    first = wp.max(wrong[0], tile_row * TILE_ROWS)
-    end = wp.min(wrong[1] + 1, (tile_row + 1) * TILE_ROWS)
-    for row in range(first, end):
-        for column in range(wrong[2] + lane, wrong[3] + 1, lanes):
-            at = row * width + column
-            shown = int(picture[at])
-            want = wanted_at(gradient, b, at)
-            if shown == 0 or shown == want:
-                continue
-            key = body_keys[at]
-            if key == EMPTY_KEY:
-                continue
-            body_keys[at] = EMPTY_KEY
-            amount = (
-                gradient_at(pixels_of(gradient, b, want), at, want, False) * weight_of(gradient, b, want) * depth_weight
-            )
-            if amount == 0.0:
-                continue
-            x = float(column) + 0.5
-            y = float(row) + 0.5
-            back_face = key_face(key)
-            front_face = face_index[b, row, column]
-            back = load_triangle(vertices, faces, b, back_face, near)
-            front = load_triangle(vertices, faces, b, front_face, near)
-            back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
-            front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
-            delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
-            # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-            add_depth(grad_vertices, faces[back_face], back, b, back_weights, delta_z, -amount)
-            add_depth(grad_vertices, faces[front_face], front, b, front_weights, delta_z, amount)
+    for i in range(thread % threads, counts[b, 0], threads):
+        at = pixels[b, i]
+        back_index = key_face(body_keys[at])
+        body_keys[at] = EMPTY_KEY
+        wanted = int(face_labels[back_index])
+        amount = gradient_at(pixels_of(gradient, b, wanted), at, wanted, False) * weight_of(gradient, b, wanted)
+        amount *= depth_weight
+        if amount == 0.0:
+            continue
+        x = float(at % width) + 0.5
+        y = float(at // width) + 0.5
+        back_face = faces[back_index]
+        front_face = faces[flat(face_index[b])[at]]
+        back = load_triangle(vertices[b], back_face, near)
+        front = load_triangle(vertices[b], front_face, near)
+        back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
+        front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
+        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
+        # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
+        add_depth(grad_vertices, back_face, back, b, back_weights, delta_z, -amount)
+        add_depth(grad_vertices, front_face, front, b, front_weights, delta_z, amount)
 
 
 @wp.func
@@ -430,8 +555,8 @@ class SilhouetteList:
     """Scratch: the silhouette edges of each body.
 
     Attributes:
-        counts: How many a body has, in column 0, shape (B, 32), int32.
-        silhouettes: Room for all edges, shape (B, E), int32.
+        counts: How many a body has, and how many scan lines they cross, in column 0, shape (B, 16), uint64.
+        silhouettes: Room for all edges, shape (B, E), vec2i.
     """
 
     counts: wp.array
@@ -441,8 +566,33 @@ class SilhouetteList:
     def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
         """Room for a batch."""
         return cls(
-            counts=wp.empty((batch, _COUNT_STRIDE), dtype=int, device=device),
-            silhouettes=wp.empty((batch, num_edges), dtype=int, device=device),
+            counts=wp.empty((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
+            silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),
+        )
+
+
+@dataclass(frozen=True)
+class HiddenPixels:
+    """Scratch: the pixels where another part hides the one that should be seen.
+
+    Attributes:
+        keys: The nearest face of that part, as a ``ZBuffer``'s: empty between launches, shape (B, H, W).
+        counts: How many a body has, in column 0, shape (B, 32), int32.
+        pixels: Room for all pixels, row by row, shape (B, H * W), int32.
+    """
+
+    keys: wp.array
+    counts: wp.array
+    pixels: wp.array
+
+    @classmethod
+    def make(cls, keys: wp.array) -> Self:
+        """For pictures of the size of empty keys."""
+        batch, height, width = keys.shape
+        return cls(
+            keys=keys,
+            counts=wp.empty((batch, 2 * _COUNT_STRIDE), dtype=int, device=keys.device),
+            pixels=wp.empty((batch, height * width), dtype=int, device=keys.device),
         )
 
 
@@ -468,30 +618,26 @@ def launch_push_edges(
     All images are contiguous; ``face_index`` and ``depth`` need no values where nothing shows.
     """
     device = vertices.device
-    batch = vertices.shape[0]
+    batch, height, width = labels.shape
     found.counts.zero_()
-    wp.launch(
+    launch_bodies(
         find_silhouettes,
-        (batch, edges.shape[0]),
-        [vertices, face_labels, edges, near, gradient],
+        batch,
+        edges.shape[0],
+        [vertices, face_labels, edges, near, wp.vec2i(width, height), gradient],
         [found.counts, found.silhouettes],
-        device=device,
+        device,
     )
-    slots, lanes = 1, 1
-    if not device.is_cpu:
-        slots = _EDGE_SLOTS
-        lanes = min(max(_LINES_TO_FILL // max(batch, 1), _MIN_LINE_LANES), _MAX_LINE_LANES)
-    wp.launch(
+    launch_bodies(
         push_edges,
-        (batch, 4, slots, lanes),
+        batch,
+        1 if device.is_cpu else _LINE_THREADS,
         [
             vertices,
             face_labels,
             edges,
             found.counts,
             found.silhouettes,
-            slots,
-            lanes,
             perspective,
             all_edges,
             over_farther,
@@ -502,7 +648,7 @@ def launch_push_edges(
             gradient,
         ],
         [grad_vertices],
-        device=device,
+        device,
     )
 
 
@@ -517,27 +663,41 @@ def launch_push_depths(
     labels: wp.array,
     face_index: wp.array,
     gradient: Any,
-    keys: wp.array,
+    hidden: HiddenPixels,
     grad_vertices: wp.array,
 ) -> None:
-    """Add the z gradient; ``keys`` are a ``ZBuffer``'s, empty before and after.
+    """Add the z gradient.
 
     All images are contiguous; ``face_index`` needs no values where nothing shows.
     """
     device = vertices.device
-    lanes = row_lanes(vertices.shape[0] * faces.shape[0], device)
-    wp.launch(
+    batch = labels.shape[0]
+    bits = row_lane_bits(batch * faces.shape[0], device)
+    hidden.counts.zero_()
+    launch_bodies(
         draw_hidden_faces,
-        (vertices.shape[0], faces.shape[0], lanes),
-        [vertices, faces, face_labels, near, perspective, lanes, labels, gradient],
-        [keys],
-        device=device,
+        batch,
+        faces.shape[0] << bits,
+        [vertices, faces, face_labels, near, perspective, bits, labels, gradient],
+        [hidden.keys, hidden.counts, hidden.pixels],
+        device,
     )
-    dim = pixel_lanes(labels.shape, device.is_cpu)
-    wp.launch(
+    launch_bodies(
         push_depths,
-        dim,
-        [vertices, faces, near, perspective, depth_weight, dim[2], labels, face_index, gradient],
-        [keys, grad_vertices],
-        device=device,
+        batch,
+        1 if device.is_cpu else _PIXEL_THREADS,
+        [
+            vertices,
+            faces,
+            face_labels,
+            near,
+            perspective,
+            depth_weight,
+            face_index,
+            gradient,
+            hidden.counts,
+            hidden.pixels,
+        ],
+        [hidden.keys, grad_vertices],
+        device,
     )

@@ -1,11 +1,13 @@
 """PartDR's forward pass: z-buffer of a part-labelled mesh (paper, eq. 8 and 9), the same to the bit in every run."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import warp as wp
 
-from .targets import flat
+from .ellipsoids import lowest_bit
+from .lanes import LANES, ballot, tell
+from .targets import are_words, flat, words_of
 from .triangles import (
     BACKGROUND,
     covers,
@@ -21,29 +23,40 @@ from .triangles import (
     weights_3d,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
 
-CHUNK = wp.constant(4)  # pixels that a thread loads together
-
-# Keys are read in tiles, so that those without a face cost next to nothing. On CUDA a warp has a row of a tile, and a
-# thread waits for all rows together.
+# Keys are read in tiles, so that those without a face cost next to nothing. On CUDA a warp has a row of tiles, a thread
+# a column of each, and it waits for a column's rows together.
 TILE_ROWS = wp.constant(4)
 TILE_COLUMNS = wp.constant(32)
+
+# Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread: a row of one is a word.
+BLOCK = wp.constant(4)
+_Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
+_EACH_BYTE = wp.constant(wp.uint32(0x01010101))
+_HIGH_BITS = wp.constant(wp.uint32(0x80808080))
+_IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four times IGNORE
 
 # Which wrong pixels of a label ``compare_labels`` tells apart; index 1 of its ``extents``
 MISSING = wp.constant(0)  # should show the label and do not
 SURPLUS = wp.constant(1)  # show it and should not
-HIDDEN = wp.constant(2)  # should show it and show another part; under label 0: any label
+HIDDEN = wp.constant(2)  # should show it and show another part
 NUM_EXTENTS = 3
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
 # few faces would leave the device idle. Measured on an H200: docs/performance.md.
-_MIN_ROW_LANES = 2
-_MAX_ROW_LANES = 16
+_MIN_ROW_LANE_BITS = 1
+_MAX_ROW_LANE_BITS = 4
 _THREADS_TO_FILL = 1 << 17
+
+# On CUDA, threads a block and blocks a multiprocessor: it takes enough threads that wait for memory at once.
+_DRAW_FACES_BOUNDS = (256, 5)
+_COMPARE_LABELS_BOUNDS = (256, 4)
+
+_MAX_THREADS = 2**31 - 2**16  # of a launch
 
 
 @dataclass(frozen=True)
@@ -53,7 +66,8 @@ class ZBuffer:
     Attributes:
         keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). ``EMPTY_KEY`` between launches: who reads a key
             puts it back, so that a picture costs only the pixels that show something.
-        touched: Whether a face may lie in a tile, shape (B, tiles down, tiles across), uint8.
+        touched: Whether a face may lie in a tile, shape (B, tiles down, tiles across), uint8. 0 between launches,
+            likewise.
     """
 
     keys: wp.array
@@ -65,7 +79,7 @@ class ZBuffer:
         tiles = (batch, -(-height // int(TILE_ROWS)), -(-width // int(TILE_COLUMNS)))
         return cls(
             keys=empty_keys((batch, height, width), device),
-            touched=wp.empty(tiles, dtype=wp.uint8, device=device),
+            touched=wp.zeros(tiles, dtype=wp.uint8, device=device),
         )
 
 
@@ -74,32 +88,40 @@ def empty_keys(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
     return wp.full(shape, EMPTY_KEY, dtype=wp.uint64, device=device)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=_DRAW_FACES_BOUNDS)
 def draw_faces(
+    first_body: int,
+    threads: int,  # of one body
     vertices: wp.array2d[wp.vec3],  # (B, V) screen space
     faces: wp.array[wp.vec3i],  # (F,)
     near: float,  # [m]
     perspective: bool,
-    lanes: int,
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across), zeroed  MODIFIED
+    lane_bits: int,  # 2 ** lane_bits threads share a face's rows
+    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: the nearest face's key
 ):
     """Nearest face at every pixel centre; a tie in depth goes to the lower face index."""
-    b, face, lane = wp.tid()
-    t = load_triangle(vertices, faces, b, face, near)
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lanes = 1 << lane_bits
+    face = (thread % threads) >> lane_bits
+    t = load_triangle(vertices[b], faces[face], near)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
-    if rows[0] + lane > rows[1]:
+    first_row = rows[0] + ((thread % threads) & (lanes - 1))
+    if first_row > rows[1]:
         return
     e = make_edges(t)
     width = keys.shape[2]
+    tiles = touched.shape[2]
     body_keys = flat(keys[b])
-    for row in range(rows[0] + lane, rows[1] + 1, lanes):
+    body_touched = flat(touched[b])
+    for row in range(first_row, rows[1] + 1, lanes):
         y = float(row) + 0.5
         columns = pixel_columns(e, y, width)
         for tile in range(columns[0] // TILE_COLUMNS, columns[1] // TILE_COLUMNS + 1):
-            touched[b, row // TILE_ROWS, tile] = wp.uint8(1)
+            body_touched[row // TILE_ROWS * tiles + tile] = wp.uint8(1)
         for column in range(columns[0], columns[1] + 1):
             values = edge_values(e, float(column) + 0.5, y)
             if covers(e, values):
@@ -109,49 +131,65 @@ def draw_faces(
 
 @wp.kernel
 def resolve_keys(
+    first_body: int,
+    threads: int,
     face_labels: wp.array[wp.uint8],  # (F,)
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)
-    lanes: int,
+    lanes: int,  # threads that share a row of tiles: a warp, or one
+    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
     face_index: wp.array3d[int],  # (B, H, W), may be null  OUTPUT
     depth: wp.array3d[float],  # (B, H, W) [m], may be null  OUTPUT
     labels: wp.array3d[wp.uint8],  # (B, H, W)  OUTPUT
 ):
     """Split the keys into face-index map, depth and label image, where something shows."""
-    b, tile_row, lane = wp.tid()
-    height = keys.shape[1]
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
+    tile_row = thread % threads // lanes
     width = keys.shape[2]
+    tiles = touched.shape[2]
+    rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
     body_keys = flat(keys[b])
+    body_touched = flat(touched[b])
     body_labels = flat(labels[b])
-    for tile in range(touched.shape[2]):
-        if touched[b, tile_row, tile] == wp.uint8(0):
-            continue
-        for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
-            # all loads of a tile's column first, so that they wait together
-            found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
-            for k in range(TILE_ROWS):
-                row = tile_row * TILE_ROWS + k
-                if row < height:
-                    found[k] = body_keys[row * width + column]
-            for k in range(TILE_ROWS):
-                if found[k] != EMPTY_KEY:
-                    row = tile_row * TILE_ROWS + k
-                    at = row * width + column
-                    body_keys[at] = EMPTY_KEY
-                    face = key_face(found[k])
-                    body_labels[at] = face_labels[face]
-                    if face_index:
-                        face_index[b, row, column] = face
-                    if depth:
-                        depth[b, row, column] = key_depth(found[k])
+    for first in range(0, tiles, lanes):
+        show = bool(False)  # something, in this thread's tile
+        if first + lane < tiles:
+            mine = tile_row * tiles + first + lane
+            show = body_touched[mine] != wp.uint8(0)
+            if show:
+                body_touched[mine] = wp.uint8(0)
+        waiting = ballot(show)
+        while waiting != wp.uint32(0):
+            tile = first + lowest_bit(waiting)
+            waiting &= waiting - wp.uint32(1)
+            for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
+                top = tile_row * TILE_ROWS * width + column
+                # all loads of a tile's column first, so that they wait together
+                found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
+                for k in range(TILE_ROWS):
+                    if k < rows:
+                        found[k] = body_keys[top + k * width]
+                for k in range(TILE_ROWS):
+                    if found[k] != EMPTY_KEY:
+                        at = top + k * width
+                        body_keys[at] = EMPTY_KEY
+                        face = key_face(found[k])
+                        body_labels[at] = face_labels[face]
+                        if face_index:
+                            flat(face_index[b])[at] = face
+                        if depth:
+                            flat(depth[b])[at] = key_depth(found[k])
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
 def compare_labels(
+    first_body: int,
+    threads: int,
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     target: wp.array3d[wp.uint8],  # (B, H, W), 255 = ignore
     label_weights: wp.array[float],  # (256,)
-    lanes: int,
+    lanes: int,  # threads that share a row of blocks: a warp, or one
     extents: wp.array3d[wp.vec4i],  # (B, 3, L), zeroed, as ``grow``  MODIFIED
     losses: wp.array3d[float],  # ``pixel_lanes``  OUTPUT
 ):
@@ -159,71 +197,109 @@ def compare_labels(
 
     A wrong pixel misses one map and dirties another.
     """
-    b, tile_row, lane = wp.tid()
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
+    block_row = thread % threads // lanes
+    height = labels.shape[1]
     width = labels.shape[2]
-    body_labels = flat(labels[b])
-    body_target = flat(target[b])
-    aligned = width % CHUNK == 0 and ((labels.ptr | target.ptr) & wp.uint64(3)) == wp.uint64(0)
-    total = float(0.0)
-    for row in range(tile_row * TILE_ROWS, wp.min((tile_row + 1) * TILE_ROWS, labels.shape[1])):
-        for start in range(lane * CHUNK, width, lanes * CHUNK):
-            shown_chunk = load_chunk(body_labels, row * width + start, width - start, aligned)
-            wanted_chunk = load_chunk(body_target, row * width + start, width - start, aligned)
-            if shown_chunk == wanted_chunk:
-                continue
-            first = start  # of a run of pixels with the same two labels
-            for k in range(CHUNK):
-                shown = int(shown_chunk & wp.uint32(255))
-                wanted = int(wanted_chunk & wp.uint32(255))
-                shown_chunk = shown_chunk >> wp.uint32(8)
-                wanted_chunk = wanted_chunk >> wp.uint32(8)
-                end = start + k + 1
-                wrong = shown != wanted and wanted != IGNORE
-                if wrong:
-                    total += label_weights[shown] + label_weights[wanted]
-                is_last = k == CHUNK - 1
-                if not is_last:
-                    is_last = int(shown_chunk & wp.uint32(255)) != shown or int(wanted_chunk & wp.uint32(255)) != wanted
-                if is_last:
-                    if wrong:
-                        reach = wp.vec4i(labels.shape[1] - row, row + 1, width - first, end)
-                        note_wrong(extents, b, shown, wanted, reach)
-                    first = end
-    losses[b, tile_row, lane] = total
+    top = block_row * BLOCK
+    in_words = are_words(labels) and are_words(target)
+    loss = float(0.0)
+    for first in range(0, width, lanes * BLOCK):
+        left = first + lane * BLOCK
+        shown = _Words()
+        wanted = _Words()
+        for k in range(BLOCK):
+            shown[k] = load_word(labels[b], top + k, left, in_words)
+            wanted[k] = load_word(target[b], top + k, left, in_words)
+        wrong = _Words()
+        for k in range(BLOCK):
+            wrong[k] = unequal_bytes(shown[k], wanted[k]) & unequal_bytes(wanted[k], _IGNORED)
+        # all four count from a border of the picture, so that zero is empty
+        reach = wp.vec4i(height - top, wp.min(top + BLOCK, height), width - left, wp.min(left + BLOCK, width))
+        # pair of labels by pair, all threads the same one
+        pair = first_pair(shown, wanted, wrong)
+        waiting = ballot(pair != wp.uint32(0))
+        while waiting != wp.uint32(0):
+            pair = tell(pair, lowest_bit(waiting))
+            shown_label = pair & wp.uint32(255)
+            wanted_label = pair >> wp.uint32(8)
+            count = int(0)
+            for k in range(BLOCK):
+                other = unequal_bytes(shown[k], shown_label * _EACH_BYTE) | unequal_bytes(
+                    wanted[k], wanted_label * _EACH_BYTE
+                )
+                count += wp.bit_count(wrong[k] & ~other)
+                wrong[k] &= other
+            loss += float(count) * (label_weights[int(shown_label)] + label_weights[int(wanted_label)])
+            concerned = ballot(count > 0)
+            # the first of these blocks and the last one reach as far as all of them
+            if lane == lowest_bit(concerned) or concerned >> wp.uint32(lane) == wp.uint32(1):
+                note_wrong(extents, b, int(shown_label), int(wanted_label), reach)
+            pair = first_pair(shown, wanted, wrong)
+            waiting = ballot(pair != wp.uint32(0))
+    losses[b, block_row, lane] = loss
 
 
 @wp.func
-def load_chunk(image: wp.array[wp.uint8], at: int, count: int, aligned: bool):
-    """Four pixels of a row in one number, the first one lowest; 0 past the row's end."""
-    if aligned:
-        words = wp.array(ptr=image.ptr, shape=(image.shape[0] // CHUNK,), dtype=wp.uint32)
-        return words[at // CHUNK]
-    chunk = wp.uint32(0)
-    for k in range(CHUNK):
-        if k < count:
-            chunk = chunk | (wp.uint32(image[at + k]) << wp.uint32(8 * k))
-    return chunk
+def first_pair(shown: Any, wanted: Any, wrong: Any):  # _Words, in which mypy sees no type
+    """The label that one of the wrong pixels shows, and 256 times the one it should; 0 if none is wrong."""
+    bits = wrong[0]
+    shown_word = shown[0]
+    wanted_word = wanted[0]
+    for k in range(1, BLOCK):
+        if bits == wp.uint32(0):
+            bits = wrong[k]
+            shown_word = shown[k]
+            wanted_word = wanted[k]
+    if bits == wp.uint32(0):
+        return wp.uint32(0)
+    shift = wp.uint32(lowest_bit(bits) & 24)
+    return (shown_word >> shift & wp.uint32(255)) | ((wanted_word >> shift & wp.uint32(255)) << wp.uint32(8))
+
+
+@wp.func
+def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool):
+    """Four pixels of a row in one number, the first one lowest; 0 outside the image."""
+    width = image.shape[1]
+    word = wp.uint32(0)
+    if row < image.shape[0] and column < width:
+        begin = row * width + column
+        if in_words:
+            word = words_of(image)[begin // BLOCK]
+        else:
+            for i in range(BLOCK):
+                if column + i < width:
+                    word |= wp.uint32(flat(image)[begin + i]) << wp.uint32(8 * i)
+    return word
+
+
+@wp.func
+def unequal_bytes(a: wp.uint32, b: wp.uint32):
+    """The highest bit of each byte in which two words differ."""
+    difference = a ^ b
+    return (((difference & wp.uint32(0x7F7F7F7F)) + wp.uint32(0x7F7F7F7F)) | difference) & _HIGH_BITS
 
 
 @wp.func
 def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, wanted: int, reach: wp.vec4i):
-    """Record pixels that show one label and should show the other."""
+    """Record a block with pixels that show one label and should show the other."""
     if shown != 0:
         grow(extents, b, SURPLUS, shown, reach)
     if wanted != 0:
         grow(extents, b, MISSING, wanted, reach)
         if shown != 0:
             grow(extents, b, HIDDEN, wanted, reach)
-            grow(extents, b, HIDDEN, 0, reach)
 
 
 @wp.func
 def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp.vec4i):
-    """Let a label's extent reach a pixel; all four count from a border of the picture, so that zero is empty."""
+    """Let a label's extent reach a block; all four count from a border of the picture, so that zero is empty."""
     if label >= extents.shape[2]:
         return
     have = extents[b, kind, label]
-    # Extents only grow, so a stale value is safe; hardly any pixel needs the atomic.
+    # Extents only grow, so a stale value is safe; hardly any block needs the atomic.
     if reach[0] > have[0] or reach[1] > have[1] or reach[2] > have[2] or reach[3] > have[3]:
         wp.atomic_max(extents, b, kind, label, reach)
 
@@ -251,22 +327,24 @@ def launch_rasterize(
     if background and face_index is not None:
         face_index.fill_(BACKGROUND)
     device = vertices.device
-    lanes = row_lanes(vertices.shape[0] * faces.shape[0], device)
-    zbuffer.touched.zero_()
-    wp.launch(
+    batch = vertices.shape[0]
+    bits = row_lane_bits(batch * faces.shape[0], device)
+    launch_bodies(
         draw_faces,
-        (vertices.shape[0], faces.shape[0], lanes),
-        [vertices, faces, near, perspective, lanes],
+        batch,
+        faces.shape[0] << bits,
+        [vertices, faces, near, perspective, bits],
         [zbuffer.touched, zbuffer.keys],
-        device=device,
+        device,
     )
-    dim = pixel_lanes(labels.shape, device.is_cpu)
-    wp.launch(
+    _, tile_rows, lanes = pixel_lanes(labels.shape, device.is_cpu)
+    launch_bodies(
         resolve_keys,
-        dim,
-        [face_labels, zbuffer.touched, dim[2]],
-        [zbuffer.keys, face_index, depth, labels],
-        device=device,
+        batch,
+        tile_rows * lanes,
+        [face_labels, lanes],
+        [zbuffer.touched, zbuffer.keys, face_index, depth, labels],
+        device,
     )
 
 
@@ -279,28 +357,38 @@ def launch_compare_labels(
     have no extent.
     """
     extents.zero_()
-    lanes = losses.shape[2]
-    wp.launch(
+    batch, block_rows, lanes = losses.shape
+    launch_bodies(
         compare_labels,
-        losses.shape,
+        batch,
+        block_rows * lanes,
         [labels, target, label_weights, lanes],
         [extents, losses],
-        device=labels.device,
+        labels.device,
     )
 
 
-def row_lanes(count: int, device: wp.Device) -> int:
-    """How many threads share the rows of one of ``count`` faces: the CPU device runs them one after another, so one."""
+def launch_bodies(
+    kernel: wp.Kernel, batch: int, threads: int, inputs: list[Any], outputs: list[Any], device: wp.Device
+) -> None:
+    """Launch ``threads`` for each body.
+
+    In one dimension, which a kernel splits in 32 bits by its first two arguments: Warp's own split takes 64-bit
+    divisions. A batch of more threads than that takes several launches.
+    """
+    at_once = max(_MAX_THREADS // max(threads, 1), 1)
+    for first in range(0, batch, at_once):
+        dim = min(batch - first, at_once) * threads
+        wp.launch(kernel, dim, [first, threads, *inputs], outputs, device=device)
+
+
+def row_lane_bits(count: int, device: wp.Device) -> int:
+    """How many threads share the rows of one of ``count`` faces, in bits: one on the CPU, which runs one at a time."""
     if device.is_cpu:
-        return 1
-    return min(max(_THREADS_TO_FILL // max(count, 1), _MIN_ROW_LANES), _MAX_ROW_LANES)
+        return 0
+    return min(max((_THREADS_TO_FILL // max(count, 1)).bit_length() - 1, _MIN_ROW_LANE_BITS), _MAX_ROW_LANE_BITS)
 
 
 def pixel_lanes(shape: tuple[int, ...], on_cpu: bool) -> tuple[int, int, int]:
-    """Threads that visit all pixels of images (B, H, W): bodies, groups of ``TILE_ROWS`` rows, ``column_lanes``."""
-    return (shape[0], -(-shape[1] // int(TILE_ROWS)), column_lanes(on_cpu))
-
-
-def column_lanes(on_cpu: bool) -> int:
-    """How many threads share pixel rows: a warp on CUDA, so that they read neighbouring pixels."""
-    return 1 if on_cpu else int(TILE_COLUMNS)
+    """Threads that visit all pixels of images (B, H, W): bodies, groups of ``TILE_ROWS`` rows, and a warp on CUDA."""
+    return (shape[0], -(-shape[1] // int(TILE_ROWS)), 1 if on_cpu else int(LANES))

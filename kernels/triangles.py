@@ -6,7 +6,7 @@ Vertices are in screen space: (u, v) in pixels, z in metres, camera frame. Pixel
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _SIGN_BIT = wp.constant(wp.uint32(0x80000000))
 BACKGROUND = wp.constant(-1)  # the face-index map's value where no face is (paper, eq. 8)
@@ -44,12 +44,11 @@ class Edges:
 
 
 @wp.func
-def load_triangle(vertices: wp.array2d[wp.vec3], faces: wp.array[wp.vec3i], b: int, face: int, near: float):
-    """Face ``face`` of body ``b``; a face with a vertex nearer than ``near`` is not valid."""
-    index = faces[face]
-    p0 = vertices[b, index[0]]
-    p1 = vertices[b, index[1]]
-    p2 = vertices[b, index[2]]
+def load_triangle(vertices: wp.array[wp.vec3], index: wp.vec3i, near: float):
+    """A face of a body; one with a vertex nearer than ``near`` is not valid."""
+    p0 = vertices[index[0]]
+    p1 = vertices[index[1]]
+    p2 = vertices[index[2]]
     area = double_area(p0, p1, p2)
     t = Triangle()
     t.a = p0

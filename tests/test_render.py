@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.kernels import rasterize
+from warp_partdr.kernels import part_gradient, rasterize
 from warp_partdr.kernels.threads import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render import label_loss, rasterize_parts
@@ -299,22 +299,116 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
         assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
 
 
-def test_targets_at_odd_addresses(device):
-    """Labels are compared four at a time where memory allows it; elsewhere the answer is the same."""
-    size = (20, 24)
-    vertices, mesh = body_scene(4, size, device, batch=2)
+@pytest.mark.parametrize("offset", [0, 1])
+@pytest.mark.parametrize("size", [(20, 24), (21, 34), (6, 300), (4, 131), (1, 1)])
+def test_labels_are_compared_at_any_width_and_address(device, size, offset):
+    """Four at a time where memory allows it; loss and extents are those of single pixels, extents rounded to blocks."""
+    rng = np.random.default_rng(size[1])
+    (height, width), labels_end = size, 7
+    shown = rng.integers(0, labels_end, (2, *size)).astype(np.uint8)
+    wanted = np.where(rng.random(shown.shape) < 0.05, rng.integers(0, labels_end, shown.shape), shown)
+    wanted = np.where(rng.random(shown.shape) < 0.1, 255, wanted).astype(np.uint8)
+    weights = rng.uniform(0.5, 2.0, 256).astype(np.float32)
+    weights[[0, 255]] = 0.0
+
+    def on_device(image: np.ndarray) -> wp.array:
+        held = torch.empty(image.size + offset, dtype=torch.uint8, device=device)[offset:].view(image.shape)
+        return wp.from_torch(held.copy_(torch.from_numpy(image)))
+
+    extents = wp.full((2, rasterize.NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
+    lanes = rasterize.pixel_lanes((2, *size), wp.get_device(device).is_cpu)
+    losses = wp.full(lanes, np.nan, dtype=wp.float32, device=device)
+    rasterize.launch_compare_labels(
+        on_device(shown), on_device(wanted), wp.array(weights, device=device), extents=extents, losses=losses
+    )
+    wrong = (shown != wanted) & (wanted != 255)
+    costs = (weights[shown] + weights[wanted]) * wrong
+    np.testing.assert_allclose(losses.numpy().sum((1, 2)), costs.sum((1, 2)), rtol=1e-5)
+    for b in range(2):
+        for label in range(1, labels_end):
+            missing = wrong[b] & (wanted[b] == label)
+            kinds = {
+                rasterize.MISSING: missing,
+                rasterize.SURPLUS: wrong[b] & (shown[b] == label),
+                rasterize.HIDDEN: missing & (shown[b] != 0),
+            }
+            for kind, pixels in kinds.items():
+                have = extents.numpy()[b, int(kind), label]
+                rows, columns = (np.flatnonzero(pixels.any(axis)) // 4 for axis in (1, 0))
+                want = [0, 0, 0, 0]
+                if pixels.any():
+                    want = [height - 4 * rows[0], 4 * rows[-1] + 4, width - 4 * columns[0], 4 * columns[-1] + 4]
+                assert have.tolist() == np.minimum(want, [height, height, width, width]).tolist()
+
+
+@pytest.mark.parametrize("how", ["lanes", "threads", "launches"])
+def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
+    size = (40, 57)
+    vertices, mesh = body_scene(6, size, device, subdivisions=1, batch=5)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 5)
-    odd = torch.empty(target.numel() + 1, dtype=torch.uint8, device=device)[1:].view(target.shape)
-    odd.copy_(target)
-    assert odd.is_contiguous()
-    assert odd.data_ptr() % 4 == 1
-    results = []
-    for wanted in (target, odd):
-        loss, _ = label_loss(leaf, mesh, wanted)
-        results.append((loss, torch.autograd.grad(loss.sum(), leaf)[0]))
-    torch.testing.assert_close(results[0][0], results[1][0])
-    torch.testing.assert_close(results[0][1], results[1][1], rtol=1e-4, atol=1e-3)
+    target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 2)
+
+    def results() -> list[torch.Tensor]:
+        other = body_scene(6, size, device, subdivisions=1, batch=5)[1]  # a mesh that no captured graph knows
+        loss, image = label_loss(leaf, other, target)
+        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        maps = rasterize_parts(leaf, other, size, num_maps=20).maps
+        (general,) = torch.autograd.grad((maps * torch.arange(1, 21, device=device)[:, None, None]).sum(), leaf)
+        return [image.labels, image.depth, image.face_index, loss, fused, general]
+
+    want = results()
+    threads = []
+    if how == "lanes":
+        for module in (rasterize, part_gradient):
+            monkeypatch.setattr(module, "row_lane_bits", lambda count, device: 2)
+    elif how == "threads":
+        real, shared = part_gradient.launch_bodies, {"push_edges": 37, "push_depths": 5}
+
+        def launch(kernel: wp.Kernel, batch: int, count: int, *rest: object) -> None:
+            threads.append(shared.get(kernel.key, count))
+            real(kernel, batch, threads[-1], *rest)
+
+        monkeypatch.setattr(part_gradient, "launch_bodies", launch)
+    else:
+        monkeypatch.setattr(rasterize, "_MAX_THREADS", 4000)
+    have = results()
+    assert how != "threads" or {37, 5} <= set(threads)
+    assert all(torch.equal(a, b) for a, b in zip(have[:4], want[:4], strict=True))
+    for a, b in zip(have[4:], want[4:], strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
+
+
+def test_hidden_pixels_serve_again(device):
+    """A second z pass with the same scratch adds the same once more."""
+    size = (40, 56)
+    vertices, mesh = body_scene(3, size, device, subdivisions=1, batch=2)
+    points = torch.from_numpy(vertices).to(device)
+    image = rasterize_parts(points, mesh, size)
+    gradient = part_gradient.DenseGradient()
+    gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
+    hidden = part_gradient.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
+    grads = torch.zeros(2, points.shape[1], 3, device=device)
+    sums = []
+    for label in (4, 7, 4, 7):
+        gradient.wanted = label
+        part_gradient.launch_push_depths(
+            wp.from_torch(points, dtype=wp.vec3),
+            wp.from_torch(mesh.faces, dtype=wp.vec3i),
+            wp.from_torch(mesh.face_labels),
+            near=-np.inf,
+            perspective=False,
+            depth_weight=1.0,
+            labels=wp.from_torch(image.labels),
+            face_index=wp.from_torch(image.face_index),
+            gradient=gradient,
+            hidden=hidden,
+            grad_vertices=wp.from_torch(grads),
+        )
+        assert (hidden.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+        sums.append(grads.clone())
+    assert sums[0].abs().max() > 0
+    assert not torch.equal(sums[0], sums[1])
+    torch.testing.assert_close(sums[3], 2 * sums[1], rtol=1e-4, atol=1e-4 * float(sums[1].abs().max()))
 
 
 def test_shared_edges_are_drawn_once(device):

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import chain
 from typing import Any, Literal
 
 import torch
@@ -16,6 +17,7 @@ import warp as wp
 
 from .checks import FLOATS, check_finite, check_image_size, check_tensor
 from .kernels import part_gradient, rasterize
+from .kernels.side_stream import launch_side_by_side
 from .kernels.threads import launch_in_slices
 from .later import DrawnLater
 from .loss_graph import Buffers, find_label_loss
@@ -398,17 +400,21 @@ def _prepare_gradient(
         mesh_labels,
         **view,
         depth_weight=depth_weight,
-        keys=keys,
+        hidden=part_gradient.HiddenPixels.make(keys),
     )
 
     def launch() -> None:
         grad_screen.zero_()
-        for turn, gradient in enumerate(turns()):
-            if turn == 0:
-                push_edges(gradient=gradient)
-            if depth_weight == 0.0:
-                break
-            push_depths(gradient=gradient)
+        gradients = iter(turns())
+        first = next(gradients)
+
+        def push_all_depths() -> None:
+            if depth_weight != 0.0:
+                for gradient in chain((first,), gradients):
+                    push_depths(gradient=gradient)
+
+        # They write other components of the gradient.
+        launch_side_by_side(lambda: push_edges(gradient=first), push_all_depths, screen.device)
 
     return launch
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from ..kernels import kinematics, part_gradient, rasterize
 from ..kernels.ellipsoid_picture import launch_draw
 from ..kernels.ellipsoids import Seen, launch_see
 from ..kernels.refine_state import Ellipsoids
+from ..kernels.side_stream import launch_side_by_side
 from ..kernels.targets import LabelTarget
 from ..mesh import ellipbody_mesh
 from ..refinement import LEARNING_RATE
@@ -121,6 +123,7 @@ class MeshRun:
         lanes = rasterize.pixel_lanes(shape, where.is_cpu)
         self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
         self._found = part_gradient.SilhouetteList.make(scene.batch_size, self._edges.shape[0], where)
+        self._hidden = part_gradient.HiddenPixels.make(self._zbuffer.keys)
         self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
         self._target = target = part_gradient.LabelTarget()
         target.target = _wp(scene.targets, wp.uint8)
@@ -145,7 +148,8 @@ class MeshRun:
             self._labels, target.target, target.label_weights, extents=target.extents, losses=self._losses
         )
         self._grad.zero_()
-        part_gradient.launch_push_edges(
+        push_edges = partial(
+            part_gradient.launch_push_edges,
             vertices,
             face_labels,
             self._edges,
@@ -158,16 +162,18 @@ class MeshRun:
             found=self._found,
             grad_vertices=self._grad,
         )
-        part_gradient.launch_push_depths(
+        push_depths = partial(
+            part_gradient.launch_push_depths,
             vertices,
             faces,
             face_labels,
             **view,
             depth_weight=DEFAULT_DEPTH_WEIGHT,
             gradient=target,
-            keys=self._zbuffer.keys,
+            hidden=self._hidden,
             grad_vertices=self._grad,
         )
+        launch_side_by_side(push_edges, push_depths, vertices.device)
 
     def check(self) -> None:
         """Hold the runs against ``label_loss``.
