@@ -27,7 +27,7 @@ def ballot(yes: bool) -> wp.uint32:
 #endif
     return value;
 """)
-def sum_lanes(value: float) -> float:
+def sum_lanes(value: float) -> float:  # type: ignore[empty-body]
     """The sum of all threads' values, added in a fixed order."""
     ...
 
@@ -42,7 +42,7 @@ def sum_lanes(value: float) -> float:
 #endif
     return value;
 """)
-def count_up(value: int) -> int:
+def count_up(value: int) -> int:  # type: ignore[empty-body]
     """The sum of this thread's value and those of all threads before it."""
     ...
 

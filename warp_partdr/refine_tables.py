@@ -28,10 +28,14 @@ def _subtrees() -> list[int]:
 
 def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
     """An array of Warp structs, from their members."""
+    return wp.array(_rows(kind, **columns), dtype=kind, device=device)
+
+
+def _rows(kind: Any, **columns: Any) -> np.ndarray:
     rows: Any = np.zeros(len(next(iter(columns.values()))), dtype=kind.numpy_dtype())
     for name, column in columns.items():
         rows[name] = column
-    return wp.array(rows, dtype=kind, device=device)
+    return rows
 
 
 @lru_cache(maxsize=8)
@@ -75,9 +79,13 @@ def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
     wanted = np.isin(LANDMARK_NAMES, list(names))[index]
     order = np.lexsort((np.arange(len(index)), parts[index, end], ~wanted))
     index, end, count = index[order], end[order], np.count_nonzero(wanted)
-    rows: Any = np.zeros(len(index), dtype=Touch.numpy_dtype())
-    rows["landmark"], rows["share"], rows["normalised"] = index, shares[index, end], normalised[index, end]
-    rows["counts"] = np.equal(end, 0)
+    rows = _rows(
+        Touch,
+        landmark=index,
+        share=shares[index, end],
+        normalised=normalised[index, end],
+        counts=np.equal(end, 0),
+    )
     return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
