@@ -1,15 +1,21 @@
-"""Metrics against cases worked out by hand, and SciPy's Procrustes rotation."""
+"""Metrics against cases worked out by hand, plain loops, and SciPy's Procrustes rotation."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+from scipy.linalg import orthogonal_procrustes
 from scipy.spatial.transform import Rotation
 
 from warp_partdr import metrics
 
+HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 
-def test_confusion_and_f1_by_hand():
-    target = np.array([[0, 0, 1, 1], [2, 2, 255, 0]])
-    shown = np.array([[0, 1, 1, 0], [2, 1, 2, 255]])
+
+def test_confusion_and_f1_by_hand(device):
+    target = torch.tensor([[0, 0, 1, 1], [2, 2, 255, 0]], dtype=torch.uint8, device=device)
+    shown = torch.tensor([[0, 1, 1, 0], [2, 1, 2, 255]], dtype=torch.uint8, device=device)
     counts = metrics.confusion(shown, target, 3)
     assert counts.tolist() == [[2, 1, 0], [1, 1, 0], [0, 1, 1]]
     # background: 2·2 / (2·2 + 1 + 1); part 1: 2 / (2 + 2 + 1); part 2: 2 / (2 + 0 + 1)
@@ -22,39 +28,196 @@ def test_confusion_and_f1_by_hand():
     assert metrics.pooled([counts, counts]).tolist() == (2 * counts).tolist()
 
 
+def test_part_accuracy_takes_ignored_pixels_as_background():
+    target, shown = np.array([[255, 255, 1, 0]]), np.array([[0, 1, 1, 255]])
+    counts = metrics.confusion(shown, target, 2, ignored_is_background=True)
+    assert counts.tolist() == [[2, 1], [0, 1]]
+    assert metrics.accuracy(counts) == pytest.approx(3 / 4)
+
+
+def test_counts_are_those_of_plain_loops_of_each_picture(rng):
+    """As SPIN and UP-3D write the LSP metric: class by class, with boolean masks."""
+    target = rng.choice([0, 1, 2, 3, 4, 255], (3, 2, 20, 15))
+    shown = rng.integers(0, 6, target.shape)  # class 5 is never wanted
+    counts = metrics.confusion(shown, target, 7)
+    assert counts.shape == (3, 2, 7, 7)
+    hits, extra, missed = np.zeros((3, 7), dtype=int)
+    for c in range(7):
+        wanted, drawn = target == c, (shown == c) & (target != 255)
+        hits[c], extra[c], missed[c] = (wanted & drawn).sum(), (~wanted & drawn).sum(), (wanted & ~drawn).sum()
+    everything = counts.sum((0, 1))
+    occurring = hits + extra + missed > 0
+    expected = (2 * hits / np.maximum(2 * hits + extra + missed, 1))[occurring]
+    assert metrics.f1_scores(everything)[occurring] == pytest.approx(expected)
+    assert metrics.part_f1(everything) == pytest.approx(expected.mean())
+    filled = np.where(target == 255, 0, target)
+    right = metrics.accuracy(metrics.confusion(shown, target, 7, ignored_is_background=True))
+    assert right == pytest.approx((filled == shown).mean((-2, -1)))
+    for index in np.ndindex(3, 2):
+        assert counts[index].tolist() == metrics.confusion(shown[index], target[index], 7).tolist()
+        assert metrics.part_f1(counts)[index] == pytest.approx(metrics.part_f1(counts[index]))
+        assert metrics.accuracy(counts)[index] == pytest.approx(metrics.accuracy(counts[index]))
+        one = metrics.foreground_counts(counts[index])
+        assert metrics.foreground_counts(counts)[index].tolist() == one.tolist()
+        assert one[1, 1] == ((target[index] % 255 > 0) & (shown[index] > 0)).sum()
+
+
 def test_a_class_that_is_nowhere_does_not_count():
     counts = metrics.confusion(np.zeros((2, 2), int), np.zeros((2, 2), int), 5)
     assert np.isnan(metrics.f1_scores(counts)[1:]).all()
     assert metrics.part_f1(counts) == 1
 
 
-def test_bad_classes_and_shapes_name_the_argument():
-    with pytest.raises(ValueError, match="predicted: shape"):
-        metrics.confusion(np.zeros((2, 3), int), np.zeros((2, 2), int), 2)
-    with pytest.raises(ValueError, match="target: class 7"):
-        metrics.confusion(np.zeros((1, 1), int), np.full((1, 1), 7), 2)
+@pytest.mark.parametrize(
+    ("predicted", "target", "error"),
+    [
+        (np.zeros((2, 3), int), np.zeros((2, 2), int), "predicted: shape"),
+        (np.zeros((1, 1), int), np.full((1, 1), 7), "target: class 7; expected 0 to 1"),
+        (np.full((1, 1), -1), np.zeros((1, 1), int), "predicted: class -1"),
+        (np.zeros(3, int), np.zeros(3, int), r"target: shape \(3,\); expected \(..., H, W\)"),
+    ],
+)
+def test_bad_classes_and_shapes_name_the_argument(predicted, target, error):
+    with pytest.raises(ValueError, match=error):
+        metrics.confusion(predicted, target, 2)
 
 
-def test_alignment_undoes_a_similarity(rng):
-    target = rng.normal(size=(5, 14, 3))
-    turns = Rotation.random(5, rng=rng).as_matrix()
-    moved = 1.7 * target @ turns + rng.normal(size=(5, 1, 3))
-    np.testing.assert_allclose(metrics.align_similarity(moved, target), target, atol=1e-9)
-    assert metrics.pa_mpjpe(moved, target) == pytest.approx(np.zeros(5), abs=1e-9)
+def test_mpjpe_by_hand(device):
+    points = torch.zeros(2, 3, device=device)
+    moved = torch.tensor([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], device=device)
+    assert float(metrics.mpjpe(moved, points)) == pytest.approx(2.5)
+    assert metrics.mpjpe(moved, points).device.type == device
 
 
-def test_alignment_is_a_proper_rotation(rng):
+def test_mpjpe_centres_both_on_the_pelvis():
+    target = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 5.0, 0.0]])  # hips, and the head
+    moved = target + np.array([7.0, 8.0, 9.0])
+    assert metrics.mpjpe(moved, target, centre_on=(0, 1)) == pytest.approx(0)
+    moved[2, 2] += 3.0
+    moved[0, 0] += 2.0  # takes the pelvis 1 along
+    # the hips are 1 off each, the head (-1, 0, 3)
+    assert metrics.mpjpe(moved, target, centre_on=(0, 1)) == pytest.approx((1 + 1 + np.sqrt(10)) / 3)
+
+
+def test_joints_that_are_not_valid_count_for_nothing(rng, device):
+    points, target = torch.from_numpy(rng.normal(size=(2, 4, 14, 3))).to(device)
+    valid = torch.ones(4, 14, dtype=torch.bool, device=device)
+    valid[1, 3:] = False
+    valid[2, ::2] = False
+    target[~valid] = torch.nan
+    for metric in (metrics.mpjpe, metrics.pa_mpjpe):
+        together = metric(points, target, valid=valid)
+        alone = [metric(points[i, valid[i]], target[i, valid[i]]) for i in range(4)]
+        assert together.tolist() == pytest.approx([float(value) for value in alone], abs=1e-9)
+    assert metrics.mpjpe(points[0], target[0], valid=torch.zeros(14, dtype=torch.bool)).isnan()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_alignment_undoes_a_similarity(rng, device, dtype):
+    target = torch.from_numpy(rng.normal(size=(5, 2, 14, 3))).to(device, dtype)
+    turns = torch.from_numpy(Rotation.random(10, rng=rng).as_matrix()).reshape(5, 2, 3, 3).to(target)
+    moved = 1.7 * target @ turns + torch.from_numpy(rng.normal(size=(5, 2, 1, 3))).to(target)
+    tolerance = 1e-5 if dtype == torch.float32 else 1e-12
+    aligned = metrics.align_similarity(moved, target)
+    assert aligned.dtype == dtype
+    assert (aligned - target).abs().max() < tolerance
+    assert metrics.pa_mpjpe(moved, target).shape == (5, 2)
+    assert metrics.pa_mpjpe(moved, target).max() < tolerance
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_alignment_is_that_of_scipy(rng, mirrored):
+    """``align_vectors`` knows proper rotations alone; ``orthogonal_procrustes`` mirrors, and must be nearer then."""
     target = rng.normal(size=(14, 3))
-    mirrored = target * [-1, 1, 1]
-    assert metrics.pa_mpjpe(mirrored, target) > 0.1
-    source, image = mirrored - mirrored.mean(0), target - target.mean(0)
-    rotation, _ = Rotation.align_vectors(image, source)
-    turned = rotation.apply(source)
+    points = target * [-1, 1, 1] if mirrored else target + rng.normal(0, 0.3, (14, 3))
+    source, image = points - points.mean(0), target - target.mean(0)
+    turned = Rotation.align_vectors(image, source)[0].apply(source)
     scale = (turned * image).sum() / (source**2).sum()
-    np.testing.assert_allclose(metrics.align_similarity(mirrored, target), scale * turned + target.mean(0), atol=1e-6)
+    expected = scale * turned + target.mean(0)
+    np.testing.assert_allclose(metrics.align_similarity(points, target), expected, atol=1e-6)
+    error = metrics.pa_mpjpe(points, target)
+    assert error == pytest.approx(np.linalg.norm(expected - target, axis=1).mean(), abs=1e-6)
+    free, singular = orthogonal_procrustes(source, image)
+    mirrors = np.linalg.norm(singular / (source**2).sum() * source @ free - image, axis=1).mean()
+    assert error == pytest.approx(mirrors, abs=1e-9) if not mirrored else error > mirrors + 0.1
 
 
-def test_mpjpe_by_hand():
-    points = np.zeros((2, 3))
-    moved = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
-    assert metrics.mpjpe(moved, points) == pytest.approx(2.5)
+def test_a_mirrored_skeleton_is_not_undone(rng, device):
+    target = torch.from_numpy(rng.normal(size=(3, 14, 3))).to(device)
+    mirrored = target * torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64, device=device)
+    assert (metrics.pa_mpjpe(mirrored, target) > 0.1).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_degenerate_points_align_as_well_as_they_can(device, dtype):
+    line = torch.arange(14, device=device, dtype=dtype)[:, None] * torch.tensor([1.0, 2.0, -1.0]).to(device, dtype)
+    turned = line @ torch.from_numpy(HALF_TURN).to(line) * 2 + 3
+    assert metrics.pa_mpjpe(turned, line) < (1e-4 if dtype == torch.float32 else 1e-10)
+    assert metrics.pa_mpjpe(line[:1], line[5:6]) == 0  # one joint
+    bent = line.clone()
+    bent[:, 2] = 0.0
+    point = torch.zeros_like(line)  # all in one place: nothing but the mean can be met
+    assert metrics.pa_mpjpe(point, bent) == pytest.approx(float((bent - bent.mean(0)).norm(dim=-1).mean()))
+    assert metrics.pa_mpjpe(bent, point) == pytest.approx(0, abs=1e-6)
+
+
+def test_units_do_not_matter_to_alignment(rng):
+    points, target = rng.normal(size=(2, 14, 3))
+    millimetres = metrics.pa_mpjpe((1000 * points).astype(np.float32), (1000 * target).astype(np.float32))
+    assert millimetres == pytest.approx(1000 * float(metrics.pa_mpjpe(points, target)), rel=1e-4)
+
+
+def test_pve_by_hand(device):
+    target = torch.tensor([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]], device=device)
+    moved = target + 10
+    moved[0, 1, 1] += 0.5
+    pelvis = torch.full((1, 3), 0.25, device=device)
+    error = metrics.pve(moved, target, pelvis=pelvis + 10, target_pelvis=pelvis)
+    assert error.tolist() == pytest.approx([0.25], abs=1e-6)
+
+
+@pytest.mark.parametrize("metric", [metrics.mpjpe, metrics.pa_mpjpe, metrics.align_similarity])
+def test_bad_points_are_named(metric, device):
+    good, bad = torch.zeros(2, 14, 3, device=device), torch.zeros(2, 14, 3, device=device)
+    bad[1, 3, 2] = torch.nan
+    with pytest.raises(ValueError, match="points: holds NaN"):
+        metric(bad, good)
+    with pytest.raises(ValueError, match="target: holds NaN"):
+        metric(good, bad)
+    with pytest.raises(ValueError, match=r"points: shape \(2, 13, 3\); expected .* \(2, 14, 3\)"):
+        metric(good[:, 1:], good)
+    with pytest.raises(ValueError, match=r"points: shape \(2, 14, 2\)"):
+        metric(good[..., :2], good[..., :2])
+    with pytest.raises(ValueError, match=r"valid: shape \(14,\); expected \(2, 14\)"):
+        metric(good, good, valid=torch.ones(14, dtype=torch.bool))
+    with pytest.raises(ValueError, match=r"valid: not all of joints \[2, 3\]"):
+        metrics.mpjpe(good, good, centre_on=(2, 3), valid=torch.arange(14).expand(2, 14) != 3)
+
+
+def test_bootstrap_covers_the_mean_as_often_as_it_says():
+    values = np.random.default_rng(1).normal(50.0, 10.0, (100, 24))
+    intervals = [metrics.bootstrap(row, np.mean, seed) for seed, row in enumerate(values)]
+    assert 85 <= sum(low <= 50 <= high for low, high in intervals) <= 99
+    assert 6 < np.mean([high - low for low, high in intervals]) < 9  # 2 x 1.96 x 10 / sqrt(24) = 8.0
+
+
+def test_bootstrap_of_sums_is_that_of_resampled_people(rng):
+    counts = rng.integers(0, 100, (7, 3, 3))
+    apart = metrics.bootstrap(counts, lambda drawn, axis: metrics.part_f1(drawn.sum(axis)), seed=3)
+    assert metrics.bootstrap_sum(counts, metrics.part_f1, seed=3) == pytest.approx(apart)
+    means = rng.normal(size=9)
+    together = metrics.bootstrap_sum(means, lambda sums: sums / 9, seed=3)
+    assert together == pytest.approx(metrics.bootstrap(means, np.mean, seed=3))
+
+
+def test_bootstrap_in_blocks_is_the_same(rng, monkeypatch):
+    values = rng.normal(size=40)
+    whole = metrics.bootstrap(values, np.median)
+    monkeypatch.setattr(metrics, "_BLOCK", 12_345)
+    assert metrics.bootstrap(values, np.median) == whole
+
+
+def test_bootstrap_refuses_what_has_no_interval():
+    for values in (np.array([]), np.array([1.0, np.nan])):
+        with pytest.raises(ValueError, match=r"values: .* expected finite numbers"):
+            metrics.bootstrap(values, np.mean)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +12,9 @@ import typer
 
 from .body.label_sets import LABEL_SETS
 from .body.skeletons import SKELETONS
+from .devices import choose_device
 from .errors import InputError
+from .evaluate_command import evaluate
 
 
 class Renderer(StrEnum):
@@ -35,6 +34,7 @@ app = typer.Typer(
 
 bench = typer.Typer(help="How fast this machine is.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
+app.add_typer(evaluate, name="evaluate")
 
 _FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
 
@@ -139,7 +139,7 @@ def fit(
     for given in filter(None, (photo, keypoints, parts, Path(labels))):
         if any(given.resolve() == (out / name).resolve() for name in RESULT_FILES):
             raise InputError(f"--out: {out}: the result would replace {given}; expected another folder")
-    where = _device(device)
+    where = choose_device(device)
     if where == "cpu":
         # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
         # cores: 20 s instead of 1.6 s).
@@ -190,7 +190,7 @@ def bench_kernels(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
-    where = _device(device)
+    where = choose_device(device)
     if where == "cpu":
         torch.set_num_threads(1)  # as ``fit`` does
     with FitProgress() as progress:
@@ -200,38 +200,6 @@ def bench_kernels(
     draw_chart(report).save(files[1])
     print_report(report, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
     typer.echo(f"{files[0]} and {files[1]} hold the same figures")
-
-
-def _device(name: str) -> str:
-    import torch
-    import warp as wp
-
-    with _without_driver_warning():
-        wp.init()
-    count = min(torch.cuda.device_count(), wp.get_cuda_device_count())
-    if name == "auto":
-        return "cuda" if count else "cpu"
-    devices = ["cpu", *(["cuda"] if count else []), *(f"cuda:{index}" for index in range(count))]
-    if name not in devices:
-        raise InputError(f"--device: {name}; expected auto or {' or '.join(devices)}, which is what this machine has")
-    return name
-
-
-@contextmanager
-def _without_driver_warning() -> Iterator[None]:
-    """Keep from stderr that Warp finds no CUDA driver, which its library writes there past all of Python's settings."""
-    stderr = os.dup(2)
-    with tempfile.TemporaryFile() as written:
-        os.dup2(written.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-            written.seek(0)
-            for line in written:
-                if b"find or load the NVIDIA CUDA driver" not in line:
-                    os.write(2, line)
 
 
 def _load_kernels(device: str) -> None:

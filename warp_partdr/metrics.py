@@ -1,91 +1,252 @@
-"""Accuracy of part labels and joints, as the field computes it."""
+"""Accuracy of part labels, joints and meshes, as the field computes it, and how sure one can be of it.
+
+Labels are counted into matrices, joints and vertices give distances. Both take tensors, on any device, or NumPy arrays.
+Counts come back as NumPy, for they are small, and are pooled and resampled there; distances as tensors.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
+import torch
 
-from .body.labels import IGNORE
+from .body.labels import BACKGROUND, IGNORE
+from .checks import check_finite
+
+Array = np.ndarray | torch.Tensor
+
+RESAMPLES = 10_000  # of the bootstrap
+CONFIDENCE = 0.95
+_MANY = 1_000  # people; above it resamples become fewer, so that the work stays the same,
+_ENOUGH = 1_000  # down to this many
+_BLOCK = 1 << 22  # numbers that are resampled at a time
 
 
-def confusion(predicted: np.ndarray, target: np.ndarray, num_classes: int) -> np.ndarray:
-    """Counts of (target class, predicted class), shape (C, C), int64; pixels whose target is 255 do not count.
+def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_background: bool = False) -> np.ndarray:
+    """Counts of (target class, predicted class) of each picture, shape (..., C, C), int64.
 
-    Add those of several pictures to pool them, as the LSP segmentation metric does.
+    Add those of several pictures (``pooled``) before taking an F1, as the LSP segmentation metric does.
 
     Args:
-        predicted: Class ids, any integer shape; 255 counts as background.
+        predicted: Class ids, integers of shape (..., H, W); 255 counts as background.
         target: The same shape; 0 = background, 255 = ignore.
         num_classes: C, background included.
+        ignored_is_background: Count pixels whose target is 255 as background, as LSP's part accuracy does; by default
+            they do not count, as in its F1.
 
     Raises:
         ValueError: If the shapes differ or a class is out of range.
     """
-    predicted, target = np.asarray(predicted), np.asarray(target)
-    if predicted.shape != target.shape:
-        raise ValueError(f"predicted: shape {predicted.shape}; expected {target.shape}, as target")
-    counted = target != IGNORE
-    have, want = predicted[counted].astype(np.int64), target[counted].astype(np.int64)
-    have[have == IGNORE] = 0
+    want = torch.as_tensor(target).to(torch.int64)
+    have = torch.as_tensor(predicted).to(want)
+    if have.shape != want.shape:
+        raise ValueError(f"predicted: shape {tuple(have.shape)}; expected {tuple(want.shape)}, as target")
+    if want.ndim < 2:
+        raise ValueError(f"target: shape {tuple(want.shape)}; expected (..., H, W)")
+    have = have.masked_fill(have == IGNORE, BACKGROUND)
+    if ignored_is_background:
+        want = want.masked_fill(want == IGNORE, BACKGROUND)
+    counted = want != IGNORE
+    batch = want.shape[:-2]
+    picture = torch.arange(batch.numel(), device=want.device).reshape(*batch, 1, 1).expand_as(want)[counted]
+    have, want = have[counted], want[counted]
     for name, values in (("predicted", have), ("target", want)):
-        if values.size and values.max() >= num_classes:
-            raise ValueError(f"{name}: class {values.max()}; expected 0 to {num_classes - 1}, or {IGNORE} = ignore")
-    return np.bincount(want * num_classes + have, minlength=num_classes**2).reshape(num_classes, num_classes)
-
-
-def f1_scores(counts: np.ndarray) -> np.ndarray:
-    """2 TP / (2 TP + FP + FN) of each class, shape (C,); NaN for a class that is nowhere."""
-    hits = np.diag(counts).astype(np.float64)
-    total = counts.sum(0) + counts.sum(1)
-    return np.divide(2 * hits, total, out=np.full(len(counts), np.nan), where=total > 0)
-
-
-def part_f1(counts: np.ndarray) -> float:
-    """Unweighted mean F1 over all classes that occur, background included."""
-    return float(np.nanmean(f1_scores(counts)))
-
-
-def foreground_counts(counts: np.ndarray) -> np.ndarray:
-    """The same counts with all parts as one class, shape (2, 2)."""
-    return np.array(
-        [[counts[0, 0], counts[0, 1:].sum()], [counts[1:, 0].sum(), counts[1:, 1:].sum()]], dtype=counts.dtype
-    )
-
-
-def accuracy(counts: np.ndarray) -> float:
-    """Share of pixels that are right."""
-    return float(np.trace(counts) / max(counts.sum(), 1))
-
-
-def align_similarity(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """``points`` after the similarity (proper rotation, scale, translation) that brings them nearest to ``target``.
-
-    Args:
-        points: Shape (..., J, 3).
-        target: The same shape.
-    """
-    centre, target_centre = points.mean(-2, keepdims=True), target.mean(-2, keepdims=True)
-    source, image = points - centre, target - target_centre
-    u, s, vt = np.linalg.svd(np.swapaxes(image, -1, -2) @ source)
-    sign = np.ones(s.shape)
-    sign[..., -1] = np.sign(np.linalg.det(u @ vt))
-    rotation = (u * sign[..., None, :]) @ vt
-    spread = np.maximum((source**2).sum((-1, -2)), 1e-12)
-    scale = (s * sign).sum(-1) / spread
-    return scale[..., None, None] * (source @ np.swapaxes(rotation, -1, -2)) + target_centre
-
-
-def mpjpe(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Mean distance of joints [as given], pelvis-centred by the caller, shape (...)."""
-    return np.linalg.norm(points - target, axis=-1).mean(-1)
-
-
-def pa_mpjpe(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Mean distance of joints after ``align_similarity``, shape (...)."""
-    return mpjpe(align_similarity(points, target), target)
+        wrong = values[(values < 0) | (values >= num_classes)]
+        if len(wrong):
+            raise ValueError(f"{name}: class {int(wrong[0])}; expected 0 to {num_classes - 1}, or {IGNORE} = ignore")
+    index = (picture * num_classes + want) * num_classes + have
+    counts = torch.bincount(index, minlength=batch.numel() * num_classes**2)
+    return counts.reshape(*batch, num_classes, num_classes).cpu().numpy()
 
 
 def pooled(matrices: Iterable[np.ndarray]) -> np.ndarray:
     """Sum of confusion counts over pictures."""
     return np.sum(list(matrices), axis=0)
+
+
+def foreground_counts(counts: np.ndarray) -> np.ndarray:
+    """The same counts with all parts as one class, shape (..., 2, 2)."""
+    rows = np.stack([counts[..., 0, :], counts[..., 1:, :].sum(-2)], axis=-2)
+    return np.stack([rows[..., 0], rows[..., 1:].sum(-1)], axis=-1)
+
+
+def f1_scores(counts: np.ndarray) -> np.ndarray:
+    """2 TP / (2 TP + FP + FN) of each class, shape (..., C); NaN for a class that is nowhere."""
+    hits = np.diagonal(counts, axis1=-2, axis2=-1).astype(np.float64)
+    total = counts.sum(-1) + counts.sum(-2)
+    return np.divide(2 * hits, total, out=np.full(hits.shape, np.nan), where=total > 0)
+
+
+def part_f1(counts: np.ndarray) -> Any:
+    """Unweighted mean F1 over all classes that occur, background included, shape (...): a float for one matrix.
+
+    Foreground F1, the mean of background and person, is that of ``foreground_counts``.
+    """
+    return np.nanmean(f1_scores(counts), axis=-1)
+
+
+def accuracy(counts: np.ndarray) -> Any:
+    """Share of pixels that are right, shape (...): a float for one matrix."""
+    return np.trace(counts, axis1=-2, axis2=-1) / np.maximum(counts.sum((-2, -1)), 1)
+
+
+def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid: Array | None = None) -> torch.Tensor:
+    """Mean distance of joints [as given], shape (...).
+
+    Args:
+        points: Joints, shape (..., J, 3).
+        target: The true ones, the same shape.
+        centre_on: Joints whose mean, the pelvis, is brought to the origin in both; none leaves them where they are.
+        valid: Which joints count, shape (..., J), bool; the others may be NaN. Without any, the result is NaN.
+
+    Raises:
+        ValueError: If shapes differ, a joint that counts is NaN or infinite, or one of ``centre_on`` is not valid.
+    """
+    points, target, weights = _checked(points, target, valid)
+    if centre_on:
+        joints = list(centre_on)
+        if not bool((weights[..., joints] > 0).all()):
+            raise ValueError(f"valid: not all of joints {joints}; expected those that the body is centred on")
+        points, target = (joint - joint[..., joints, :].mean(-2, keepdim=True) for joint in (points, target))
+    return _mean_distance(points, target, weights)
+
+
+def align_similarity(points: Array, target: Array, *, valid: Array | None = None) -> torch.Tensor:
+    """``points`` after the similarity (proper rotation, scale, translation) that brings them nearest to ``target``.
+
+    A mirror image stays one. Points that do not say how to turn (all on a line, or in one place) take one of the turns
+    that are equally good.
+
+    Args:
+        points: Shape (..., J, 3).
+        target: The same shape.
+        valid: Which joints decide, shape (..., J), bool; the others may be NaN, and are moved as 0.
+
+    Raises:
+        ValueError: If shapes differ or a joint that counts is NaN or infinite.
+    """
+    return _aligned(*_checked(points, target, valid))
+
+
+def pa_mpjpe(points: Array, target: Array, *, valid: Array | None = None) -> torch.Tensor:
+    """Mean distance of joints after ``align_similarity`` [as given], shape (...); arguments and errors are its own."""
+    points, target, weights = _checked(points, target, valid)
+    return _mean_distance(_aligned(points, target, weights), target, weights)
+
+
+def pve(vertices: Array, target: Array, *, pelvis: Array, target_pelvis: Array) -> torch.Tensor:
+    """Mean distance of a mesh's vertices when the pelvises meet [as given], shape (...).
+
+    Args:
+        vertices: Shape (..., V, 3).
+        target: The true ones in the same order, the same shape.
+        pelvis: Where the pelvis is, shape (..., 3).
+        target_pelvis: The true one, the same shape.
+
+    Raises:
+        ValueError: If shapes differ or something is NaN or infinite.
+    """
+    vertices, target, weights = _checked(vertices, target, None)
+    pelvis, target_pelvis, _ = _checked(pelvis, target_pelvis, None)
+    return _mean_distance(vertices - pelvis[..., None, :], target - target_pelvis[..., None, :], weights)
+
+
+def _checked(points: Array, target: Array, valid: Array | None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Both as tensors of one kind, 0 where invalid, and the weight of each point, 0 or 1, shape (..., J)."""
+    have = torch.as_tensor(points)
+    have = have.to(have.dtype if have.dtype in (torch.float32, torch.float64) else torch.float32)
+    want = torch.as_tensor(target).to(have)
+    if have.shape != want.shape or have.ndim < 1 or have.shape[-1] != 3:
+        raise ValueError(f"points: shape {tuple(have.shape)}; expected (..., 3), as target: {tuple(want.shape)}")
+    if valid is None:
+        weights = have.new_ones(have.shape[:-1])
+    else:
+        kept = torch.as_tensor(valid).to(have.device, torch.bool)
+        if kept.shape != have.shape[:-1]:
+            raise ValueError(f"valid: shape {tuple(kept.shape)}; expected {tuple(have.shape[:-1])}")
+        weights = kept.to(have.dtype)
+        have, want = (values.masked_fill(~kept[..., None], 0.0) for values in (have, want))
+    check_finite(points=have, target=want)
+    return have, want, weights
+
+
+def _mean_distance(points: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    return ((points - target).norm(dim=-1) * weights).sum(-1) / weights.sum(-1)
+
+
+def _aligned(points: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    weights = weights[..., None]
+    count = weights.sum(-2, keepdim=True).clamp(min=1.0)
+    centre, target_centre = ((weights * joints).sum(-2, keepdim=True) / count for joints in (points, target))
+    source, image = points - centre, target - target_centre
+    u, s, vt = torch.linalg.svd((weights * image).mT @ source)
+    sign = torch.ones_like(s)
+    sign[..., -1] = torch.linalg.det(u @ vt).sign()
+    rotation = (u * sign[..., None, :]) @ vt
+    spread = (weights * source**2).sum((-1, -2)).clamp(min=torch.finfo(points.dtype).tiny)
+    scale = (s * sign).sum(-1) / spread
+    return scale[..., None, None] * (source @ rotation.mT) + target_centre
+
+
+def bootstrap(values: np.ndarray, statistic: Callable[..., np.ndarray], seed: int = 0) -> tuple[float, float]:
+    """Percentile interval (95 %) of a statistic of independent values, one a person.
+
+    Args:
+        values: Shape (N, ...).
+        statistic: Such as ``np.mean``: of values (R, N, ...) and ``axis=1`` to R numbers.
+        seed: Of the resampling.
+
+    Raises:
+        ValueError: If there are no values, or one is NaN or infinite.
+    """
+    values = _finite(values)
+    return _interval([statistic(values[drawn], axis=1) for drawn in _draws(values, seed)])
+
+
+def bootstrap_sum(
+    values: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], seed: int = 0
+) -> tuple[float, float]:
+    """The same for a statistic of what people add up to, such as ``part_f1`` of pooled counts: much faster.
+
+    Args:
+        values: Shape (N, ...).
+        statistic: Of sums (R, ...) to R numbers.
+        seed: Of the resampling.
+
+    Raises:
+        ValueError: If there are no values, or one is NaN or infinite.
+    """
+    values = _finite(values)
+    people = len(values)
+    flat = values.reshape(people, -1).astype(np.float64)
+    results = []
+    for drawn in _draws(values, seed):
+        rows = len(drawn)
+        index = drawn + people * np.arange(rows)[:, None]
+        times = np.bincount(index.ravel(), minlength=rows * people).reshape(rows, people)
+        results.append(statistic((times @ flat).reshape(rows, *values.shape[1:])))
+    return _interval(results)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values)
+    if not values.size or not np.isfinite(values).all():
+        raise ValueError(f"values: shape {values.shape}, or NaN or infinity in them; expected finite numbers")
+    return values
+
+
+def _draws(values: np.ndarray, seed: int) -> Iterator[np.ndarray]:
+    """Whom each resample has, some resamples at a time, shape (rows, N)."""
+    people, rng = len(values), np.random.default_rng(seed)
+    resamples = min(RESAMPLES, max(_ENOUGH, RESAMPLES * _MANY // people))
+    rows = max(_BLOCK // values.size, 1)
+    for start in range(0, resamples, rows):
+        yield rng.integers(0, people, (min(rows, resamples - start), people))
+
+
+def _interval(statistics: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Resamples in which the statistic is not defined (no class occurs) do not count."""
+    low, high = np.nanquantile(np.concatenate(statistics), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)

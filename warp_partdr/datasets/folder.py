@@ -1,0 +1,87 @@
+"""A plain folder of pictures, each with its keypoints and perhaps its part labels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..body.label_sets import LABEL_SETS
+from ..body.labels import LabelSet
+from ..errors import InputError
+from ..keypoint_files import read_keypoints
+from ..keypoints import choose_person
+from ..part_files import check_sizes, read_label_set, read_parts, read_photo
+from ..person import select_person
+from .pictures import existing
+from .sample import Sample
+
+_PICTURES = (".jpg", ".jpeg", ".png")
+_PARTS = ".parts.png"
+_LAYOUT = "pictures N.jpg or N.png, each with N.keypoints.json and perhaps N.parts.png"
+
+
+def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sample]:
+    """The person of each picture: the largest, if there are several.
+
+    Labels that are fitted are scored against too, since there are no others: other people's pixels and stray blobs are
+    left out.
+
+    Args:
+        path: Folder of ``N.jpg`` or ``N.png``, ``N.keypoints.json`` and, for all or none, ``N.parts.png``.
+        labels: The label set; by default the one that ``labels.json`` in the folder describes.
+
+    Raises:
+        InputError: If there are no pictures, or a file is missing or wrong.
+    """
+    folder = Path(path)
+    pictures = sorted(
+        file
+        for file in (folder.iterdir() if folder.is_dir() else ())
+        if file.suffix.lower() in _PICTURES and not file.name.endswith(_PARTS)
+    )
+    if not pictures:
+        raise InputError(f"{folder}: no pictures; expected a folder of {_LAYOUT}")
+    labelled = any(picture.with_suffix(_PARTS).is_file() for picture in pictures)
+    if labelled and labels is None:
+        labels = _described(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
+    for picture in pictures:
+        people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
+        parts = target = None
+        if labelled and labels is not None:
+            parts = read_parts(
+                existing(folder, f"{picture.stem}{_PARTS}", "part labels as of the other pictures"), labels
+            )
+            photo = read_photo(picture)
+            check_sizes(**{picture.name: photo.shape[:2], f"{picture.stem}{_PARTS}": parts.groups.shape})
+        chosen = choose_person(people, None if parts is None else parts.groups)
+        others = tuple(other for other in people if other is not chosen)
+        if parts is not None:
+            target = select_person(parts.groups, chosen, others)
+        yield Sample(
+            source=folder.resolve().name,
+            name=picture.stem,
+            keypoints=chosen,
+            others=others,
+            parts=parts,
+            target=target,
+            picture=picture,
+        )
+
+
+def _described(path: Path) -> LabelSet:
+    """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON ({error}); expected ids and their names") from error
+    if isinstance(data, dict) and "groups" in data:
+        return read_label_set(path)
+    for labels in LABEL_SETS.values():
+        names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
+        if data == names:
+            return labels
+    raise InputError(
+        f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
+        "ids (docs/inputs.md)"
+    )
