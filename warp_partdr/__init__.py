@@ -13,6 +13,12 @@ __version__ = "0.1.0"
 
 # Public name: the submodule that defines it. No name may be that of a submodule, which would hide it once imported.
 _EXPORTS = {
+    "anny": "body.anny",
+    "anny_shape": "body.anny",
+    "Detailed": "body.detailed",
+    "DetailedModel": "body.detailed",
+    "load_model": "body.detailed_files",
+    "pose_from_ellipbody": "body.detailed_pose",
     "EllipBody": "body.ellipbody",
     "PosedEllipBody": "body.ellipbody",
     "LabelSet": "body.labels",
@@ -33,6 +39,7 @@ _EXPORTS = {
     "Crop": "cameras",
     "Perspective": "cameras",
     "WeakPerspective": "cameras",
+    "detailed_mesh": "detailed",
     "Ellipsoids": "ellipsoids",
     "EllipsoidImage": "ellipsoids",
     "draw_ellipsoids": "ellipsoids",
@@ -76,6 +83,12 @@ _EXPORTS = {
 __all__ = sorted(["__version__", *_EXPORTS])
 
 if TYPE_CHECKING:
+    from .body.anny import anny as anny
+    from .body.anny import anny_shape as anny_shape
+    from .body.detailed import Detailed as Detailed
+    from .body.detailed import DetailedModel as DetailedModel
+    from .body.detailed_files import load_model as load_model
+    from .body.detailed_pose import pose_from_ellipbody as pose_from_ellipbody
     from .body.ellipbody import EllipBody as EllipBody
     from .body.ellipbody import PosedEllipBody as PosedEllipBody
     from .body.labels import LabelSet as LabelSet
@@ -96,6 +109,7 @@ if TYPE_CHECKING:
     from .cameras import Crop as Crop
     from .cameras import Perspective as Perspective
     from .cameras import WeakPerspective as WeakPerspective
+    from .detailed import detailed_mesh as detailed_mesh
     from .ellipsoids import EllipsoidImage as EllipsoidImage
     from .ellipsoids import Ellipsoids as Ellipsoids
     from .ellipsoids import draw_ellipsoids as draw_ellipsoids

@@ -1,0 +1,195 @@
+"""Make an .npz of a legacy SMPL, SMPL-H or SMPL-X pickle, without running what is in it.
+
+    python scripts/convert_smpl_pickle.py basicModel_neutral_lbs_10_207_0_v1.0.0.pkl smpl_neutral.npz
+
+Unpickling calls what a file names, so a foreign file can do anything. Here every name stands for an inert class of this
+script: NumPy's arrays, chumpy's and SciPy's sparse matrices are only remembered as what the file says about them, and a
+name that SMPL's files don't need is refused. Seven arrays are then made of it, checked as ``load_model`` checks
+them, and written; nothing else of the file is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pickle
+import tempfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from warp_partdr.body.detailed_files import MAX_BYTES
+from warp_partdr.body.detailed_smpl import ARRAYS, check_smpl
+
+
+class Shell:
+    """An object of a pickle: its class's name and its state, never its behaviour."""
+
+    kind = ""
+
+    def __init__(self, *_: object) -> None:
+        self.state: Any = None
+
+    def __setstate__(self, state: object) -> None:
+        self.state = state
+
+
+class Array(Shell):
+    """A NumPy array: state (version, shape, dtype, in Fortran order, bytes)."""
+
+
+class DType(Shell):
+    """A NumPy dtype: its code, and state (version, byte order, ...)."""
+
+    def __init__(self, code: object = "", *_: object) -> None:
+        super().__init__()
+        self.code = code
+
+
+def _array(*_: object) -> Array:
+    return Array()
+
+
+def _object(kind: object, *_: object) -> object:
+    if not (isinstance(kind, type) and issubclass(kind, Shell)):
+        raise pickle.UnpicklingError("an object of a class that is not allowed")
+    return kind()
+
+
+def _bytes(text: object, codec: object = "latin1") -> bytes:
+    if not isinstance(text, str) or codec != "latin1":
+        raise pickle.UnpicklingError("text in a code that is not allowed")
+    return text.encode("latin1")
+
+
+_NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")
+_ALLOWED: dict[tuple[str, str], object] = {
+    **{(module, "_reconstruct"): _array for module in _NUMPY},
+    ("numpy", "ndarray"): Array,
+    ("numpy", "dtype"): DType,
+    ("copy_reg", "_reconstructor"): _object,
+    ("copyreg", "_reconstructor"): _object,
+    ("__builtin__", "object"): Shell,
+    ("builtins", "object"): Shell,
+    ("__builtin__", "set"): Shell,
+    ("builtins", "set"): Shell,
+    ("_codecs", "encode"): _bytes,
+}
+
+
+class InertUnpickler(pickle.Unpickler):
+    """Unpickles plain values, and anything else as a ``Shell``."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        super().__init__(file, fix_imports=False, encoding="latin1")
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in _ALLOWED:
+            return _ALLOWED[module, name]
+        is_sparse = module.startswith("scipy.sparse.") and name in ("csc_matrix", "csr_matrix")
+        if is_sparse or module.split(".")[0] == "chumpy":
+            return type(name, (Shell,), {"kind": name if is_sparse else f"{module}.{name}"})
+        raise pickle.UnpicklingError(f"names {module}.{name}, which no SMPL file needs")
+
+
+def to_array(value: object) -> np.ndarray:
+    """The numbers of an array, a sparse matrix, or chumpy's arrays and selections.
+
+    Raises:
+        ValueError: If it is anything else, or what it says about itself does not fit together.
+    """
+    if isinstance(value, Array):
+        return _from_bytes(value)
+    if not isinstance(value, Shell) or not isinstance(value.state, dict):
+        raise ValueError(f"{type(value).__name__}; expected an array")
+    state = value.state
+    if value.kind == "chumpy.ch.Ch":
+        return to_array(state["x"])
+    if value.kind == "chumpy.reordering.Select":
+        return to_array(state["a"]).ravel()[to_array(state["idxs"])].reshape(state["preferred_shape"])
+    if value.kind in ("csc_matrix", "csr_matrix"):
+        return _dense(state, value.kind == "csr_matrix")
+    raise ValueError(f"an expression of {value.kind or 'an unknown class'}; expected an array")
+
+
+def _from_bytes(array: Array) -> np.ndarray:
+    _, shape, dtype, in_fortran_order, data = array.state
+    if not isinstance(dtype, DType) or not isinstance(dtype.code, str) or dtype.code[:1] not in "fiu":
+        raise ValueError(f"an array of {getattr(dtype, 'code', dtype)!r}; expected numbers")
+    order = dtype.state[1] if dtype.state else "<"
+    numbers = np.frombuffer(
+        data.encode("latin1") if isinstance(data, str) else data, np.dtype(dtype.code).newbyteorder(order)
+    )
+    return numbers.reshape(shape, order="F" if in_fortran_order else "C").astype(numbers.dtype.newbyteorder("="))
+
+
+def _dense(state: dict[str, Any], by_rows: bool) -> np.ndarray:
+    """A sparse matrix, shape (rows, columns)."""
+    data, indices, starts = (to_array(state[name]) for name in ("data", "indices", "indptr"))
+    rows, columns = state["_shape"] if "_shape" in state else state["shape"]
+    if rows * columns * data.itemsize > MAX_BYTES:
+        raise ValueError(f"a sparse matrix of shape ({rows}, {columns}); too large")
+    outer = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    dense = np.zeros((rows, columns), dtype=data.dtype)
+    np.add.at(dense, (outer, indices) if by_rows else (indices, outer), data)
+    return dense
+
+
+def read_pickle(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of ``ARRAYS`` in a pickle.
+
+    Raises:
+        ValueError: If the file is missing, no pickle, names what is not allowed, or an array can't be read.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"{path}: {path.stat().st_size / 1e9:.1f} GB; expected at most {MAX_BYTES / 1e9:.1f} GB")
+        with path.open("rb") as file:
+            content = InertUnpickler(file).load()
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror or error}; expected a pickle of SMPL") from error
+    except ValueError:
+        raise
+    except Exception as error:  # of any kind: a damaged pickle may do everything wrong
+        raise ValueError(f"{path}: {error}; expected a pickle of SMPL, SMPL-H or SMPL-X") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: {type(content).__name__}; expected a dictionary of arrays")
+    arrays = {}
+    for name in ARRAYS:
+        if name in content:
+            try:
+                arrays[name] = to_array(content[name])
+            except Exception as error:  # as above
+                raise ValueError(f"{path}: {name}: {error}") from error
+    return arrays
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("pickle", type=Path, help="legacy model file, .pkl")
+    parser.add_argument("out", type=Path, help="file to write, .npz")
+    arguments = parser.parse_args()
+    try:
+        arrays = read_pickle(arguments.pickle)
+        model = check_smpl(arrays, str(arguments.pickle))
+        save(arguments.out, arrays)
+    except (OSError, ValueError) as error:
+        raise SystemExit(f"error: {error}") from None
+    print(f"{arguments.out}: {model}, {len(arrays['v_template'])} vertices")
+
+
+def save(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write all or nothing."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+        try:
+            np.savez_compressed(file, **arrays)
+            file.close()
+            os.replace(file.name, path)
+        except BaseException:
+            os.unlink(file.name)
+            raise
+
+
+if __name__ == "__main__":
+    main()
