@@ -28,13 +28,15 @@ from .surface_forces import (
     store_forces,
     worker_of,
 )
-from .targets import DenseGradient, LabelTarget, flat, target_of
+from .targets import DenseGradient, LabelTarget, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 
 @wp.func
-def push_coverage(scene: Scene, w: Worker, steps_per_pixel: float, halvings: int, gradient: Any):
+def push_coverage(
+    scene: Scene, forces: Forces, w: Worker, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
+):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
     # Views of one body: an index of one dimension costs a fraction of one of three.
@@ -45,42 +47,50 @@ def push_coverage(scene: Scene, w: Worker, steps_per_pixel: float, halvings: int
     if rests(scene.active, w.b):
         return sums
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
-        e = load_ellipsoid(scene, w.b, w.k)
         t = target_of(gradient, w.b)
-        sums = walk_outline(
-            sums,
-            e,
-            s,
-            silhouettes,
-            scene.neighbours[w.b, w.k],
-            t,
-            w.number,
-            w.count,
-            steps_per_pixel,
-            halvings,
-            scene.perspective,
-            gradient,
-            height,
-            width,
-        )
-        sums = walk_creases(
-            sums,
-            scene,
-            w.b,
-            w.k,
-            silhouettes,
-            scene.neighbours[w.b, w.k],
-            scene.creases[w.b, w.k],
-            flat(scene.parts[w.b]),
-            height,
-            width,
-            t,
-            w.number,
-            w.count,
-            int(wp.ceil(steps_per_pixel)),
-            halvings,
-            gradient,
-        )
+        neighbours = scene.neighbours[w.b, w.k]
+        # Half of the shares are outlines and half creases; an only share is both.
+        shares = forces.values.shape[2]
+        outlines = wp.max(shares // 2, 1)
+        creases = wp.max(shares - outlines, 1)
+        if w.share < outlines:
+            sums = walk_outline(
+                load_ellipsoid(scene, w.b, w.k),
+                s,
+                silhouettes,
+                neighbours,
+                t,
+                w.share,
+                outlines,
+                w.lane,
+                lanes,
+                steps_per_pixel,
+                halvings,
+                scene.perspective,
+                gradient,
+                height,
+                width,
+            )
+        if w.share >= shares - creases:
+            sums = walk_creases(
+                sums,
+                scene,
+                w.b,
+                w.k,
+                silhouettes,
+                neighbours,
+                scene.creases[w.b, w.k],
+                height,
+                width,
+                t,
+                w.share - (shares - creases),
+                creases,
+                w.lane,
+                lanes,
+                int(wp.ceil(steps_per_pixel)),
+                halvings,
+                gradient,
+            )
     return sums
 
 
@@ -95,7 +105,7 @@ def coverage_forces(
 ):
     """Sums over the forces on each ellipsoid."""
     w = worker_of(forces, lanes, wp.tid())
-    store_forces(forces, w, push_coverage(scene, w, steps_per_pixel, halvings, gradient))
+    store_forces(forces, w, push_coverage(scene, forces, w, lanes, steps_per_pixel, halvings, gradient))
 
 
 for _gradient in (LabelTarget, DenseGradient):

@@ -9,7 +9,9 @@ from typing import Any
 import warp as wp
 
 from .ellipsoid_borders import chord_shares, lead, room_slope, root_at, slope_at
+from .ellipsoid_edges import nth_bit
 from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
+from .lanes import ballot, tell
 from .surface_forces import Ellipsoid, Scene, SurfaceForces, add_nearness_force, load_ellipsoid
 
 wp.set_module_options({"enable_backward": False})
@@ -131,9 +133,11 @@ def push_chord(
         # Loaded where it is used: creases are few, and it would take registers all the way.
         e = load_ellipsoid(scene, b, k)
         shares *= wp.length(end - start)
-        for side in range(2):
-            place = start + float(side) * (end - start)
-            sums = push_crease(sums, e, s, other, place, shares[side], scene.perspective)
+        side = int(0)
+        while side < 2:  # a loop over a constant range would be unrolled, which takes registers
+            place = wp.where(side == 0, start, end)
+            sums = push_crease(sums, e, s, other, place, wp.where(side == 0, shares[0], shares[1]), scene.perspective)
+            side += 1
     return sums
 
 
@@ -214,6 +218,23 @@ def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
 
 
 @wp.func
+def crease_end_in(silhouettes: wp.array[Silhouette], k: int, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
+    """Where a crease that enters a cell at a place ends in it, at an outline; the place itself if nowhere near."""
+    found = place
+    nearest = wp.length(high - low)
+    which = int(0)
+    while which < 2:
+        end = crease_end(silhouettes[wp.where(which == 0, k, j)], silhouettes[wp.where(which == 0, j, k)], place)
+        there = wp.vec2(end[0], end[1])
+        far = wp.length(there - place)
+        if end[2] >= 0.0 and far < nearest:
+            nearest = far
+            found = wp.max(wp.min(there, high), low)
+        which += 1
+    return found
+
+
+@wp.func
 def walk_cell(
     sums: SurfaceForces,
     scene: Scene,
@@ -233,60 +254,57 @@ def walk_cell(
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
     s = silhouettes[k]
     other = silhouettes[j]
-    pending = wp.vec2()
-    odd = bool(False)
+    # The last four places where fronts cross, all around the cell.
+    first = wp.vec2()
+    second = wp.vec2()
+    third = wp.vec2()
+    fourth = wp.vec2()
+    count = int(0)
     end = low
     end_lead = lead_if_there(s, other, low)
-    for side in range(5):
-        place = wp.vec2()
-        found = bool(False)
-        if side < 4:
-            start = end
-            start_lead = end_lead
-            end = wp.vec2(wp.where(side < 2, high[0], low[0]), wp.where(side == 1 or side == 2, high[1], low[1]))
-            end_lead = lead_if_there(s, other, end)
-            share = crossing(s, other, start, end, start_lead, end_lead)
-            found = share >= 0.0
-            place = start + share * (end - start)
-        elif odd:
-            # It ends in the cell, at an outline.
-            nearest = wp.length(high - low)
-            for which in range(2):
-                one = silhouettes[wp.where(which == 0, k, j)]
-                end_ahead = crease_end(one, silhouettes[wp.where(which == 0, j, k)], pending)
-                there = wp.vec2(end_ahead[0], end_ahead[1])
-                far = wp.length(there - pending)
-                if end_ahead[2] >= 0.0 and far < nearest:
-                    nearest = far
-                    place = wp.max(wp.min(there, high), low)
-                    found = True
-        if found:
-            if odd:
-                sums = push_chord(
-                    sums, scene, b, k, silhouettes, neighbours, j, pending, place, halvings, t, gradient, height, width
-                )
-            pending = place
-            odd = not odd
+    side = int(0)
+    while side < 4:  # a loop over a constant range would be unrolled, which takes registers
+        start = end
+        start_lead = end_lead
+        end = wp.vec2(wp.where(side < 2, high[0], low[0]), wp.where(side == 1 or side == 2, high[1], low[1]))
+        end_lead = lead_if_there(s, other, end)
+        share = crossing(s, other, start, end, start_lead, end_lead)
+        if share >= 0.0:
+            first = second
+            second = third
+            third = fourth
+            fourth = start + share * (end - start)
+            count += 1
+        side += 1
+    if count % 2 == 1:
+        first = second
+        second = third
+        third = fourth
+        fourth = crease_end_in(silhouettes, k, j, third, low, high)
+        count += 1
+    while count > 0:
+        sums = push_chord(
+            sums, scene, b, k, silhouettes, neighbours, j, third, fourth, halvings, t, gradient, height, width
+        )
+        third = first
+        fourth = second
+        count -= 2
     return sums
 
 
 @wp.func
-def room_range(s: Silhouette, x: float, y: float, half: wp.vec2):
-    """Bounds of an ellipsoid's room in a cell around (x, y)."""
+def room_range(s: Silhouette, x: float, y: float, half: float):
+    """Bounds of an ellipsoid's room in a square cell around (x, y), whose sides are 2 half long."""
     room = room_at(s, x, y)
     slope = room_slope(s, x, y)
-    tilt = wp.abs(slope[0]) * half[0] + wp.abs(slope[1]) * half[1]
-    bend = (
-        s.conic[0] * half[0] * half[0] + 2.0 * wp.abs(s.conic[1]) * half[0] * half[1] + s.conic[2] * half[1] * half[1]
-    )
+    tilt = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
+    bend = half * half * (s.conic[0] + 2.0 * wp.abs(s.conic[1]) + s.conic[2])
     return wp.vec2(room - tilt - bend, room + tilt)
 
 
 @wp.func
-def may_meet(s: Silhouette, other: Silhouette, low: wp.vec2, high: wp.vec2):
+def may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
     """Whether two fronts can be equally near somewhere in a cell: bounds of each are."""
-    middle = 0.5 * (low + high)
-    half = 0.5 * (high - low)
     x = middle[0]
     y = middle[1]
     room = room_range(s, x, y, half)
@@ -294,30 +312,12 @@ def may_meet(s: Silhouette, other: Silhouette, low: wp.vec2, high: wp.vec2):
     if room[1] <= 0.0 or other_room[1] <= 0.0:
         return False
     slope = s.slope - other.slope
-    lead_of_middles = middle_at(s, x, y) - middle_at(other, x, y)
-    spread = wp.abs(slope[0]) * half[0] + wp.abs(slope[1]) * half[1]
+    ahead = middle_at(s, x, y) - middle_at(other, x, y)
+    spread = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
     return (
-        lead_of_middles + spread + wp.sqrt(room[1]) - wp.sqrt(wp.max(other_room[0], 0.0)) >= 0.0
-        and lead_of_middles - spread + wp.sqrt(wp.max(room[0], 0.0)) - wp.sqrt(other_room[1]) <= 0.0
+        ahead + spread + wp.sqrt(room[1]) - wp.sqrt(wp.max(other_room[0], 0.0)) >= 0.0
+        and ahead - spread + wp.sqrt(wp.max(room[0], 0.0)) - wp.sqrt(other_room[1]) <= 0.0
     )
-
-
-@wp.func
-def is_border(parts: wp.array[wp.uint8], row: int, column: int, height: int, width: int, k: int, j: int):
-    """Whether the pixels around a cell, from the centre of (row, column) to the next, differ and show k or j.
-
-    Where not all are there, they may.
-    """
-    if row < 0 or column < 0 or row + 1 >= height or column + 1 >= width:
-        return True
-    first = int(parts[row * width + column])
-    shown = bool(False)
-    differ = bool(False)
-    for i in range(4):
-        part = int(parts[(row + i // 2) * width + column + i % 2])
-        shown = shown or part == k + 1 or part == j + 1
-        differ = differ or part != first
-    return shown and differ
 
 
 @wp.func
@@ -329,79 +329,101 @@ def walk_creases(
     silhouettes: wp.array[Silhouette],
     neighbours: wp.array[wp.uint32],
     creases: wp.array[wp.uint32],
-    parts: wp.array[wp.uint8],
     height: int,
     width: int,
     t: int,
+    share: int,
+    shares: int,
     lane: int,
     lanes: int,
     cells: int,
     halvings: int,
     gradient: Any,
 ):
-    """Forces of the creases between an ellipsoid and those that it meets in space, with ``cells``² cells a pixel."""
+    """One of ``shares`` shares in the forces of an ellipsoid's creases, with ``cells``² cells a pixel."""
     size = 1.0 / float(cells)
+    s = silhouettes[k]
     for word in range(creases.shape[0]):
         bits = creases[word]
-        # Cells between pixel centres are dealt to the threads as one line over all boxes. Each thread looks for its
-        # next cell with a crease, then all threads work on one each: looking is quick, working is not.
-        n = int(lane)
+        # Cells between pixel centres are looked at ``lanes`` at a time, and such groups are counted as one line over
+        # all boxes. The cells with a crease wait, one a thread, until all threads have one: looking is quick, working
+        # is not.
+        group = int(share)
         begin = int(0)
         end = int(0)
         left = int(0)
         top = int(0)
         columns = int(1)
-        row = int(0)
-        column = int(0)
+        box = int(0)  # cells
         j = int(-1)
-        corner = wp.vec2()
-        searching = bool(True)
-        while searching:
+        waiting = int(0)
+        its_row = int(0)
+        its_column = int(0)
+        its_other = int(0)
+        looking = bool(True)
+        while looking or waiting > 0:
+            while group >= end and bits != wp.uint32(0):
+                j = 32 * word + lowest_bit(bits)
+                bits &= bits - wp.uint32(1)
+                box_low = wp.max(s.low, silhouettes[j].low)
+                box_high = wp.min(s.high, silhouettes[j].high)
+                # Cells that hold a place where both are, clamped in float against overflow. The first begins half a
+                # pixel before the picture.
+                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(width))))
+                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(width - 1))))
+                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(height))))
+                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(height - 1))))
+                columns = right - left + 1
+                box = wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
+                begin = end
+                end = begin + (box + lanes - 1) // lanes
+            looking = group < end
+            n = (group - begin) * lanes + lane
+            row = top + n // wp.max(columns, 1)
+            column = left + n - (row - top) * columns
             found = bool(False)
-            while searching and not found:
-                while n >= end and bits != wp.uint32(0):
-                    j = 32 * word + lowest_bit(bits)
-                    bits &= bits - wp.uint32(1)
-                    box_low = wp.max(silhouettes[k].low, silhouettes[j].low)
-                    box_high = wp.min(silhouettes[k].high, silhouettes[j].high)
-                    # Cells that hold a place where both are, clamped in float against overflow. The first begins half
-                    # a pixel before the picture.
-                    left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(width))))
-                    right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(width - 1))))
-                    top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(height))))
-                    bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(height - 1))))
-                    columns = right - left + 1
-                    begin = end
-                    end = begin + wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
-                searching = n < end
-                if searching:
-                    row = top + (n - begin) // columns
-                    column = left + (n - begin) % columns
-                    n += lanes
-                    # Finer cells are for what is thinner than a pixel, too, and no pixel may show that.
-                    found = cells > 1 or is_border(parts, row, column, height, width, k, j)
-                    corner = wp.vec2(float(column) + 0.5, float(row) + 0.5)
-                    if found:
-                        found = may_meet(silhouettes[k], silhouettes[j], corner, corner + wp.vec2(1.0, 1.0))
-            if found:
-                for i in range(cells * cells):
-                    low = corner + size * wp.vec2(float(i % cells), float(i // cells))
-                    high = low + wp.vec2(size, size)
-                    if cells == 1 or may_meet(silhouettes[k], silhouettes[j], low, high):
-                        sums = walk_cell(
-                            sums,
-                            scene,
-                            b,
-                            k,
-                            silhouettes,
-                            neighbours,
-                            j,
-                            low,
-                            high,
-                            halvings,
-                            t,
-                            gradient,
-                            height,
-                            width,
-                        )
+            if looking and n < box:
+                found = may_meet(s, silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
+            group += shares
+            # To the threads behind those that have one already; what is left over waits.
+            finders = ballot(found)
+            total = waiting + wp.bit_count(finders)
+            if total > waiting:
+                finder = nth_bit(finders, lane - waiting)
+                next_row = int(tell(wp.uint32(row), finder))
+                next_column = int(tell(wp.uint32(column), finder))
+                if lane >= waiting:
+                    its_row = next_row
+                    its_column = next_column
+                    its_other = j
+            if total >= lanes or not looking:
+                if lane < total:
+                    corner = wp.vec2(float(its_column) + 0.5, float(its_row) + 0.5)
+                    for i in range(cells * cells):
+                        low = corner + size * wp.vec2(float(i % cells), float(i // cells))
+                        high = low + wp.vec2(size, size)
+                        if cells == 1 or may_meet(s, silhouettes[its_other], 0.5 * (low + high), 0.5 * size):
+                            sums = walk_cell(
+                                sums,
+                                scene,
+                                b,
+                                k,
+                                silhouettes,
+                                neighbours,
+                                its_other,
+                                low,
+                                high,
+                                halvings,
+                                t,
+                                gradient,
+                                height,
+                                width,
+                            )
+                total -= lanes
+                if total > 0:
+                    finder = nth_bit(finders, wp.bit_count(finders) - total + lane)
+                    its_row = int(tell(wp.uint32(row), finder))
+                    its_column = int(tell(wp.uint32(column), finder))
+                    its_other = j
+            waiting = wp.max(total, 0)
     return sums

@@ -10,85 +10,79 @@ import warp as wp
 
 from .ellipsoid_borders import chord_shares
 from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
+from .lanes import ballot, tell
 from .surface_forces import Ellipsoid, SurfaceForces, add_image_force, from_unit
 
 wp.set_module_options({"enable_backward": False})
 
 _MAX_STEPS = wp.constant(float(2**22))  # of an outline: with more, float32 would hardly tell their angles apart
-
-
-@wp.struct
-class Circle:
-    """The outline on the unit sphere: offset + first cos + second sin."""
-
-    offset: wp.vec3
-    first: wp.vec3
-    second: wp.vec3
+_NO_BORDER = wp.constant(-1)  # instead of a label
 
 
 @wp.func
 def outline_circle(e: Ellipsoid, perspective: bool):
-    """Where rays of the camera touch the ellipsoid."""
+    """Where rays of the camera touch the ellipsoid: on the unit sphere, this matrix times (1, cos, sin) of an angle."""
     # The direction away from the camera in the space where the ellipsoid is the unit sphere.
     away = wp.cw_div(wp.vec3(e.axes[2, 0], e.axes[2, 1], e.axes[2, 2]), e.semi_axes)
     if perspective:
         away = wp.cw_div(wp.transpose(e.axes) * e.centre, e.semi_axes)
     direction = wp.normalize(away)
-    circle = Circle()
+    offset = float(0.0)
     radius = float(1.0)
     if perspective:
-        cosine = 1.0 / wp.length(away)
-        circle.offset = -cosine * direction
-        radius = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0))
+        offset = -1.0 / wp.length(away)
+        radius = wp.sqrt(wp.max(1.0 - offset * offset, 0.0))
     helper = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(direction[0]) > 0.7:
         helper = wp.vec3(0.0, 1.0, 0.0)
     first = wp.normalize(wp.cross(direction, helper))
-    circle.first = radius * first
-    circle.second = radius * wp.cross(direction, first)
-    return circle
-
-
-@wp.struct
-class OutlinePoint:
-    """One point of an outline, and what lies behind it."""
-
-    unit: wp.vec3
-    image: wp.vec2  # [px]
-    behind: int  # label, 0 = background; -1 where the outline is no border of labels
+    return wp.matrix_from_cols(offset * direction, radius * first, radius * wp.cross(direction, first))
 
 
 @wp.func
-def outline_point(e: Ellipsoid, circle: Circle, angle: float, perspective: bool):
-    """Where the outline is at an angle."""
-    found = OutlinePoint()
-    found.unit = circle.offset + wp.cos(angle) * circle.first + wp.sin(angle) * circle.second
-    point = e.centre + from_unit(e, found.unit)
+def rim_of(e: Ellipsoid, circle: wp.mat33):
+    """An ellipsoid's outline as if it were one: its "unit sphere" holds (1, cos, sin) of angles."""
+    rim = Ellipsoid()
+    rim.centre = e.centre
+    rim.axes = wp.matrix_from_cols(
+        from_unit(e, wp.vec3(circle[0, 0], circle[1, 0], circle[2, 0])),
+        from_unit(e, wp.vec3(circle[0, 1], circle[1, 1], circle[2, 1])),
+        from_unit(e, wp.vec3(circle[0, 2], circle[1, 2], circle[2, 2])),
+    )
+    rim.semi_axes = wp.vec3(1.0, 1.0, 1.0)
+    rim.camera = e.camera
+    return rim
+
+
+@wp.func
+def turn_to(angle: float):
+    """Which way from an outline's centre."""
+    return wp.vec3(1.0, wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
+    """Where the picture shows a place of an outline [px]."""
+    point = rim.centre + from_unit(rim, turn)
     if perspective:
         point = point / point[2]
-    found.image = wp.vec2(e.camera[0] * point[0] + e.camera[2], e.camera[1] * point[1] + e.camera[3])
-    found.behind = -1
-    return found
+    return wp.vec2(rim.camera[0] * point[0] + rim.camera[2], rim.camera[1] * point[1] + rim.camera[3])
 
 
 @wp.func
-def look_at_outline(
-    e: Ellipsoid,
+def look_behind(
     s: Silhouette,
     silhouettes: wp.array[Silhouette],
     neighbours: wp.array[wp.uint32],
-    circle: Circle,
-    angle: float,
-    perspective: bool,
+    place: wp.vec2,
     height: int,
     width: int,
 ):
-    """An outline is a border where nothing hides it and another label, or none, lies behind."""
-    found = outline_point(e, circle, angle, perspective)
-    x = found.image[0]
-    y = found.image[1]
+    """The label behind a place of an outline, 0 = background; _NO_BORDER where the outline is none of labels."""
+    x = place[0]
+    y = place[1]
     if x < 0.0 or y < 0.0 or x >= float(width) or y >= float(height):
-        return found
+        return _NO_BORDER
     nearness = middle_at(s, x, y)
     behind = float(-wp.inf)
     label = int(0)
@@ -105,17 +99,17 @@ def look_at_outline(
                     behind = there
                     label = other.label
     if behind < nearness and label != s.label:
-        found.behind = label
-    return found
+        return label
+    return _NO_BORDER
 
 
 @wp.func
 def push_outline(
     sums: SurfaceForces,
-    e: Ellipsoid,
+    rim: Ellipsoid,
     s: Silhouette,
-    start: OutlinePoint,
-    end: OutlinePoint,
+    start: wp.vec3,
+    end: wp.vec3,
     behind: int,
     t: int,
     perspective: bool,
@@ -124,28 +118,37 @@ def push_outline(
     width: int,
 ):
     """Force of a bit of outline: cost times the outward normal times length, which is its chord turned by a quarter."""
-    if behind < 0:
+    if behind == _NO_BORDER:
         return sums
-    shares = chord_shares(start.image, end.image, s.label, behind, t, gradient, height, width)
+    here = image_of(rim, start, perspective)
+    there = image_of(rim, end, perspective)
+    shares = chord_shares(here, there, s.label, behind, t, gradient, height, width)
     if shares[0] == 0.0 and shares[1] == 0.0:
         return sums
-    normal = wp.vec2(end.image[1] - start.image[1], start.image[0] - end.image[0])
-    if wp.dot(normal, 0.5 * (start.image + end.image) - s.mean) < 0.0:
+    normal = wp.vec2(there[1] - here[1], here[0] - there[0])
+    if wp.dot(normal, 0.5 * (here + there) - s.mean) < 0.0:
         normal = -normal
     first = shares[0] * normal
     second = shares[1] * normal
-    sums = add_image_force(sums, e, start.unit, first[0], first[1], perspective)
-    return add_image_force(sums, e, end.unit, second[0], second[1], perspective)
+    sums = add_image_force(sums, rim, start, first[0], first[1], perspective)
+    return add_image_force(sums, rim, end, second[0], second[1], perspective)
+
+
+@wp.func
+def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
+    """The value of the thread before this one; to the first, what the last thread had before."""
+    return tell(wp.where(lane == lanes - 1, last, value), wp.where(lane == 0, lanes, lane) - 1)
 
 
 @wp.func
 def walk_outline(
-    sums: SurfaceForces,
     e: Ellipsoid,
     s: Silhouette,
     silhouettes: wp.array[Silhouette],
     neighbours: wp.array[wp.uint32],
     t: int,
+    share: int,
+    shares: int,
     lane: int,
     lanes: int,
     steps_per_pixel: float,
@@ -155,32 +158,70 @@ def walk_outline(
     height: int,
     width: int,
 ):
-    """Forces of an ellipsoid's own outline; each thread walks one piece of it."""
+    """Forces of one of ``shares`` pieces of an ellipsoid's own outline; its threads walk it side by side."""
+    sums = SurfaceForces()
     circle = outline_circle(e, perspective)
+    rim = rim_of(e, circle)
     half = 0.5 * (s.high - s.low)
     # The root mean square of the radii bounds the perimeter from above. One of millions of pixels gets longer steps.
     count = int(wp.min(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
-    each = (count + lanes - 1) // lanes
-    step = 2.0 * wp.pi / float(each * lanes)
-    n = lane * each
-    start = look_at_outline(e, s, silhouettes, neighbours, circle, float(n) * step, perspective, height, width)
-    for i in range(each):
-        low = float(n + i) * step
-        high = low + step
-        end = look_at_outline(e, s, silhouettes, neighbours, circle, high, perspective, height, width)
-        if start.behind == end.behind:
-            sums = push_outline(sums, e, s, start, end, end.behind, t, perspective, gradient, height, width)
-        else:
-            # What lies behind, or in front, changes in between: find where.
-            for _ in range(halvings):
-                angle = 0.5 * (low + high)
-                middle = look_at_outline(e, s, silhouettes, neighbours, circle, angle, perspective, height, width)
-                if middle.behind == start.behind:
-                    low = angle
-                else:
-                    high = angle
-            turn = outline_point(e, circle, 0.5 * (low + high), perspective)
-            sums = push_outline(sums, e, s, start, turn, start.behind, t, perspective, gradient, height, width)
-            sums = push_outline(sums, e, s, turn, end, end.behind, t, perspective, gradient, height, width)
-        start = end
+    turns = (count + shares * lanes - 1) // (shares * lanes)
+    step = 2.0 * wp.pi / float(turns * shares * lanes)
+    n = share * turns * lanes
+    # Of the place where a thread's step ends.
+    place = turn_to(float(n) * step)
+    behind = look_behind(s, silhouettes, neighbours, image_of(rim, place, perspective), height, width)
+    # Within which step of its own a thread knows what lies behind to change, and from what to what.
+    changing = int(-1)
+    before_change = int(0)
+    after_change = int(0)
+    n += lane
+    for turn in range(turns + 1):
+        changes = bool(False)
+        start_behind = int(behind)
+        if turn < turns:
+            end = turn_to(float(n + 1) * step)
+            end_behind = look_behind(s, silhouettes, neighbours, image_of(rim, end, perspective), height, width)
+            start = wp.vec3(
+                1.0,
+                wp.cast(tell_next(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
+                wp.cast(tell_next(wp.cast(end[2], wp.uint32), wp.cast(place[2], wp.uint32), lane, lanes), float),
+            )
+            start_behind = int(tell_next(wp.uint32(end_behind), wp.uint32(behind), lane, lanes))
+            place = end
+            behind = end_behind
+            changes = start_behind != behind
+            if not changes:
+                sums = push_outline(sums, rim, s, start, place, behind, t, perspective, gradient, height, width)
+        # Changes are few, and to find their places takes long: all threads do so at once, when one meets its second or
+        # nothing is left to walk.
+        if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
+            if changing >= 0:
+                low = float(changing) * step
+                high = low + step
+                for _ in range(halvings):
+                    angle = 0.5 * (low + high)
+                    middle = image_of(rim, turn_to(angle), perspective)
+                    if look_behind(s, silhouettes, neighbours, middle, height, width) == before_change:
+                        low = angle
+                    else:
+                        high = angle
+                # Mostly one of the two pieces is no border.
+                turn_place = turn_to(0.5 * (low + high))
+                piece = int(wp.where(before_change == _NO_BORDER, 1, 0))
+                pieces = int(wp.where(after_change == _NO_BORDER, 1, 2))
+                while piece < pieces:
+                    start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
+                    end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
+                    now_behind = wp.where(piece == 0, before_change, after_change)
+                    sums = push_outline(sums, rim, s, start, end, now_behind, t, perspective, gradient, height, width)
+                    piece += 1
+            changing = -1
+        if changes:
+            changing = n
+            before_change = start_behind
+            after_change = behind
+        n += lanes
+    # From (1, cos, sin) to the point of the unit sphere.
+    sums.moment = sums.moment * wp.transpose(circle)
     return sums

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -15,6 +14,7 @@ from .body.skeletons import SKELETONS
 from .devices import choose_device
 from .errors import InputError
 from .evaluate_command import evaluate
+from .register_command import REGISTER_HELP, register_body
 
 
 class Renderer(StrEnum):
@@ -35,6 +35,7 @@ app = typer.Typer(
 bench = typer.Typer(help="How fast this machine is.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
 app.add_typer(evaluate, name="evaluate")
+app.command("register", help=REGISTER_HELP)(register_body)
 
 _FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
 

@@ -23,7 +23,7 @@ from .mesh import PartMesh, ellipbody_mesh
 from .parameters import BodyParameters
 from .pose_prior import PosePrior, up_direction
 from .posing import Posed
-from .render import label_loss, rasterize_parts
+from .render import DEFAULT_DEPTH_WEIGHT, label_loss, rasterize_parts
 
 Renderer = Literal["exact", "mesh"]
 
@@ -79,6 +79,7 @@ class Energy:
         subdivisions: Level of the drawn mesh, 0 to 3.
         gradient: Of the exact renderer: "partdr", "coverage" or "edges"; the mesh has PartDR's alone.
         max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
+        depth_weight: PartDR: the paper's lambda of the z gradient; 0 leaves it out.
 
     Attributes:
         votes: How much each landmark counts, shape (L,).
@@ -93,6 +94,7 @@ class Energy:
     subdivisions: int = 1
     gradient: Gradient = "partdr"
     max_distance: float = math.inf
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
 
     def __post_init__(self) -> None:
         seen = self.observation
@@ -142,13 +144,21 @@ class Energy:
             vertices = camera.project(posed.vertices(self.subdivisions))
             if self._maps is None:
                 target = self.target.expand(parameters.batch_size, -1, -1)
-                return label_loss(vertices, self._mesh, target, max_distance=self.max_distance, validate=False)[0]
+                return label_loss(
+                    vertices,
+                    self._mesh,
+                    target,
+                    max_distance=self.max_distance,
+                    depth_weight=self.depth_weight,
+                    validate=False,
+                )[0]
             maps = rasterize_parts(
                 vertices,
                 self._mesh,
                 image_size,
                 num_maps=len(self._maps),
                 max_distance=self.max_distance,
+                depth_weight=self.depth_weight,
                 validate=False,
             ).maps
         elif self._maps is None:
@@ -159,6 +169,7 @@ class Energy:
                 part_labels=self._part_labels,
                 gradient=self.gradient,
                 max_distance=self.max_distance,
+                depth_weight=self.depth_weight,
                 validate=False,
             )[0]
         else:
@@ -170,6 +181,7 @@ class Energy:
                 num_maps=len(self._maps),
                 gradient=self.gradient,
                 max_distance=self.max_distance,
+                depth_weight=self.depth_weight,
                 validate=False,
             ).maps
         assert maps is not None

@@ -27,7 +27,7 @@ from .person import crop_nearest, person_crop, select_person
 from .pose_prior import PosePrior
 from .posing import Posed
 from .refinement import refine
-from .render import PartImage, rasterize_parts
+from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 
 CROP_MARGIN = 0.1  # of the person's extent, on each side
 LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
@@ -77,6 +77,7 @@ class FitOptions:
         weights: Of the energy's terms, where a stage has none of its own.
         renderer: "exact" ellipsoids, or their "mesh" (E1, with PartDR's gradient).
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
+        depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
         seed: Of the random choice of hypotheses, where there are too many.
     """
 
@@ -91,6 +92,7 @@ class FitOptions:
     weights: Weights = field(default_factory=Weights)
     renderer: Renderer = "exact"
     trust_background: bool = False
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
     seed: int = 0
 
     def labels_first(self) -> FitOptions:
@@ -212,6 +214,7 @@ def fit_body(
             renderer=options.renderer,
             gradient=stage.gradient,
             max_distance=stage.max_distance,
+            depth_weight=options.depth_weight,
         )
 
         def step(iteration: int, name: str = stage.name, before: int = done) -> None:

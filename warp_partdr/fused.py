@@ -194,7 +194,7 @@ class FusedRefinement:
         if len(energies) != len(self._points):
             raise ValueError(f"energies: {len(energies)}; expected {len(self._points)}, as at first")
         for energy in energies:
-            for name in ("size", "weights", "prior", "renderer", "gradient", "max_distance"):
+            for name in ("size", "weights", "prior", "renderer", "gradient", "max_distance", "depth_weight"):
                 if getattr(energy, name) != getattr(self._energy, name):
                     raise ValueError(f"energies: {name} differs; expected {getattr(self._energy, name)}, as at first")
             if _compares_labels(energy) != (self._renderer is not None):

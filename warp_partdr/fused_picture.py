@@ -16,7 +16,7 @@ from .kernels.ellipsoids import Seen, launch_see
 from .kernels.refine_state import Drawn, Ellipsoids
 from .kernels.surface_forces import make_forces
 from .kernels.targets import LabelTarget, launch_find_reach
-from .render import DEFAULT_DEPTH_WEIGHT, weight_table
+from .render import weight_table
 
 
 class EllipsoidPicture:
@@ -68,7 +68,7 @@ class EllipsoidPicture:
             energy.gradient,
             over_farther=True,
             max_distance=energy.max_distance,
-            depth_weight=DEFAULT_DEPTH_WEIGHT,
+            depth_weight=energy.depth_weight,
             steps_per_pixel=DEFAULT_STEPS_PER_PIXEL,
             halvings=DEFAULT_HALVINGS,
         ).launcher()

@@ -107,7 +107,9 @@ def _read_matlab(path: Path) -> np.ndarray:
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        raise InputError(f"{path}: MATLAB files need SciPy; expected it (pip install warp-partdr[lsp]), or joints.npz") from error
+        raise InputError(
+            f"{path}: MATLAB files need SciPy; expected it (pip install warp-partdr[lsp]), or joints.npz"
+        ) from error
     try:
         return np.asarray(loadmat(path, variable_names=["joints"])["joints"])
     except KeyError as error:

@@ -1,0 +1,252 @@
+"""How well registration finds detailed bodies again: Anny bodies of random shape and pose whose EllipBody is known.
+
+    python benchmarks/registration.py MOCAP_FOLDER --out FOLDER [--count 30] [--seed 0]
+
+Each person is the packaged Anny model with random phenotype values in a pose of motion capture that no prior has seen.
+Its EllipBody is measured as the mean body was (``scripts/measure_mean_body.py``): bones between the person's joints,
+and thicknesses of best silhouettes in the rest pose. Registration sees that EllipBody alone. Such ellipsoids are
+fitted, so about half of the true skin is inside them; "inscribed" bodies, as the paper has them, are the same with each
+ellipsoid as thin as it takes to have at most ``INSIDE / 20`` of the true person's skin vertices in it.
+
+Writes ``registration.json`` and ``registration.png``: from the front and the side, truth in grey, registration in
+colours, which are those of the parts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+from PIL import Image, ImageDraw
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from anny_people import held_out_poses
+from anny_person import Person
+from measure_mean_body import Silhouettes, fit_thicknesses
+from mocap import Clip
+
+from warp_partdr.body.anny import anny, anny_shape
+from warp_partdr.body.detailed import Detailed, DetailedModel
+from warp_partdr.body.detailed_pose import pose_from_ellipbody
+from warp_partdr.body.rotations import skew
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.detailed import detailed_mesh
+from warp_partdr.mesh import PartMesh
+from warp_partdr.palette import PART_COLOURS
+from warp_partdr.posing import Posed, pose
+from warp_partdr.registration import (
+    Registered,
+    RegistrationOptions,
+    RegistrationWeights,
+    register,
+    skin_vertices,
+)
+from warp_partdr.render import rasterize_parts
+
+# Adults and older children, thin to heavy.
+PHENOTYPES: dict[str, tuple[float, float]] = {
+    "gender": (0.0, 1.0),
+    "age": (0.5, 1.0),
+    "muscle": (0.2, 0.8),
+    "weight": (0.2, 0.8),
+    "height": (0.2, 0.7),
+    "proportions": (0.2, 0.8),
+}
+DEPTH = 0.002  # [m] inside an ellipsoid that counts
+INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body
+STARTS = [parent + 1 for parent in PARENTS]
+PICTURE = (300, 220)  # (H, W) of one view
+LIGHT = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A true person and its EllipBody.
+
+    Attributes:
+        source: Clip and frame.
+        shape: True shape values, shape (1, S).
+        truth: The true body.
+        posed: Its EllipBody.
+    """
+
+    source: str
+    shape: torch.Tensor
+    truth: Detailed
+    posed: Posed
+
+
+def measure_shape(model: DetailedModel, shape: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """EllipBody's lengths (12,) and thicknesses (15,) of a person [m], in EllipBody's rest pose."""
+    identity = torch.eye(3)
+    rest = pose(
+        identity[None],
+        torch.zeros(1, 3),
+        identity.repeat(1, NUM_PARTS, 1, 1),
+        *(torch.tensor(v, dtype=torch.float32)[None] for v in (template().mean_lengths, template().mean_thicknesses)),
+    )
+    standing = model.pose(shape, *pose_from_ellipbody(model, rest, shape))
+    joints = model.landmarks(standing, JOINT_NAMES)[0].double().numpy()
+    bones = np.linalg.norm(joints[1:] - joints[STARTS], axis=1)
+    lengths = np.array([bones[[row[0] == i for row in SHAPE_INDICES]].mean() for i in range(len(LENGTH_NAMES))])
+    vertices = standing.vertices[0].double().numpy()
+    person = Person(vertices, model.faces.numpy(), model.face_parts.numpy().astype(int) - 1, {}, {})
+    return lengths, fit_thicknesses(Silhouettes(person, joints[STARTS], joints[1:]))
+
+
+def make_subject(model: DetailedModel, source: str, clip: Clip, rng: np.random.Generator) -> Subject:
+    """A person of random shape in a pose, and the EllipBody whose bones lie between its joints."""
+    phenotypes = [[rng.uniform(*span) for span in PHENOTYPES.values()]]
+    shape = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
+    lengths, thicknesses = (torch.from_numpy(v).float()[None] for v in measure_shape(model, shape))
+    rotations, orient = (torch.from_numpy(v).float() for v in (clip.rotations, clip.global_orient))
+    posed = pose(orient, torch.zeros(1, 3), rotations, lengths, thicknesses)
+    truth = model.pose(shape, *pose_from_ellipbody(model, posed, shape))
+    # People's bones lie a little askew of the template's: the bones turn until they end at the person's joints.
+    joints = model.landmarks(truth, JOINT_NAMES)
+    turned = posed.rotations.clone()
+    for k in range(NUM_PARTS):
+        aim = torch.nn.functional.normalize(joints[:, k + 1] - joints[:, STARTS[k]], dim=-1)
+        now = turned[:, k] @ torch.from_numpy(template().rest_directions[k]).float()
+        turned[:, k] = rotation_between(now, aim) @ turned[:, k]
+    above = torch.stack([orient if parent < 0 else turned[:, parent] for parent in PARENTS], dim=1)
+    posed = pose(orient, joints[:, 0], above.mT @ turned, lengths, thicknesses)
+    return Subject(source, shape, truth, posed)
+
+
+def rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """The smallest rotation from one unit vector to another, shape (B, 3, 3)."""
+    cross = skew(torch.linalg.cross(source, target))
+    return torch.eye(3) + cross + cross @ cross / (1 + (source * target).sum(-1)[:, None, None])
+
+
+def inscribed(subject: Subject, skin: torch.Tensor) -> Posed:
+    """The subject's EllipBody with each ellipsoid as thin as it takes to have few skin vertices within it."""
+    posed = subject.posed
+    low, high = torch.full((NUM_PARTS,), 0.1), torch.ones(NUM_PARTS)
+    for _ in range(12):
+        middle = (low + high) / 2
+        deep = inside(subject.truth.vertices[:, skin], thinner(posed, middle))[0].float().mean(0) > INSIDE / NUM_PARTS
+        low, high = torch.where(deep, low, middle), torch.where(deep, middle, high)
+    return thinner(posed, low)
+
+
+def thinner(posed: Posed, factors: torch.Tensor) -> Posed:
+    """The same bones, the thicknesses of each part times a factor, shape (20,)."""
+    scale = torch.stack([torch.ones_like(factors), factors, factors], dim=-1)
+    return Posed(posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes * scale)
+
+
+def inside(vertices: torch.Tensor, posed: Posed) -> torch.Tensor:
+    """Which vertices are more than ``DEPTH`` within which ellipsoid, to first order, shape (B, V, 20)."""
+    local = (vertices[:, :, None] - posed.centres[:, None])[..., None, :] @ posed.axes[:, None]
+    unit = local[..., 0, :] / posed.semi_axes[:, None]
+    e = unit.norm(dim=-1)
+    return (1 - e) * e / (unit / posed.semi_axes[:, None]).norm(dim=-1).clamp(min=1e-9) > DEPTH
+
+
+def share_inside(vertices: torch.Tensor, posed: Posed) -> float:
+    """Share of vertices within any ellipsoid."""
+    return float(inside(vertices, posed).any(-1).float().mean())
+
+
+def score(
+    model: DetailedModel, skin: torch.Tensor, subject: Subject, posed: Posed, registered: Registered
+) -> dict[str, float]:
+    """Errors [mm] and share of vertices inside."""
+    joints = model.landmarks(registered.detailed, JOINT_NAMES) - model.landmarks(subject.truth, JOINT_NAMES)
+    errors = (registered.detailed.vertices - subject.truth.vertices).norm(dim=-1)
+    return {
+        "vertices_mm": 1000 * float(errors.mean()),
+        "worst_vertex_mm": 1000 * float(errors.max()),
+        "joints_mm": 1000 * float(joints.norm(dim=-1).mean()),
+        "inside": share_inside(registered.detailed.vertices[:, skin], posed),
+        "truth_inside": share_inside(subject.truth.vertices[:, skin], posed),
+    }
+
+
+def draw(mesh: PartMesh, vertices: np.ndarray, side: bool, *, coloured: bool) -> np.ndarray:
+    """A body from its front or side, shaded, shape (H, W, 3), uint8; world with y up."""
+    points = vertices - (vertices.min(0) + vertices.max(0)) / 2
+    if side:
+        points = points @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).T
+    points = points * [1.0, -1.0, -1.0]
+    points[:, 2] += 5.0
+    height, width = PICTURE
+    scale = 0.9 * min(width / np.ptp(points[:, 0]), height / np.ptp(points[:, 1]))
+    camera = WeakPerspective(torch.tensor([scale]).float(), torch.tensor([[width / 2, height / 2]]))
+    image = rasterize_parts(camera.project(torch.from_numpy(points).float()[None]), mesh, PICTURE)
+    corners = points[mesh.faces.numpy()]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+    brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT, 0, 1)
+    faces, labels = image.face_index[0].numpy(), image.labels[0].numpy()
+    colours = PART_COLOURS[labels] if coloured else np.full((*labels.shape, 3), 190.0)
+    shown = colours * brightness[faces][..., None]
+    return np.where(labels[..., None] > 0, shown, 255).astype(np.uint8)
+
+
+def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Image.Image:
+    """Truth and registration, each from the front and the side."""
+    views = [draw(mesh, body, side, coloured=body is found) for side in (False, True) for body in (truth, found)]
+    height, width = PICTURE
+    shown = Image.new("RGB", (4 * width, height + 12), "white")
+    shown.paste(Image.fromarray(np.concatenate(views, axis=1)), (0, 12))
+    ImageDraw.Draw(shown).text((2, 0), title, fill="black")
+    return shown
+
+
+def sheet(tiles: list[Image.Image], columns: int = 2) -> Image.Image:
+    width, height = tiles[0].size
+    whole = Image.new("RGB", (columns * width, -(-len(tiles) // columns) * height), "white")
+    for i, picture in enumerate(tiles):
+        whole.paste(picture, (i % columns * width, i // columns * height))
+    return whole
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("mocap", type=Path, help="folder that scripts/mocap.py reads")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--count", type=int, default=30, help="how many people")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    model = anny()
+    mesh = detailed_mesh(model)
+    skin = skin_vertices(model) > 0
+    poses = held_out_poses(arguments.mocap, arguments.count, np.random.default_rng(arguments.seed))
+    rows: dict[str, list[dict[str, float]]] = {"fitted": [], "inscribed": []}
+    tiles = []
+    for i, (source, clip) in enumerate(poses):
+        subject = make_subject(model, source, clip, np.random.default_rng([arguments.seed, i]))
+        for kind, posed in (("fitted", subject.posed), ("inscribed", inscribed(subject, skin))):
+            weights = RegistrationWeights.inscribed() if kind == "inscribed" else RegistrationWeights()
+            begun = time.perf_counter()
+            registered = register(posed, model, options=RegistrationOptions(weights=weights))
+            seconds = time.perf_counter() - begun
+            rows[kind].append({**score(model, skin, subject, posed, registered), "seconds": seconds})
+            if kind == "fitted":
+                bodies = (body.vertices[0].double().numpy() for body in (subject.truth, registered.detailed))
+                tiles.append(tile(mesh, *bodies, f"{i} {source}  {rows[kind][-1]['vertices_mm']:.1f} mm"))
+            print(i, source, kind, {name: round(value, 3) for name, value in rows[kind][-1].items()}, flush=True)
+    report = {kind: {name: np.mean([row[name] for row in given]) for name in given[0]} for kind, given in rows.items()}
+    for kind, means in report.items():
+        print(kind, {name: round(float(value), 4) for name, value in means.items()})
+    (arguments.out / "registration.json").write_text(json.dumps({"mean": report, "each": rows}, indent=1) + "\n")
+    sheet(tiles).save(arguments.out / "registration.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,354 @@
+"""Registration of detailed bodies to EllipBody, and their files."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.body.anny import anny, anny_shape
+from warp_partdr.body.detailed_pose import pose_from_ellipbody
+from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.template import (
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    THICKNESS_NAMES,
+    template,
+)
+from warp_partdr.detailed_files import bvh, glb, save_detailed
+from warp_partdr.posing import Posed, pose
+from warp_partdr.registration import (
+    MATCHED_JOINTS,
+    Registered,
+    RegistrationOptions,
+    _Cells,
+    _VertexCosts,
+    register,
+    shape_from_lengths,
+    skin_vertices,
+    surface_samples,
+    vertex_parts,
+)
+
+QUICK = RegistrationOptions(iterations=40)
+
+
+def ellipbodies(
+    device: str, count: int = 2, *, longer: dict[str, float] | None = None, thicker: dict[str, float] | None = None
+) -> Posed:
+    """Bodies in random poses near the rest pose, camera frame; one length or thickness times a factor."""
+    generator = torch.Generator().manual_seed(0)
+    turns = 0.3 * torch.randn(count, NUM_PARTS, 3, generator=generator)
+    turns[:, :2] = 0
+    lengths, thicknesses = (
+        torch.tensor(values * [factors.get(name, 1.0) for name in names], dtype=torch.float32)
+        for values, factors, names in (
+            (template().mean_lengths, longer or {}, LENGTH_NAMES),
+            (template().mean_thicknesses, thicker or {}, THICKNESS_NAMES),
+        )
+    )
+    given = (
+        torch.diag(torch.tensor([1.0, -1.0, -1.0])).repeat(count, 1, 1),
+        torch.tensor([0.1, -0.2, 3.0]).repeat(count, 1),
+        rotation_from_axis_angle(turns),
+        lengths.repeat(count, 1),
+        thicknesses.repeat(count, 1),
+    )
+    return pose(*(tensor.to(device) for tensor in given))
+
+
+@pytest.fixture(scope="module")
+def registered(device: str) -> Registered:
+    return register(ellipbodies(device), anny(torch.device(device)), options=QUICK)
+
+
+def test_the_mean_body_is_anny_s_default_adult(registered: Registered, device: str) -> None:
+    # mean_body.json was measured on it.
+    model, posed = registered.model, ellipbodies(device)
+    joints = model.landmarks(registered.detailed, MATCHED_JOINTS)
+    wanted = posed.joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
+    assert (joints - wanted).norm(dim=-1).mean() < 0.01
+    # To what the silhouettes of the two say about thicknesses.
+    adult = model.rest(anny_shape(torch.full((2, 6), 0.5, device=device))).vertices
+    found = model.rest(registered.shape).vertices
+    assert (adult - adult.mean(1, keepdim=True) - found + found.mean(1, keepdim=True)).norm(dim=-1).mean() < 0.015
+
+
+def test_the_result_poses_the_model(registered: Registered) -> None:
+    again = registered.model.pose(registered.shape, registered.rotations, registered.translation)
+    assert torch.equal(again.vertices, registered.detailed.vertices)
+    identity = registered.rotations @ registered.rotations.mT
+    assert (identity - torch.eye(3, device=identity.device)).abs().max() < 1e-5
+    assert all(term.shape == (2,) and term.isfinite().all() for term in registered.losses.values())
+
+
+def test_refinement_lowers_the_loss(registered: Registered, device: str) -> None:
+    start = register(ellipbodies(device), registered.model, options=RegistrationOptions(iterations=0))
+    before, after = (torch.stack(list(result.losses.values())).sum(0) for result in (start, registered))
+    assert (after < 0.7 * before).all()
+
+
+def test_bodies_of_a_batch_do_not_touch_each_other(registered: Registered, device: str) -> None:
+    posed = ellipbodies(device)
+    alone = register(Posed(*(tensor[1:] for tensor in vars(posed).values())), registered.model, options=QUICK)
+    assert (alone.detailed.vertices[0] - registered.detailed.vertices[1]).norm(dim=-1).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("longer", "thicker", "part", "axis"),
+    [
+        ({"upper leg": 1.15, "lower leg": 1.15}, {}, "left_lower_leg", 0),
+        ({}, {"upper arm thickness": 1.4, "forearm thickness": 1.4}, "left_upper_arm", 1),
+    ],
+)
+def test_the_mesh_follows_edits(
+    registered: Registered, longer: dict[str, float], thicker: dict[str, float], part: str, axis: int, device: str
+) -> None:
+    model = registered.model
+    edited = register(ellipbodies(device, longer=longer, thicker=thicker), model, start=registered, options=QUICK)
+    posed = ellipbodies(device)
+    k = PART_NAMES.index(part)
+    chosen = vertex_parts(model)[0] == k
+
+    def extent(result: Registered) -> torch.Tensor:
+        local = (result.detailed.vertices[:, chosen] - posed.centres[:, k, None]) @ posed.axes[:, k]
+        return local[..., axis].std(1)
+
+    assert (extent(edited) > 1.05 * extent(registered)).all()
+
+
+def test_shape_from_lengths_is_exact_for_bodies_of_the_model(device: str) -> None:
+    model = anny(torch.device(device))
+    shape = anny_shape(torch.tensor([[0.2, 0.9, 0.4, 0.6, 0.5, 0.5]], device=device))
+    rest = model.rest(shape)
+    joints = model.landmarks(rest, JOINT_NAMES)
+    posed = ellipbodies(device, 1)
+    bones = (joints[:, 1:] - joints[:, [p + 1 for p in PARENTS]]).norm(dim=-1)
+    semi_axes = posed.semi_axes.clone()
+    semi_axes[..., 0] = bones / 2
+    found = shape_from_lengths(model, replace(posed, semi_axes=semi_axes))
+    joints = model.landmarks(model.rest(found), JOINT_NAMES)
+    again = (joints[:, 1:] - joints[:, [p + 1 for p in PARENTS]]).norm(dim=-1)
+    assert (again - bones).abs().max() < 0.005
+
+
+def test_vertex_costs_against_torch(device: str) -> None:
+    posed = ellipbodies(device, 2)
+    vertices = (posed.centres[:, torch.arange(60) % 20] + 0.06 * torch.randn(2, 60, 3).to(device)).requires_grad_()
+    parts = (torch.arange(60, device=device) % 20).int()
+    areas = torch.rand(60).to(device)
+    fit, inside = _VertexCosts.apply(vertices, parts, areas, posed, 0.03)
+
+    local = (vertices[:, :, None] - posed.centres[:, None])[..., None, :] @ posed.axes[:, None]
+    unit = local[..., 0, :] / posed.semi_axes[:, None]
+    e = unit.norm(dim=-1)
+    expected_inside = (areas * (1 - e).clamp(min=0).square().sum(-1)).sum(-1)
+    own = torch.arange(60), parts.long()
+    unit, e = unit[:, own[0], own[1]], e[:, own[0], own[1]]
+    steep = (unit / posed.semi_axes[:, parts.long()] / e[..., None]).norm(dim=-1)
+    # The slope of the distance is taken as constant.
+    squares = ((e - 1) / steep.detach()).square() * (unit[..., 0].detach().abs() < 0.7)
+    expected_fit = (areas * squares / (1 + squares / 0.03**2)).sum(-1)
+    assert torch.allclose(fit, expected_fit, rtol=1e-4)
+    assert torch.allclose(inside, expected_inside, rtol=1e-4)
+    for value, expected in ((fit, expected_fit), (inside, expected_inside)):
+        factors = torch.tensor([1.0, 3.0], device=device)
+        got, wanted = (
+            torch.autograd.grad((factors * term).sum(), vertices, retain_graph=True)[0] for term in (value, expected)
+        )
+        assert torch.allclose(got, wanted, rtol=1e-3, atol=1e-4 * float(wanted.abs().max()))
+
+
+def test_closest_points_are_on_the_same_part_of_the_same_body(device: str) -> None:
+    model = anny(torch.device(device))
+    posed = ellipbodies(device, 3)
+    bodies = model.pose(posed.joints.new_zeros(3, 20), *pose_from_ellipbody(model, posed)).vertices
+    samples, weights = surface_samples(posed)
+    _, areas = vertex_parts(model)
+    cells = _Cells(model, areas > 0, 3)
+    for _ in range(2):  # the second time refits the mesh
+        corners, places, found = cells.closest(bodies, samples, weights, 0.15)
+        bodies = bodies + 0.001
+    bodies = bodies - 0.001
+    assert found[weights > 0].mean() > 0.95
+    nearest = (bodies[torch.arange(3, device=device)[:, None, None], corners] * places[..., None]).sum(-2)
+    distances = (nearest - samples).norm(dim=-1)
+    count = samples.shape[1] // NUM_PARTS
+    for body, k in ((0, 3), (1, 8), (2, 19)):
+        faces = model.faces[(model.face_parts == k + 1) & (areas[model.faces.long()] > 0).all(1)].long()
+        mesh = trimesh.Trimesh(bodies[body].cpu().numpy(), faces.cpu().numpy(), process=False)
+        chosen = slice(k * count, (k + 1) * count)
+        there = (found[body, chosen] > 0).cpu().numpy()
+        if not there.any():
+            continue
+        centroids = mesh.triangles.mean(1)
+        points = samples[body, chosen].cpu().numpy()[there]
+        # No closer than to any vertex or centroid of the part, and near.
+        bound = np.linalg.norm(points[:, None] - np.concatenate([mesh.triangles.reshape(-1, 3), centroids]), axis=-1)
+        got = distances[body, chosen].cpu().numpy()[there]
+        assert (got <= bound.min(1) + 1e-5).all()
+        assert (got >= bound.min(1) - 0.03).all()
+
+
+def test_what_is_in_the_mouth_is_no_skin(device: str) -> None:
+    skin = skin_vertices(anny(torch.device(device)))
+    assert 0.85 < skin.mean() < 0.95
+    hands = vertex_parts(anny(torch.device(device)))[0] >= 18
+    assert skin[hands].mean() == 1
+
+
+def test_no_bodies(device: str) -> None:
+    posed = Posed(*(tensor[:0] for tensor in vars(ellipbodies(device)).values()))
+    result = register(posed, anny(torch.device(device)), options=QUICK)
+    assert result.detailed.vertices.shape == (0, 13718, 3)
+
+
+def test_bad_bodies_are_refused(device: str) -> None:
+    model = anny(torch.device(device))
+    posed = ellipbodies(device)
+    broken = posed.joints.clone()
+    broken[0, 3, 1] = float("nan")
+    with pytest.raises(ValueError, match="joints: holds NaN"):
+        register(replace(posed, joints=broken), model)
+    with pytest.raises(ValueError, match=r"posed: torch\.float64 .* expected float32"):
+        register(Posed(*(tensor.double() for tensor in vars(posed).values())), model)
+
+
+def read_glb(data: bytes) -> tuple[dict, list[np.ndarray]]:
+    """The JSON and the arrays of a GLB, by glTF 2.0's description."""
+    magic, version, size = struct.unpack_from("<4sII", data)
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    document = json.loads(data[20 : 20 + length])
+    body = data[20 + length + 8 :]
+    arrays = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        dtype = {5126: np.float32, 5123: np.uint16, 5125: np.uint32}[accessor["componentType"]]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
+        values = np.frombuffer(body, dtype, accessor["count"] * width, view["byteOffset"])
+        arrays.append(values.reshape(accessor["count"], width))
+    return document, arrays
+
+
+def standing(registered: Registered, points: torch.Tensor) -> np.ndarray:
+    """Camera frame to the files': y up, the lowest vertex at 0."""
+    flip = np.array([1.0, -1.0, -1.0])
+    lowest = (registered.detailed.vertices[0].cpu().numpy() * flip)[:, 1].min()
+    return points.cpu().numpy() * flip - [0.0, lowest, 0.0]
+
+
+def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:
+    data = glb(registered)
+    document, arrays = read_glb(data)
+    # trimesh follows the nodes; the skin is applied here.
+    scene = trimesh.load(io.BytesIO(data), file_type="glb")
+    skin = document["skins"][0]
+    names = [document["nodes"][joint]["name"] for joint in skin["joints"]]
+    world = np.stack([scene.graph.get(name)[0] for name in names])
+    joints = standing(registered, registered.detailed.joints[0])
+    assert np.abs(world[:, :3, 3] - joints).max() < 1e-4
+    inverse_bind = arrays[skin["inverseBindMatrices"]].reshape(-1, 4, 4).transpose(0, 2, 1)
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    bind, bones, weights = (arrays[attributes[name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+    assert np.abs(weights.sum(1) - 1).max() < 1e-5
+    blended = np.einsum("vk,vkij->vij", weights, (world @ inverse_bind)[bones])
+    posed = (blended[:, :3] @ np.column_stack([bind, np.ones(len(bind))])[..., None])[..., 0]
+    assert np.abs(posed - standing(registered, registered.detailed.vertices[0])).max() < 1e-4
+    assert next(iter(scene.geometry.values())).faces.shape == (27420, 3)
+
+
+def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path) -> None:
+    save_detailed(registered, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh")}
+    expected = standing(registered, registered.detailed.vertices[0])
+    for kind in ("obj", "ply"):
+        mesh = trimesh.load(tmp_path / f"detailed.{kind}", process=False)
+        assert mesh.faces.shape == (27420, 3)
+        assert np.abs(mesh.triangles - expected[registered.model.faces.cpu().numpy()]).max() < 1e-4
+
+
+def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
+    words = iter(bvh(registered).split())
+    names, offsets, parents, channels, stack = [], [], [], [], []
+    for word in words:
+        if word in ("ROOT", "JOINT"):
+            parents.append(stack[-1] if stack else -1)
+            names.append(next(words))
+        elif word == "End":
+            next(words)
+            names.append("")
+            parents.append(stack[-1])
+        elif word == "{":
+            stack.append(len(names) - 1)
+        elif word == "}":
+            stack.pop()
+        elif word == "OFFSET":
+            offsets.append([float(next(words)) for _ in range(3)])
+        elif word == "CHANNELS":
+            channels.append((len(names) - 1, [next(words) for _ in range(int(next(words)))]))
+        elif word == "Time:":
+            next(words)
+            break
+    values = iter(map(float, words))
+    world: dict[int, np.ndarray] = {}
+    for joint, given in channels:
+        local = np.eye(4)
+        local[:3, 3] = offsets[joint]
+        for channel in given:
+            value = next(values)
+            if channel.endswith("position"):
+                local["XYZ".index(channel[0]), 3] += value
+            else:
+                local[:3, :3] = local[:3, :3] @ Rotation.from_euler(channel[0].lower(), value, degrees=True).as_matrix()
+        world[joint] = (world[parents[joint]] if parents[joint] >= 0 else np.eye(4)) @ local
+    assert next(values, None) is None
+    joints = standing(registered, registered.detailed.joints[0])
+    for joint, matrix in world.items():
+        expected = 100 * joints[registered.model.joint_names.index(names[joint])]
+        assert np.abs(matrix[:3, 3] - expected).max() < 0.01
+
+
+def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from typer.testing import CliRunner
+
+    from warp_partdr.body_file import BodyFile
+    from warp_partdr.cli import app
+
+    body = BodyFile(
+        global_orient=np.diag([1.0, -1.0, -1.0]),
+        translation=np.zeros(3),
+        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
+        lengths=template().mean_lengths,
+        thicknesses=template().mean_thicknesses,
+        camera_scale=np.array(100.0),
+        camera_translation=np.zeros(2),
+        image_size=np.array([400, 300]),
+    )
+    body.save(tmp_path / "body.npz")
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["register", "body.npz", "--out", "detailed", "--device", "cpu"])
+    assert done.exit_code == 0, done.output
+    names = {path.name for path in (tmp_path / "detailed").iterdir()}
+    assert names == {"registration.json", *(f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh", "npz"))}
+    with np.load(tmp_path / "detailed" / "detailed.npz", allow_pickle=False) as saved:
+        model = anny()
+        again = model.pose(*(torch.from_numpy(saved[name])[None] for name in ("shape", "rotations", "translation")))
+    mesh = trimesh.load(tmp_path / "detailed" / "detailed.ply", process=False)
+    assert abs(np.ptp(again.vertices[0, :, 1].numpy()) - mesh.extents[1]) < 1e-4
+
+    wrong = CliRunner().invoke(app, ["register", "body.npz", "--model", "nobody.npz", "--out", "detailed"])
+    assert isinstance(wrong.exception, ValueError)
+    assert "--model: nobody.npz" in str(wrong.exception)

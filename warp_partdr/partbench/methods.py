@@ -1,0 +1,48 @@
+"""What PartBench compares: what a fit sees, what it draws, and whether hidden parts pull in depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from operator import attrgetter
+
+import numpy as np
+
+from ..body.anny import anny
+from ..errors import InputError
+from ..evaluation import METHODS as SUPERVISIONS
+from ..evaluation import Method
+from ..fitting import FitOptions, FitResult
+from ..registration import RegistrationOptions, register
+from .anny_fit import fit_anny
+
+# A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
+_REGISTRATION = RegistrationOptions(iterations=40)
+_FLAT = FitOptions(depth_weight=0.0)
+
+
+def registered_vertices(result: FitResult) -> np.ndarray:
+    """Vertices of the Anny that clothes a fitted EllipBody, camera frame [m], shape (V, 3)."""
+    posed = result.posed
+    return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
+
+
+# With one label or none, no part hides another, so only parts have a z gradient.
+METHODS: dict[str, Method] = {
+    **{name: replace(method, vertices=registered_vertices) for name, method in SUPERVISIONS.items()},
+    "parts, no z gradient": Method(options=_FLAT, vertices=registered_vertices),
+    "parts, Anny's mesh": Method(fit=fit_anny, vertices=attrgetter("vertices")),
+    "parts, Anny's mesh, no z gradient": Method(options=_FLAT, fit=fit_anny, vertices=attrgetter("vertices")),
+}
+QUICK = ("keypoints only", "full silhouette", "parts", "parts, no z gradient")
+
+
+def choose_methods(names: Sequence[str]) -> dict[str, Method]:
+    """Some of ``METHODS``, in its order.
+
+    Raises:
+        InputError: If a name is not there.
+    """
+    if unknown := [name for name in names if name not in METHODS]:
+        raise InputError(f"method: {', '.join(unknown)}; expected {'; '.join(METHODS)}")
+    return {name: method for name, method in METHODS.items() if name in names}
