@@ -5,17 +5,25 @@ from typing import Any
 import warp as wp
 
 from .ellipsoids import Silhouette, middle_at, room_at
+from .surface_forces import Subject
 from .targets import excess_at
 
 wp.set_module_options({"enable_backward": False})
 
 _TINY = wp.constant(1.0e-20)
+_ROOT_STEPS = wp.constant(4)  # of false position
 
 
 @wp.func
 def root_at(s: Silhouette, x: float, y: float):
     """How much nearer the front surface is than the outline's plane; 0 outside."""
     return wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+
+
+@wp.func
+def front_at(s: Silhouette, x: float, y: float):
+    """Nearness of the front surface, where the ellipsoid covers (x, y); elsewhere of the outline's plane."""
+    return middle_at(s, x, y) + root_at(s, x, y)
 
 
 @wp.func
@@ -45,19 +53,52 @@ def lead(one: Silhouette, other: Silhouette, x: float, y: float):
 
 
 @wp.func
-def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
-    """Where the line through (x, y) along an axis leaves (side 1) or enters (side -1) the outline."""
-    across = wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
-    along = wp.where(axis == 0, s.conic[0], s.conic[2])
-    lean = s.conic[1] * across
-    root = lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
-    return wp.where(axis == 0, s.mean[0], s.mean[1]) + (side * wp.sqrt(wp.max(root, 0.0)) - lean) / along
+def find_crossing(
+    one: Silhouette,
+    other: Silhouette,
+    start: wp.vec2,
+    way: wp.vec2,
+    low: float,
+    high: float,
+    low_lead: float,
+    high_lead: float,
+):
+    """Which share of a way, between two that differ in who leads, leads to where two fronts are equally near."""
+    share = low
+    for _ in range(_ROOT_STEPS):
+        share = low + (high - low) * low_lead / (low_lead - high_lead)
+        here = lead(one, other, start[0] + share * way[0], start[1] + share * way[1])
+        if (here < 0.0) == (low_lead < 0.0):
+            low = share
+            low_lead = here
+            high_lead *= 0.5  # Illinois: or one end would stay where it is
+        else:
+            high = share
+            high_lead = here
+            low_lead *= 0.5
+    return share
 
 
 @wp.func
-def chord_shares(
-    start: wp.vec2, end: wp.vec2, inside: int, outside: int, t: int, gradient: Any, height: int, width: int
-):
+def line_root(s: Silhouette, x: float, y: float, axis: int):
+    """Positive where the line through (x, y) along an axis crosses the outline; its root says where."""
+    across = wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
+    along = wp.where(axis == 0, s.conic[0], s.conic[2])
+    lean = s.conic[1] * across
+    return lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
+
+
+@wp.func
+def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
+    """Where the line through (x, y) along an axis leaves (side 1) or enters (side -1) the outline."""
+    along = wp.where(axis == 0, s.conic[0], s.conic[2])
+    lean = s.conic[1] * wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
+    root = wp.sqrt(wp.max(line_root(s, x, y, axis), 0.0))
+    return wp.where(axis == 0, s.mean[0], s.mean[1]) + (side * root - lean) / along
+
+
+@wp.func
+def chord_shares(subject: Subject, start: wp.vec2, end: wp.vec2, inside: int, outside: int, gradient: Any):
     """What a bit of border costs, pixel by pixel: cost of area inside less that outside, shared among its two ends.
 
     Each place on the way counts for the ends as linear interpolation weighs them.
@@ -67,7 +108,7 @@ def chord_shares(
     here = float(0.0)
     last = float(1.0)
     for axis in range(2):
-        size = float(wp.where(axis == 0, width, height))
+        size = float(wp.where(axis == 0, subject.width, subject.height))
         if way[axis] != 0.0:
             one = -start[axis] / way[axis]
             other = (size - start[axis]) / way[axis]
@@ -75,12 +116,12 @@ def chord_shares(
             last = wp.min(last, wp.max(one, other))
         elif start[axis] < 0.0 or start[axis] >= size:
             last = 0.0
-    column = int(wp.clamp(start[0] + here * way[0], 0.0, float(width - 1)))
-    row = int(wp.clamp(start[1] + here * way[1], 0.0, float(height - 1)))
+    column = int(wp.clamp(start[0] + here * way[0], 0.0, float(subject.width - 1)))
+    row = int(wp.clamp(start[1] + here * way[1], 0.0, float(subject.height - 1)))
     right = int(wp.where(way[0] > 0.0, 1, 0))
     down = int(wp.where(way[1] > 0.0, 1, 0))
     shares = wp.vec2()
-    while here < last and column >= 0 and row >= 0 and column < width and row < height:
+    while here < last and column >= 0 and row >= 0 and column < subject.width and row < subject.height:
         next_x = float(2.0)
         next_y = float(2.0)
         if way[0] != 0.0:
@@ -88,7 +129,7 @@ def chord_shares(
         if way[1] != 0.0:
             next_y = (float(row + down) - start[1]) / way[1]
         there = wp.clamp(wp.min(next_x, next_y), here, last)
-        excess = excess_at(gradient, t, inside, outside, row * width + column)
+        excess = excess_at(gradient, subject.target, inside, outside, row * subject.width + column)
         middle = 0.5 * (here + there)
         shares += excess * (there - here) * wp.vec2(1.0 - middle, middle)
         if next_x < next_y:

@@ -21,8 +21,8 @@ from .surface_forces import (
     Scene,
     SurfaceForces,
     Worker,
+    find_subject,
     launch_on_ellipsoids,
-    load_ellipsoid,
     make_scene,
     rests,
     store_forces,
@@ -39,58 +39,23 @@ def push_coverage(
 ):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    # Views of one body: an index of one dimension costs a fraction of one of three.
-    silhouettes = scene.silhouettes[w.b]
-    s = silhouettes[w.k]
-    height = scene.parts.shape[1]
-    width = scene.parts.shape[2]
     if rests(scene.active, w.b):
         return sums
+    s = scene.silhouettes[w.b, w.k]
+    height = scene.parts.shape[1]
+    width = scene.parts.shape[2]
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
-        t = target_of(gradient, w.b)
-        neighbours = scene.neighbours[w.b, w.k]
+        subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
         # Half of the shares are outlines and half creases; an only share is both.
         shares = forces.values.shape[2]
         outlines = wp.max(shares // 2, 1)
         creases = wp.max(shares - outlines, 1)
         if w.share < outlines:
-            sums = walk_outline(
-                load_ellipsoid(scene, w.b, w.k),
-                s,
-                silhouettes,
-                neighbours,
-                t,
-                w.share,
-                outlines,
-                w.lane,
-                lanes,
-                steps_per_pixel,
-                halvings,
-                scene.perspective,
-                gradient,
-                height,
-                width,
-            )
+            sums = walk_outline(scene, subject, w.share, outlines, w.lane, lanes, steps_per_pixel, halvings, gradient)
         if w.share >= shares - creases:
-            sums = walk_creases(
-                sums,
-                scene,
-                w.b,
-                w.k,
-                silhouettes,
-                neighbours,
-                scene.creases[w.b, w.k],
-                height,
-                width,
-                t,
-                w.share - (shares - creases),
-                creases,
-                w.lane,
-                lanes,
-                int(wp.ceil(steps_per_pixel)),
-                halvings,
-                gradient,
-            )
+            share = w.share - (shares - creases)
+            cells = int(wp.ceil(steps_per_pixel))
+            sums = walk_creases(sums, scene, subject, share, creases, w.lane, lanes, cells, halvings, gradient)
     return sums
 
 

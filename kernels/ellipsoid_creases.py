@@ -8,15 +8,13 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_borders import chord_shares, lead, room_slope, root_at, slope_at
-from .ellipsoid_edges import nth_bit
-from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
-from .lanes import ballot, tell
-from .surface_forces import Ellipsoid, Scene, SurfaceForces, add_nearness_force, load_ellipsoid
+from .ellipsoid_borders import chord_shares, find_crossing, front_at, lead, room_slope, root_at, slope_at
+from .ellipsoids import Silhouette, middle_at, room_at
+from .lanes import ballot, lowest_bit, nth_bit, tell
+from .surface_forces import Ellipsoid, Scene, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
 
 wp.set_module_options({"enable_backward": False})
 
-_ROOT_STEPS = wp.constant(4)  # of false position on a cell's side
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
 _NOWHERE = wp.constant(1.0e30)  # the lead where one of the two is not there
 _RIM = wp.constant(1.0e-3)  # the smallest root, as a share of the largest, that a slope is taken at
@@ -37,20 +35,18 @@ def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
 
 
 @wp.func
-def is_hidden(
-    s: Silhouette, silhouettes: wp.array[Silhouette], neighbours: wp.array[wp.uint32], j: int, place: wp.vec2
-):
-    """Whether a neighbour other than ellipsoid j is nearer than an ellipsoid's front."""
+def is_hidden(subject: Subject, s: Silhouette, j: int, place: wp.vec2):
+    """Whether a neighbour other than ellipsoid j is nearer than the subject's front."""
     x = place[0]
     y = place[1]
-    nearness = middle_at(s, x, y) + root_at(s, x, y)
-    for word in range(neighbours.shape[0]):
-        bits = neighbours[word]
+    nearness = front_at(s, x, y)
+    for word in range(subject.neighbours.shape[0]):
+        bits = subject.neighbours[word]
         while bits != wp.uint32(0):
             i = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
             if i != j:
-                other = silhouettes[i]
+                other = subject.silhouettes[i]
                 room = room_at(other, x, y)
                 if room > 0.0 and middle_at(other, x, y) + wp.sqrt(room) > nearness:
                     return True
@@ -93,26 +89,20 @@ def push_crease(
 def push_chord(
     sums: SurfaceForces,
     scene: Scene,
-    b: int,
-    k: int,
-    silhouettes: wp.array[Silhouette],
-    neighbours: wp.array[wp.uint32],
+    subject: Subject,
     j: int,
     first: wp.vec2,
     second: wp.vec2,
     halvings: int,
-    t: int,
     gradient: Any,
-    height: int,
-    width: int,
 ):
     """Forces of the bit of crease with ellipsoid j between two places, as far as nothing hides it."""
-    s = silhouettes[k]
-    other = silhouettes[j]
+    s = subject.silhouettes[subject.k]
+    other = subject.silhouettes[j]
     start = first
     end = second
-    start_hidden = is_hidden(s, silhouettes, neighbours, j, start)
-    end_hidden = is_hidden(s, silhouettes, neighbours, j, end)
+    start_hidden = is_hidden(subject, s, j, start)
+    end_hidden = is_hidden(subject, s, j, end)
     if start_hidden and end_hidden:
         return sums
     if start_hidden != end_hidden:
@@ -120,7 +110,7 @@ def push_chord(
         high = end
         for _ in range(halvings):
             middle = 0.5 * (low + high)
-            if is_hidden(s, silhouettes, neighbours, j, middle) == start_hidden:
+            if is_hidden(subject, s, j, middle) == start_hidden:
                 low = middle
             else:
                 high = middle
@@ -128,10 +118,10 @@ def push_chord(
             start = 0.5 * (low + high)
         else:
             end = 0.5 * (low + high)
-    shares = chord_shares(start, end, s.label, other.label, t, gradient, height, width)
+    shares = chord_shares(subject, start, end, s.label, other.label, gradient)
     if shares[0] != 0.0 or shares[1] != 0.0:
         # Loaded where it is used: creases are few, and it would take registers all the way.
-        e = load_ellipsoid(scene, b, k)
+        e = load_ellipsoid(scene, subject)
         shares *= wp.length(end - start)
         side = int(0)
         while side < 2:  # a loop over a constant range would be unrolled, which takes registers
@@ -162,7 +152,9 @@ def lead_in_spans(
 
 
 @wp.func
-def crossing(s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, start_lead: float, end_lead: float):
+def crossing_between(
+    s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, start_lead: float, end_lead: float
+):
     """Which share of the way between two places leads to where two fronts cross; -1 if they do not, or twice."""
     way = end - start
     low = float(0.0)
@@ -180,19 +172,7 @@ def crossing(s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, sta
         high_lead = lead_in_spans(s, other, start, way, mine, others, high)
     if (low_lead < 0.0) == (high_lead < 0.0):
         return -1.0
-    share = low
-    for _ in range(_ROOT_STEPS):
-        share = low + (high - low) * low_lead / (low_lead - high_lead)
-        here = lead(s, other, start[0] + share * way[0], start[1] + share * way[1])
-        if (here < 0.0) == (low_lead < 0.0):
-            low = share
-            low_lead = here
-            high_lead *= 0.5  # Illinois: or one end would stay where it is
-        else:
-            high = share
-            high_lead = here
-            low_lead *= 0.5
-    return share
+    return find_crossing(s, other, start, way, low, high, low_lead, high_lead)
 
 
 @wp.func
@@ -218,13 +198,15 @@ def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
 
 
 @wp.func
-def crease_end_in(silhouettes: wp.array[Silhouette], k: int, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
+def crease_end_in(subject: Subject, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
     """Where a crease that enters a cell at a place ends in it, at an outline; the place itself if nowhere near."""
     found = place
     nearest = wp.length(high - low)
     which = int(0)
     while which < 2:
-        end = crease_end(silhouettes[wp.where(which == 0, k, j)], silhouettes[wp.where(which == 0, j, k)], place)
+        one = subject.silhouettes[wp.where(which == 0, subject.k, j)]
+        other = subject.silhouettes[wp.where(which == 0, j, subject.k)]
+        end = crease_end(one, other, place)
         there = wp.vec2(end[0], end[1])
         far = wp.length(there - place)
         if end[2] >= 0.0 and far < nearest:
@@ -238,22 +220,16 @@ def crease_end_in(silhouettes: wp.array[Silhouette], k: int, j: int, place: wp.v
 def walk_cell(
     sums: SurfaceForces,
     scene: Scene,
-    b: int,
-    k: int,
-    silhouettes: wp.array[Silhouette],
-    neighbours: wp.array[wp.uint32],
+    subject: Subject,
     j: int,
     low: wp.vec2,
     high: wp.vec2,
     halvings: int,
-    t: int,
     gradient: Any,
-    height: int,
-    width: int,
 ):
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
-    s = silhouettes[k]
-    other = silhouettes[j]
+    s = subject.silhouettes[subject.k]
+    other = subject.silhouettes[j]
     # The last four places where fronts cross, all around the cell.
     first = wp.vec2()
     second = wp.vec2()
@@ -268,7 +244,7 @@ def walk_cell(
         start_lead = end_lead
         end = wp.vec2(wp.where(side < 2, high[0], low[0]), wp.where(side == 1 or side == 2, high[1], low[1]))
         end_lead = lead_if_there(s, other, end)
-        share = crossing(s, other, start, end, start_lead, end_lead)
+        share = crossing_between(s, other, start, end, start_lead, end_lead)
         if share >= 0.0:
             first = second
             second = third
@@ -280,12 +256,10 @@ def walk_cell(
         first = second
         second = third
         third = fourth
-        fourth = crease_end_in(silhouettes, k, j, third, low, high)
+        fourth = crease_end_in(subject, j, third, low, high)
         count += 1
     while count > 0:
-        sums = push_chord(
-            sums, scene, b, k, silhouettes, neighbours, j, third, fourth, halvings, t, gradient, height, width
-        )
+        sums = push_chord(sums, scene, subject, j, third, fourth, halvings, gradient)
         third = first
         fourth = second
         count -= 2
@@ -303,7 +277,7 @@ def room_range(s: Silhouette, x: float, y: float, half: float):
 
 
 @wp.func
-def may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
+def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
     """Whether two fronts can be equally near somewhere in a cell: bounds of each are."""
     x = middle[0]
     y = middle[1]
@@ -324,14 +298,7 @@ def may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
 def walk_creases(
     sums: SurfaceForces,
     scene: Scene,
-    b: int,
-    k: int,
-    silhouettes: wp.array[Silhouette],
-    neighbours: wp.array[wp.uint32],
-    creases: wp.array[wp.uint32],
-    height: int,
-    width: int,
-    t: int,
+    subject: Subject,
     share: int,
     shares: int,
     lane: int,
@@ -342,7 +309,8 @@ def walk_creases(
 ):
     """One of ``shares`` shares in the forces of an ellipsoid's creases, with ``cells``² cells a pixel."""
     size = 1.0 / float(cells)
-    s = silhouettes[k]
+    s = subject.silhouettes[subject.k]
+    creases = scene.creases[subject.b, subject.k]
     for word in range(creases.shape[0]):
         bits = creases[word]
         # Cells between pixel centres are looked at ``lanes`` at a time, and such groups are counted as one line over
@@ -365,14 +333,14 @@ def walk_creases(
             while group >= end and bits != wp.uint32(0):
                 j = 32 * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
-                box_low = wp.max(s.low, silhouettes[j].low)
-                box_high = wp.min(s.high, silhouettes[j].high)
+                box_low = wp.max(s.low, subject.silhouettes[j].low)
+                box_high = wp.min(s.high, subject.silhouettes[j].high)
                 # Cells that hold a place where both are, clamped in float against overflow. The first begins half a
                 # pixel before the picture.
-                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(width))))
-                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(width - 1))))
-                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(height))))
-                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(height - 1))))
+                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(subject.width))))
+                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(subject.width - 1))))
+                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(subject.height))))
+                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(subject.height - 1))))
                 columns = right - left + 1
                 box = wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
                 begin = end
@@ -383,7 +351,7 @@ def walk_creases(
             column = left + n - (row - top) * columns
             found = bool(False)
             if looking and n < box:
-                found = may_meet(s, silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
+                found = fronts_may_meet(s, subject.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
             group += shares
             # To the threads behind those that have one already; what is left over waits.
             finders = ballot(found)
@@ -402,23 +370,10 @@ def walk_creases(
                     for i in range(cells * cells):
                         low = corner + size * wp.vec2(float(i % cells), float(i // cells))
                         high = low + wp.vec2(size, size)
-                        if cells == 1 or may_meet(s, silhouettes[its_other], 0.5 * (low + high), 0.5 * size):
-                            sums = walk_cell(
-                                sums,
-                                scene,
-                                b,
-                                k,
-                                silhouettes,
-                                neighbours,
-                                its_other,
-                                low,
-                                high,
-                                halvings,
-                                t,
-                                gradient,
-                                height,
-                                width,
-                            )
+                        if cells == 1 or fronts_may_meet(
+                            s, subject.silhouettes[its_other], 0.5 * (low + high), 0.5 * size
+                        ):
+                            sums = walk_cell(sums, scene, subject, its_other, low, high, halvings, gradient)
                 total -= lanes
                 if total > 0:
                     finder = nth_bit(finders, wp.bit_count(finders) - total + lane)

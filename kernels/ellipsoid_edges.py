@@ -12,76 +12,69 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_borders import lead, nearness_slope, outline_end
-from .ellipsoids import Seen, Silhouette, middle_at, room_at
-from .lanes import count_up, tell
+from .ellipsoid_borders import find_crossing, front_at, lead, nearness_slope, outline_end
+from .ellipsoids import Seen, Silhouette, middle_at
+from .lanes import count_up, nth_bit, tell
 from .surface_forces import (
     BLOCK,
     Forces,
     Scene,
+    Subject,
     SurfaceForces,
     Worker,
+    find_subject,
     launch_on_ellipsoids,
     load_ellipsoid,
     make_scene,
+    pixel_box,
     rests,
     store_forces,
     worker_of,
 )
-from .targets import DenseGradient, LabelTarget, are_words, excess_at, flat, target_of, words_of
+from .targets import (
+    EACH_BYTE,
+    HIGH_BITS,
+    DenseGradient,
+    LabelTarget,
+    are_words,
+    excess_at,
+    target_of,
+    unequal_bytes,
+    words_of,
+)
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _QUAD = wp.constant(4)  # pixels a word
-_ROOT_STEPS = wp.constant(4)  # of false position
-_EACH_BYTE = wp.constant(wp.uint32(0x01010101))
-_LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
-_TOP_BITS = wp.constant(wp.uint32(0x80808080))
 _LAST_BIT = wp.constant(wp.uint32(0x80000000))
 
 
 @wp.func
-def find_equal(
-    parts: wp.array[wp.uint8],
-    words: wp.array[wp.uint32],
-    in_words: bool,
-    row: int,
-    quad: int,
-    width: int,
-    value: int,
-):
-    """The top bit of each byte that is set where one of four pixels has a value; past the border as the last pixel."""
+def find_shown(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Which of four pixels show the subject, as the highest bits of four bytes; past the picture's border as at it."""
+    value = subject.k + 1
     if in_words:
-        differ = words[row * (width // _QUAD) + quad] ^ (wp.uint32(value) * _EACH_BYTE)
-        return ~(((differ & _LOW_BITS) + _LOW_BITS) | differ) & _TOP_BITS
+        return unequal_bytes(words[row * (subject.width // _QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
     equal = wp.uint32(0)
     for i in range(_QUAD):
-        if int(parts[row * width + wp.min(_QUAD * quad + i, width - 1)]) == value:
+        if int(subject.parts[row * subject.width + wp.min(_QUAD * quad + i, subject.width - 1)]) == value:
             equal |= wp.uint32(0x80) << wp.uint32(8 * i)
     return equal
 
 
 @wp.func
-def find_borders(
-    parts: wp.array[wp.uint8],
-    words: wp.array[wp.uint32],
-    in_words: bool,
-    row: int,
-    quad: int,
-    height: int,
-    width: int,
-    value: int,
-):
-    """Where one of 4 by 4 pixels and its neighbour to the right or below has a value: a bit each, see ``place_of``."""
+def find_borders(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Where of 4 by 4 pixels and their neighbour to the right or below one shows the subject: see ``place_of``."""
     borders = wp.uint32(0)
-    here = find_equal(parts, words, in_words, wp.min(row, height - 1), quad, width, value)
+    last_row = subject.height - 1
+    here = find_shown(subject, words, in_words, wp.min(row, last_row), quad)
     for i in range(_QUAD):
         # Past the picture's border as at it: a pixel does not differ from itself.
-        at = wp.min(row + i, height - 1)
-        below = find_equal(parts, words, in_words, wp.min(at + 1, height - 1), quad, width, value)
-        if row + i < height:
+        at = wp.min(row + i, last_row)
+        below = find_shown(subject, words, in_words, wp.min(at + 1, last_row), quad)
+        if row + i <= last_row:
             right = here >> wp.uint32(8)
-            if int(parts[at * width + wp.min(_QUAD * (quad + 1), width - 1)]) == value:
+            if int(subject.parts[at * subject.width + wp.min(_QUAD * (quad + 1), subject.width - 1)]) == subject.k + 1:
                 right |= _LAST_BIT
             borders |= ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
         here = below
@@ -93,22 +86,6 @@ def place_of(bit: int):
     """Row and column among 4 by 4 pixels, and whether the neighbour is to the right (0) or below (1)."""
     down = 7 - bit % 8
     return wp.vec3i(down // 2, bit // 8, down % 2)
-
-
-@wp.func
-def nth_bit(bits: wp.uint32, n: int):
-    """Index of the bit before which n others are set."""
-    index = int(0)
-    left = n
-    rest = bits
-    for i in range(5):
-        half = 16 >> i
-        count = wp.bit_count(rest & ((wp.uint32(1) << wp.uint32(half)) - wp.uint32(1)))
-        if left >= count:
-            left -= count
-            rest = rest >> wp.uint32(half)
-            index += half
-    return index
 
 
 @wp.struct
@@ -141,10 +118,9 @@ def push_crease(
     length2 = wp.dot(away, away)
     if length2 == 0.0:
         return sums
-    nearness = middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
     amount = excess * across / length2
     # A surface that moves takes its nearness along: at a fixed place that changes it by the slope times the way back.
-    return push_picture(sums, lever, x, y, nearness, -amount * slope, amount)
+    return push_picture(sums, lever, x, y, front_at(s, x, y), -amount * slope, amount)
 
 
 @wp.func
@@ -164,78 +140,64 @@ def push_picture(sums: SurfaceForces, lever: Lever, x: float, y: float, nearness
 
 
 @wp.func
+def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: float):
+    """How far along an axis, to one side, an outline's end is; not less than 0 or more than 1, the next pixel."""
+    place = outline_end(s, start[0], start[1], axis, end)
+    return wp.clamp(side * (place - wp.where(axis == 0, start[0], start[1])), 0.0, 1.0)
+
+
+@wp.func
 def push_border(
     sums: SurfaceForces,
+    subject: Subject,
     lever: Lever,
-    k: int,
     s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    parts: wp.array[wp.uint8],
-    t: int,
     row: int,
     column: int,
     axis: int,
-    height: int,
-    width: int,
     gradient: Any,
 ):
-    """Force on ellipsoid k of the border between a pixel and the next along an axis, one of which shows k."""
-    at = row * width + column
-    seen = int(parts[at])
-    other_part = int(parts[at + wp.where(axis == 0, 1, width)])
+    """Force of the border between a pixel and the next along an axis, one of which shows the subject."""
+    at = row * subject.width + column
+    seen = int(subject.parts[at])
+    other_part = int(subject.parts[at + wp.where(axis == 0, 1, subject.width)])
+    start = wp.vec2(float(column) + 0.5, float(row) + 0.5)
+    way = wp.where(axis == 0, wp.vec2(1.0, 0.0), wp.vec2(0.0, 1.0))
     side = float(1.0)
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    along_x = wp.where(axis == 0, 1.0, 0.0)
-    along_y = 1.0 - along_x
-    if seen != k + 1:
+    if seen != subject.k + 1:
         # Seen from its own pixel, which is the second.
-        side = float(-1.0)
-        x += along_x
-        y += along_y
+        side = -1.0
+        start += way
+        way = -way
         other_part = seen
     # Distances from its own pixel's centre to the other's, from 0 to 1.
-    place = wp.clamp(side * (outline_end(s, x, y, axis, side) - wp.where(axis == 0, x, y)), 0.0, 1.0)
-    along_x *= side
-    along_y *= side
+    place = distance_to_end(s, start, axis, side, side)
     behind = int(0)  # label across the border
     meet = bool(False)  # a crease
     other = Silhouette()
     if other_part > 0:
-        other = silhouettes[other_part - 1]
+        other = subject.silhouettes[other_part - 1]
         behind = other.label
         if behind == s.label:
             return sums
-        begin = wp.clamp(side * (outline_end(other, x, y, axis, -side) - wp.where(axis == 0, x, y)), 0.0, 1.0)
+        begin = distance_to_end(other, start, axis, side, -side)
         if place < begin:
             behind = 0  # background is between them
         else:
-            end_lead = lead(s, other, x + along_x * place, y + along_y * place)
+            end_lead = lead(s, other, start[0] + place * way[0], start[1] + place * way[1])
             if place == 1.0 or end_lead <= 0.0:
-                begin_lead = lead(s, other, x + along_x * begin, y + along_y * begin)
+                begin_lead = lead(s, other, start[0] + begin * way[0], start[1] + begin * way[1])
                 if begin > 0.0 and begin_lead < 0.0:
                     return sums  # the other's outline hides this one
                 meet = True
-                low = begin
-                high = place
                 if begin_lead <= 0.0:
                     place = begin
                 elif end_lead < 0.0:
-                    for _ in range(_ROOT_STEPS):
-                        place = low + (high - low) * begin_lead / (begin_lead - end_lead)
-                        here = lead(s, other, x + along_x * place, y + along_y * place)
-                        if here > 0.0:
-                            low = place
-                            begin_lead = here
-                            end_lead *= 0.5  # Illinois: or one end would stay where it is
-                        else:
-                            high = place
-                            end_lead = here
-                            begin_lead *= 0.5
-    x += along_x * place
-    y += along_y * place
-    pixel = wp.min(int(y), height - 1) * width + wp.min(int(x), width - 1)
-    excess = excess_at(gradient, t, s.label, behind, pixel)
+                    place = find_crossing(s, other, start, way, begin, place, begin_lead, end_lead)
+    x = start[0] + place * way[0]
+    y = start[1] + place * way[1]
+    pixel = wp.min(int(y), subject.height - 1) * subject.width + wp.min(int(x), subject.width - 1)
+    excess = excess_at(gradient, subject.target, s.label, behind, pixel)
     if excess == 0.0:
         return sums
     if meet:
@@ -259,26 +221,20 @@ def find_lane(found: int, number: int, lanes: int):
 def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    silhouettes = scene.silhouettes[w.b]
-    s = silhouettes[w.k]
-    height = scene.parts.shape[1]
-    width = scene.parts.shape[2]
-    # Pixels whose centres may be inside.
-    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
-    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1)))
-    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
-    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1)))
-    if left > right or top > bottom or rests(scene.active, w.b):
+    if rests(scene.active, w.b):
         return sums
-    parts = flat(scene.parts[w.b])
+    s = scene.silhouettes[w.b, w.k]
+    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+    left, right, top, bottom = pixel_box(subject, s)
+    if left > right or top > bottom:
+        return sums
     words = words_of(scene.parts[w.b])
     in_words = are_words(scene.parts)
-    t = target_of(gradient, w.b)
     lever = Lever()
     lever.centre = scene.centres[w.b, w.k]
     lever.camera = scene.camera[w.b]
     lever.perspective = scene.perspective
-    # And those before them, in squares of 4 by 4.
+    # The pixels that the ellipsoid may show at, and those before them, in squares of 4 by 4.
     first_quad = wp.max(left - 1, 0) // _QUAD
     first_row = wp.max(top - 1, 0)
     across = right // _QUAD - first_quad + 1
@@ -290,7 +246,7 @@ def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
         borders = wp.uint32(0)
         if square < squares:
             row = first_row + _QUAD * (square // across)
-            borders = find_borders(parts, words, in_words, row, first_quad + square % across, height, width, w.k + 1)
+            borders = find_borders(subject, words, in_words, row, first_quad + square % across)
         found = count_up(wp.bit_count(borders))
         total = int(tell(wp.uint32(found), lanes - 1))
         for first in range(0, total, lanes):
@@ -302,11 +258,9 @@ def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
                 place = place_of(nth_bit(theirs, first + w.lane - before))
                 row = first_row + _QUAD * (origin // across) + place[0]
                 column = _QUAD * (first_quad + origin % across) + place[1]
-                sums = push_border(
-                    sums, lever, w.k, s, silhouettes, parts, t, row, column, place[2], height, width, gradient
-                )
+                sums = push_border(sums, subject, lever, s, row, column, place[2], gradient)
     # From the way from the centre to the point of the unit sphere.
-    e = load_ellipsoid(scene, w.b, w.k)
+    e = load_ellipsoid(scene, subject)
     for i in range(3):
         arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])
         for j in range(3):

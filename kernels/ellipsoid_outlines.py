@@ -9,9 +9,9 @@ from typing import Any
 import warp as wp
 
 from .ellipsoid_borders import chord_shares
-from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
-from .lanes import ballot, tell
-from .surface_forces import Ellipsoid, SurfaceForces, add_image_force, from_unit
+from .ellipsoids import Silhouette, middle_at, room_at
+from .lanes import ballot, lowest_bit, tell
+from .surface_forces import Ellipsoid, Scene, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 
 wp.set_module_options({"enable_backward": False})
 
@@ -70,28 +70,21 @@ def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
 
 
 @wp.func
-def look_behind(
-    s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    neighbours: wp.array[wp.uint32],
-    place: wp.vec2,
-    height: int,
-    width: int,
-):
-    """The label behind a place of an outline, 0 = background; _NO_BORDER where the outline is none of labels."""
+def look_behind(subject: Subject, s: Silhouette, place: wp.vec2):
+    """The label behind a place of the outline, 0 = background; _NO_BORDER where the outline is none of labels."""
     x = place[0]
     y = place[1]
-    if x < 0.0 or y < 0.0 or x >= float(width) or y >= float(height):
+    if x < 0.0 or y < 0.0 or x >= float(subject.width) or y >= float(subject.height):
         return _NO_BORDER
     nearness = middle_at(s, x, y)
     behind = float(-wp.inf)
     label = int(0)
-    for word in range(neighbours.shape[0]):
-        bits = neighbours[word]
+    for word in range(subject.neighbours.shape[0]):
+        bits = subject.neighbours[word]
         while bits != wp.uint32(0):
             j = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
-            other = silhouettes[j]
+            other = subject.silhouettes[j]
             room = room_at(other, x, y)
             if room > 0.0:
                 there = middle_at(other, x, y) + wp.sqrt(room)
@@ -106,23 +99,21 @@ def look_behind(
 @wp.func
 def push_outline(
     sums: SurfaceForces,
+    subject: Subject,
     rim: Ellipsoid,
     s: Silhouette,
     start: wp.vec3,
     end: wp.vec3,
     behind: int,
-    t: int,
     perspective: bool,
     gradient: Any,
-    height: int,
-    width: int,
 ):
     """Force of a bit of outline: cost times the outward normal times length, which is its chord turned by a quarter."""
     if behind == _NO_BORDER:
         return sums
     here = image_of(rim, start, perspective)
     there = image_of(rim, end, perspective)
-    shares = chord_shares(here, there, s.label, behind, t, gradient, height, width)
+    shares = chord_shares(subject, here, there, s.label, behind, gradient)
     if shares[0] == 0.0 and shares[1] == 0.0:
         return sums
     normal = wp.vec2(there[1] - here[1], here[0] - there[0])
@@ -142,24 +133,21 @@ def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
 
 @wp.func
 def walk_outline(
-    e: Ellipsoid,
-    s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    neighbours: wp.array[wp.uint32],
-    t: int,
+    scene: Scene,
+    subject: Subject,
     share: int,
     shares: int,
     lane: int,
     lanes: int,
     steps_per_pixel: float,
     halvings: int,
-    perspective: bool,
     gradient: Any,
-    height: int,
-    width: int,
 ):
     """Forces of one of ``shares`` pieces of an ellipsoid's own outline; its threads walk it side by side."""
     sums = SurfaceForces()
+    s = subject.silhouettes[subject.k]
+    e = load_ellipsoid(scene, subject)
+    perspective = scene.perspective
     circle = outline_circle(e, perspective)
     rim = rim_of(e, circle)
     half = 0.5 * (s.high - s.low)
@@ -170,7 +158,7 @@ def walk_outline(
     n = share * turns * lanes
     # Of the place where a thread's step ends.
     place = turn_to(float(n) * step)
-    behind = look_behind(s, silhouettes, neighbours, image_of(rim, place, perspective), height, width)
+    behind = look_behind(subject, s, image_of(rim, place, perspective))
     # Within which step of its own a thread knows what lies behind to change, and from what to what.
     changing = int(-1)
     before_change = int(0)
@@ -181,7 +169,7 @@ def walk_outline(
         start_behind = int(behind)
         if turn < turns:
             end = turn_to(float(n + 1) * step)
-            end_behind = look_behind(s, silhouettes, neighbours, image_of(rim, end, perspective), height, width)
+            end_behind = look_behind(subject, s, image_of(rim, end, perspective))
             start = wp.vec3(
                 1.0,
                 wp.cast(tell_next(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
@@ -192,7 +180,7 @@ def walk_outline(
             behind = end_behind
             changes = start_behind != behind
             if not changes:
-                sums = push_outline(sums, rim, s, start, place, behind, t, perspective, gradient, height, width)
+                sums = push_outline(sums, subject, rim, s, start, place, behind, perspective, gradient)
         # Changes are few, and to find their places takes long: all threads do so at once, when one meets its second or
         # nothing is left to walk.
         if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
@@ -202,7 +190,7 @@ def walk_outline(
                 for _ in range(halvings):
                     angle = 0.5 * (low + high)
                     middle = image_of(rim, turn_to(angle), perspective)
-                    if look_behind(s, silhouettes, neighbours, middle, height, width) == before_change:
+                    if look_behind(subject, s, middle) == before_change:
                         low = angle
                     else:
                         high = angle
@@ -214,7 +202,7 @@ def walk_outline(
                     start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
                     end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
                     now_behind = wp.where(piece == 0, before_change, after_change)
-                    sums = push_outline(sums, rim, s, start, end, now_behind, t, perspective, gradient, height, width)
+                    sums = push_outline(sums, subject, rim, s, start, end, now_behind, perspective, gradient)
                     piece += 1
             changing = -1
         if changes:

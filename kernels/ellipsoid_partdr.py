@@ -10,36 +10,33 @@ from typing import Any
 
 import warp as wp
 
+from .ellipsoid_borders import front_at, line_root, outline_end
 from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
+from .part_gradient import MIN_DELTA_Z
 from .surface_forces import (
     BLOCK,
     Ellipsoid,
     Forces,
     Scene,
+    Subject,
     SurfaceForces,
     Worker,
     add_force,
     add_image_force,
+    find_subject,
     launch_on_ellipsoids,
     load_ellipsoid,
     make_scene,
+    pixel_box,
     rests,
     store_forces,
     to_unit,
     unproject,
     worker_of,
 )
-from .targets import DenseGradient, LabelTarget, flat, gradient_at, may_want, may_want_other, pull_range, target_of
+from .targets import DenseGradient, LabelTarget, gradient_at, may_want, may_want_other, pull_range, target_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
-
-MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
-
-
-@wp.func
-def front_at(s: Silhouette, x: float, y: float):
-    """Nearness of the front surface, where the ellipsoid covers (x, y)."""
-    return middle_at(s, x, y) + wp.sqrt(wp.max(room_at(s, x, y), 0.0))
 
 
 @wp.func
@@ -52,12 +49,8 @@ def label_at(silhouettes: wp.array[Silhouette], part: int):
 
 @wp.func
 def walk_line(
+    subject: Subject,
     s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    parts: wp.array[wp.uint8],
-    count: int,
-    width: int,
-    t: int,
     axis: int,
     line: int,
     side: int,  # -1: the outline's low end on this line, 1: its high end
@@ -68,6 +61,7 @@ def walk_line(
     gradient: Any,
 ):
     """Slope of the loss when the outline moves along one line where it crosses it."""
+    count = wp.where(axis == 0, subject.width, subject.height)
     # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
     place = wp.clamp(crossing, -1.0, float(count) + 1.0)
     inside = int(wp.floor(place - 0.5))
@@ -77,41 +71,41 @@ def walk_line(
         outside = inside - 1
     slope = float(0.0)
     # Pixels of the line follow one another in memory by ``pitch``.
-    begin = wp.where(axis == 0, line * width, line)
-    pitch = wp.where(axis == 0, 1, width)
+    begin = wp.where(axis == 0, line * subject.width, line)
+    pitch = wp.where(axis == 0, 1, subject.width)
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
-        if label_at(silhouettes, int(parts[begin + outside * pitch])) == s.label:
+        if label_at(subject.silhouettes, int(subject.parts[begin + outside * pitch])) == s.label:
             return slope
-    pulls = pull_range(gradient, t, axis, s.label, line, count)
+    pulls = pull_range(gradient, subject.target, axis, s.label, line, count)
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
     while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         if distance > max_distance:
             break
         at = begin + pixel * pitch
-        part = int(parts[at])
-        shown = label_at(silhouettes, part)
+        part = int(subject.parts[at])
+        shown = label_at(subject.silhouettes, part)
         if part > 0 and shown == s.label:
             break
-        if may_want(gradient, t, s.label, at):
+        if may_want(gradient, subject.target, s.label, at):
             switches = part == 0
             if part > 0 and over_farther:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
                 y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
-                switches = front_at(silhouettes[part - 1], x, y) < edge_nearness
+                switches = front_at(subject.silhouettes[part - 1], x, y) < edge_nearness
             if switches:
-                slope += float(side) * gradient_at(gradient, t, s.label, at, shown) / wp.max(distance, 1.0)
+                slope += float(side) * gradient_at(gradient, subject.target, s.label, at, shown) / wp.max(distance, 1.0)
         pixel += side
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
     while pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         at = begin + pixel * pitch
-        part = int(parts[at])
+        part = int(subject.parts[at])
         if part == 0 or distance > max_distance:
             break
-        if label_at(silhouettes, part) == s.label:
-            slope += float(side) * gradient_at(gradient, t, s.label, at, s.label) / wp.max(distance, 1.0)
+        if label_at(subject.silhouettes, part) == s.label:
+            slope += float(side) * gradient_at(gradient, subject.target, s.label, at, s.label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
 
@@ -119,26 +113,21 @@ def walk_line(
 @wp.func
 def walk_lines(
     sums: SurfaceForces,
+    subject: Subject,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    parts: wp.array[wp.uint8],
-    height: int,
-    width: int,
-    t: int,
-    lane: int,
-    lanes: int,
+    thread: int,
+    threads: int,
     perspective: bool,
     over_farther: bool,
     max_distance: float,
     gradient: Any,
 ):
     """x and y: rows and columns that meet the outline, two ends each."""
-    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
-    rows = wp.max(int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1))) - top + 1, 0)
-    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
-    columns = wp.max(int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1))) - left + 1, 0)
-    n = int(lane)
+    left, right, top, bottom = pixel_box(subject, s)
+    rows = wp.max(bottom - top + 1, 0)
+    columns = wp.max(right - left + 1, 0)
+    n = int(thread)
     while n < 2 * (rows + columns):
         side = 2 * (n % 2) - 1
         axis = 0
@@ -146,38 +135,19 @@ def walk_lines(
         if n >= 2 * rows:
             axis = 1
             line = left + (n - 2 * rows) // 2
-        across = float(line) + 0.5 - wp.where(axis == 0, s.mean[1], s.mean[0])
-        along = wp.where(axis == 0, s.conic[0], s.conic[2])
-        lean = s.conic[1] * across
-        root = lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
-        if root > 0.0:
-            offset = (float(side) * wp.sqrt(root) - lean) / along
-            crossing = wp.where(axis == 0, s.mean[0], s.mean[1]) + offset
-            x = wp.where(axis == 0, crossing, float(line) + 0.5)
-            y = wp.where(axis == 0, float(line) + 0.5, crossing)
+        across = float(line) + 0.5
+        if line_root(s, across, across, axis) > 0.0:
+            crossing = outline_end(s, across, across, axis, float(side))
+            x = wp.where(axis == 0, crossing, across)
+            y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            slope = walk_line(
-                s,
-                silhouettes,
-                parts,
-                wp.where(axis == 0, width, height),
-                width,
-                t,
-                axis,
-                line,
-                side,
-                crossing,
-                nearness,
-                over_farther,
-                max_distance,
-                gradient,
-            )
+            slope = walk_line(subject, s, axis, line, side, crossing, nearness, over_farther, max_distance, gradient)
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness, perspective))
                 fx = wp.where(axis == 0, slope, 0.0)
                 fy = wp.where(axis == 0, 0.0, slope)
                 sums = add_image_force(sums, e, unit, fx, fy, perspective)
-        n += lanes
+        n += threads
     return sums
 
 
@@ -215,57 +185,50 @@ def depth_between(front: float, back: float, perspective: bool):
 @wp.func
 def walk_depths(
     sums: SurfaceForces,
+    subject: Subject,
     e: Ellipsoid,
     s: Silhouette,
-    silhouettes: wp.array[Silhouette],
-    parts: wp.array[wp.uint8],
-    height: int,
-    width: int,
-    t: int,
-    k: int,
-    lane: int,
-    lanes: int,
+    thread: int,
+    threads: int,
     perspective: bool,
     depth_weight: float,
     gradient: Any,
 ):
     """z: where this ellipsoid is hidden and wanted it comes forward, where it hides a wanted one it goes back."""
-    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
-    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1)))
-    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
-    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1)))
+    silhouettes = subject.silhouettes
+    left, right, top, bottom = pixel_box(subject, s)
     columns = right - left + 1
-    n = int(lane)
+    n = int(thread)
     while n < columns * (bottom - top + 1):
         row = top + n // columns
         column = left + n % columns
-        n += lanes
-        at = row * width + column
-        part = int(parts[at])
+        n += threads
+        at = row * subject.width + column
+        part = int(subject.parts[at])
         if part == 0:
             continue
         x = float(column) + 0.5
         y = float(row) + 0.5
         shown = silhouettes[part - 1].label
-        if part == k + 1:
-            if not may_want_other(gradient, t, shown, at):
+        if part == subject.k + 1:
+            if not may_want_other(gradient, subject.target, shown, at):
                 continue
             front = front_at(s, x, y)
             for j in range(silhouettes.shape[0]):
                 other = silhouettes[j].label
-                if other != shown and may_want(gradient, t, other, at) and in_box(silhouettes[j], x, y):
-                    g = gradient_at(gradient, t, other, at, shown)
+                if other != shown and may_want(gradient, subject.target, other, at) and in_box(silhouettes[j], x, y):
+                    g = gradient_at(gradient, subject.target, other, at, shown)
                     if g != 0.0 and room_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
                         if is_nearest_of_label(silhouettes, j, back, x, y):
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
-        elif shown != s.label and may_want(gradient, t, s.label, at) and room_at(s, x, y) > 0.0:
-            g = gradient_at(gradient, t, s.label, at, shown)
+        elif shown != s.label and may_want(gradient, subject.target, s.label, at) and room_at(s, x, y) > 0.0:
+            g = gradient_at(gradient, subject.target, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
-                if is_nearest_of_label(silhouettes, k, back, x, y):
+                if is_nearest_of_label(silhouettes, subject.k, back, x, y):
                     between = depth_between(front_at(silhouettes[part - 1], x, y), back, perspective)
                     amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
                     sums = push_depth(sums, e, x, y, back, amount, perspective)
@@ -276,48 +239,17 @@ def walk_depths(
 def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float, depth_weight: float, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    # Views of one body: an index of one dimension costs a fraction of one of three.
-    silhouettes = scene.silhouettes[w.b]
-    parts = flat(scene.parts[w.b])
-    height = scene.parts.shape[1]
-    width = scene.parts.shape[2]
-    s = silhouettes[w.k]
-    if s.low[0] <= s.high[0] and not rests(scene.active, w.b):
-        e = load_ellipsoid(scene, w.b, w.k)
-        t = target_of(gradient, w.b)
+    if rests(scene.active, w.b):
+        return sums
+    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+    s = subject.silhouettes[w.k]
+    if s.low[0] <= s.high[0]:
+        e = load_ellipsoid(scene, subject)
         sums = walk_lines(
-            sums,
-            e,
-            s,
-            silhouettes,
-            parts,
-            height,
-            width,
-            t,
-            w.number,
-            w.count,
-            scene.perspective,
-            over_farther,
-            max_distance,
-            gradient,
+            sums, subject, e, s, w.number, w.count, scene.perspective, over_farther, max_distance, gradient
         )
         if depth_weight != 0.0:
-            sums = walk_depths(
-                sums,
-                e,
-                s,
-                silhouettes,
-                parts,
-                height,
-                width,
-                t,
-                w.k,
-                w.number,
-                w.count,
-                scene.perspective,
-                depth_weight,
-                gradient,
-            )
+            sums = walk_depths(sums, subject, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
     return sums
 
 

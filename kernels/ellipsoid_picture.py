@@ -6,8 +6,8 @@ shows, and of equal ones that with the lower index.
 
 import warp as wp
 
-from .ellipsoids import Silhouette, lowest_bit, middle_at, room_at
-from .lanes import LANES, ballot, sum_lanes
+from .ellipsoids import Silhouette, middle_at, room_at
+from .lanes import LANES, ballot, lowest_bit, sum_lanes
 from .surface_forces import rests
 from .targets import LabelTarget, are_words, cost_of, flat, target_of, words_of
 
@@ -20,7 +20,7 @@ _STRIP_WIDTH = wp.constant(16)
 _STRIP_ROWS = wp.constant(8)
 _QUADS = wp.constant(4)  # a row of a strip
 _BLOCK = 128
-_MAX_STRIPS = 8  # of 255 ellipsoids fit into 64 bits
+_MAX_STRIPS = 8  # a bit for each and each of the 8 ellipsoids of a thread: 64
 _WARPS_TO_FILL = 4096  # of 132 multiprocessors
 _SLACK = wp.constant(1.0e-5)  # relative; of bounds in float32
 

@@ -33,7 +33,7 @@ class Silhouette:
     nearness: float
     farthest: float  # nearness of the farthest and of the closest point of the front surface
     closest: float
-    label: int  # what it shows, 1 to 254; 255 hides what is behind and means nothing
+    label: int  # what it shows, 1 to 254; 255 hides what is behind and means nothing; 0: not drawn
 
 
 @wp.func
@@ -70,7 +70,7 @@ def half_axes_row(axes: wp.mat33, semi_axes: wp.vec3, row: int):
 def see_ellipsoid(
     centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3, camera: wp.vec4, label: int, near: float, perspective: bool
 ):
-    """The silhouette of one ellipsoid; not drawn where it reaches the near plane, or where it has no area.
+    """The silhouette of one ellipsoid; not drawn with label 0, where it reaches the near plane, or without an area.
 
     In double, for a thin or far ellipsoid is a small difference of large numbers; and in forms that cancel little:
     determinants as cross products of the rows of A diag(a).
@@ -91,7 +91,7 @@ def see_ellipsoid(
     one = wp.float64(1.0)
     volume = wp.float64(semi_axes[0]) * wp.float64(semi_axes[1]) * wp.float64(semi_axes[2])
     volume = volume * volume  # the determinant of A diag(a^2) A^T
-    if not (volume > wp.float64(0.0) and cz - wp.length(rz) > wp.float64(near)):
+    if label == 0 or not (volume > wp.float64(0.0) and cz - wp.length(rz) > wp.float64(near)):
         return s
 
     # Normalised image plane: mean (mx, my), covariance of the outline (vxx, vxy, vyy) and its determinant.
@@ -201,12 +201,6 @@ def find_neighbours(
                         crease_bits |= one
         neighbours[b, k, word] = near_bits
         creases[b, k, word] = crease_bits
-
-
-@wp.func
-def lowest_bit(bits: wp.uint32):
-    """Index of the lowest bit that is set."""
-    return wp.bit_count((bits & (~bits + wp.uint32(1))) - wp.uint32(1))
 
 
 @dataclass(frozen=True)

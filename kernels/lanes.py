@@ -1,9 +1,11 @@
-"""What the 32 threads of a CUDA warp tell one another; a thread of the CPU device is alone.
+"""What the 32 threads of a CUDA warp tell one another, all of which have to take part, and how 32 bits are read.
 
-All 32 have to take part.
+A thread of the CPU device is alone.
 """
 
 import warp as wp
+
+wp.set_module_options({"enable_backward": False})
 
 LANES = wp.constant(32)
 
@@ -57,3 +59,25 @@ def count_up(value: int) -> int:  # type: ignore[empty-body]
 def tell(value: wp.uint32, lane: int) -> wp.uint32:
     """Another thread's value."""
     ...
+
+
+@wp.func
+def lowest_bit(bits: wp.uint32):
+    """Index of the lowest bit that is set."""
+    return wp.bit_count((bits & (~bits + wp.uint32(1))) - wp.uint32(1))
+
+
+@wp.func
+def nth_bit(bits: wp.uint32, n: int):
+    """Index of the bit before which n others are set."""
+    index = int(0)
+    left = n
+    rest = bits
+    for i in range(5):
+        half = 16 >> i
+        count = wp.bit_count(rest & ((wp.uint32(1) << wp.uint32(half)) - wp.uint32(1)))
+        if left >= count:
+            left -= count
+            rest = rest >> wp.uint32(half)
+            index += half
+    return index

@@ -1,6 +1,6 @@
 """PartDR's backward pass: approximate derivatives of part maps with respect to projected vertices.
 
-The definition is DESIGN.md's section 3 and paper eq. 10 to 12; ``tests/reference.py`` states it as slow float64 NumPy.
+The definition is docs/renderer.md, after the paper's eq. 10 to 12; ``tests/reference.py`` is the same in slow float64.
 The result is linear in the loss gradient g of the part maps. g comes in two forms: dense maps (B, K, H, W), or a target
 label image, from which L_seg's gradient at a pixel follows from two labels (``LabelTarget``).
 """
@@ -10,8 +10,8 @@ from typing import Any, Self
 
 import warp as wp
 
-from .rasterize import EMPTY_KEY, HIDDEN, IGNORE, MISSING, SURPLUS, launch_bodies, row_lane_bits
-from .targets import flat
+from .rasterize import EMPTY_KEY, HIDDEN, MISSING, SURPLUS, launch_bodies, row_lane_bits
+from .targets import IGNORE, flat
 from .triangles import (
     Triangle,
     covers,
@@ -217,6 +217,12 @@ def last_before(found: wp.array[wp.vec2i], count: int, line: int):
 
 
 @wp.func
+def add_pull(pulls: wp.vec2, value: float, distance: float):
+    """Add a pixel's gradient over its distance; that of one less than a pixel away is noted, too."""
+    return wp.vec2(wp.where(distance < 1.0, value, pulls[0]), pulls[1] + value / wp.max(distance, 1.0))
+
+
+@wp.func
 def reach_out(
     picture: wp.array[wp.uint8],
     depth: wp.array[float],
@@ -230,9 +236,8 @@ def reach_out(
     left: int,  # how many there are
     distance: float,  # of the first [px]
 ):
-    """What pulls an edge out: the gradient of a pixel less than one away, and of all others, each over its distance."""
-    near_value = float(0.0)
-    far_value = float(0.0)
+    """What pulls an edge out: the gradient of a pixel less than one away, and of all, each over its distance."""
+    pulls = wp.vec2()
     while left > 0:
         # both loads before anything hangs on them, so that they wait together
         shown = int(picture[at])
@@ -245,12 +250,11 @@ def reach_out(
             if over_farther and not switches:
                 switches = depth[at] > edge_depth
             if switches:
-                near_value = wp.where(distance < 1.0, value, near_value)
-                far_value += value / wp.max(distance, 1.0)
+                pulls = add_pull(pulls, value, distance)
         at += step
         distance += 1.0
         left -= 1
-    return wp.vec2(near_value, far_value - near_value)
+    return pulls
 
 
 @wp.func
@@ -267,8 +271,7 @@ def draw_in(
     distance: float,
 ):
     """What pushes an edge in, likewise."""
-    near_value = float(0.0)
-    far_value = float(0.0)
+    pulls = wp.vec2()
     while left > 0:
         shown = int(picture[at])
         value = gradient_at(asked, at, label, True)
@@ -277,13 +280,11 @@ def draw_in(
         if all_edges:
             if face_index[at] != face:
                 break
-        value = wp.where(shown == label, value, 0.0)
-        near_value = wp.where(distance < 1.0, value, near_value)
-        far_value += value / wp.max(distance, 1.0)
+        pulls = add_pull(pulls, wp.where(shown == label, value, 0.0), distance)
         at += step
         distance += 1.0
         left -= 1
-    return wp.vec2(near_value, far_value - near_value)
+    return pulls
 
 
 @wp.kernel(launch_bounds=_PUSH_EDGES_BOUNDS)
@@ -390,9 +391,9 @@ def push_edges(
             if not going:
                 left = 0
             at = start + pixel * pitch
-            sums = wp.vec2()
+            pulls = wp.vec2()
             if outward:
-                sums = reach_out(
+                pulls = reach_out(
                     picture,
                     flat(depth[b]),
                     asked,
@@ -406,12 +407,13 @@ def push_edges(
                     distance,
                 )
             else:
-                sums = draw_in(
+                pulls = draw_in(
                     picture, flat(face_index[b]), asked, label, all_edges, face, at, step * pitch, left, distance
                 )
             # 1 / (x1 - x0) of eq. 10: a vertex moves by distance / weight, a pixel at least
-            by0 = sums[0] * wp.clamp(w0 * nearness, 0.0, 1.0) + sums[1] * w0
-            by1 = sums[0] * wp.clamp(w1 * nearness, 0.0, 1.0) + sums[1] * w1
+            far = pulls[1] - pulls[0]
+            by0 = pulls[0] * wp.clamp(w0 * nearness, 0.0, 1.0) + far * w0
+            by1 = pulls[0] * wp.clamp(w1 * nearness, 0.0, 1.0) + far * w1
             by = wp.vec2(by0, by1) * float(-inward)
             pull_x += wp.where(axis == 0, by, wp.vec2())
             pull_y += wp.where(axis == 0, wp.vec2(), by)

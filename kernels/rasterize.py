@@ -5,9 +5,8 @@ from typing import Any, Self
 
 import warp as wp
 
-from .ellipsoids import lowest_bit
-from .lanes import LANES, ballot, tell
-from .targets import are_words, flat, words_of
+from .lanes import LANES, ballot, lowest_bit, tell
+from .targets import EACH_BYTE, are_words, flat, unequal_bytes, words_of
 from .triangles import (
     BACKGROUND,
     covers,
@@ -26,7 +25,6 @@ from .triangles import (
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
-IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
 
 # Keys are read in tiles, so that those without a face cost next to nothing. On CUDA a warp has a row of tiles, a thread
 # a column of each, and it waits for a column's rows together.
@@ -36,8 +34,6 @@ TILE_COLUMNS = wp.constant(32)
 # Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread: a row of one is a word.
 BLOCK = wp.constant(4)
 _Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
-_EACH_BYTE = wp.constant(wp.uint32(0x01010101))
-_HIGH_BITS = wp.constant(wp.uint32(0x80808080))
 _IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four times IGNORE
 
 # Which wrong pixels of a label ``compare_labels`` tells apart; index 1 of its ``extents``
@@ -227,9 +223,8 @@ def compare_labels(
             wanted_label = pair >> wp.uint32(8)
             count = int(0)
             for k in range(BLOCK):
-                other = unequal_bytes(shown[k], shown_label * _EACH_BYTE) | unequal_bytes(
-                    wanted[k], wanted_label * _EACH_BYTE
-                )
+                other = unequal_bytes(shown[k], shown_label * EACH_BYTE)
+                other |= unequal_bytes(wanted[k], wanted_label * EACH_BYTE)
                 count += wp.bit_count(wrong[k] & ~other)
                 wrong[k] &= other
             loss += float(count) * (label_weights[int(shown_label)] + label_weights[int(wanted_label)])
@@ -273,13 +268,6 @@ def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool
                 if column + i < width:
                     word |= wp.uint32(flat(image)[begin + i]) << wp.uint32(8 * i)
     return word
-
-
-@wp.func
-def unequal_bytes(a: wp.uint32, b: wp.uint32):
-    """The highest bit of each byte in which two words differ."""
-    difference = a ^ b
-    return (((difference & wp.uint32(0x7F7F7F7F)) + wp.uint32(0x7F7F7F7F)) | difference) & _HIGH_BITS
 
 
 @wp.func

@@ -6,6 +6,7 @@ of different kinds go to different warps, which run at once. On the CPU device a
 
 import warp as wp
 
+from .lanes import LANES
 from .refine_costs import add_drawn, cost_rules, pull_landmark, sum_forces
 from .refine_gradient import carry, gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness
 from .refine_pose import place_part, turn_body, turn_part
@@ -22,7 +23,9 @@ _LINE = wp.constant(32)  # floats in a line of the cache
     __syncthreads();
 #endif
 """)
-def wait_for_block(): ...
+def wait_for_block():
+    """Until all threads of the block are here."""
+    ...
 
 
 @wp.func_native("""
@@ -31,13 +34,15 @@ def wait_for_block(): ...
     asm volatile("ld.global.ca.f32 %0, [%1];" : "=f"(unused) : "l"(values.data + i));
 #endif
 """)
-def fetch(values: wp.array3d[float], i: int): ...
+def fetch(values: wp.array3d[float], i: int):
+    """Bring a number, and the line of memory that it is in, into the cache."""
+    ...
 
 
 @wp.func
 def first_task(lane: int, warp: int):
     """Where a thread begins if task 0 belongs to the first thread of a warp."""
-    return (lane - 32 * warp) & (wp.block_dim() - 1)
+    return (lane - LANES * warp) & (wp.block_dim() - 1)
 
 
 @wp.func

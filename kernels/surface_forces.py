@@ -10,6 +10,7 @@ import warp as wp
 
 from .ellipsoids import Seen, Silhouette
 from .lanes import LANES, sum_lanes
+from .targets import flat
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,15 +47,55 @@ def rests(active: wp.array[int], b: int):
     return active.shape[0] > 0 and active[b] == 0
 
 
+@wp.struct
+class Subject:
+    """The ellipsoid whose forces are summed, and its body in views of their own, whose indices cost a fraction."""
+
+    b: int
+    k: int
+    target: int  # the number of what the picture is compared with
+    silhouettes: wp.array[Silhouette]  # (P,)
+    neighbours: wp.array[wp.uint32]  # (N,)
+    parts: wp.array[wp.uint8]  # (H W,)
+    height: int  # of the picture
+    width: int
+
+
 @wp.func
-def load_ellipsoid(scene: Scene, b: int, k: int):
+def find_subject(scene: Scene, b: int, k: int, target: int):
     """Ellipsoid k of body b."""
+    subject = Subject()
+    subject.b = b
+    subject.k = k
+    subject.target = target
+    subject.silhouettes = scene.silhouettes[b]
+    subject.neighbours = scene.neighbours[b, k]
+    subject.parts = flat(scene.parts[b])
+    subject.height = scene.parts.shape[1]
+    subject.width = scene.parts.shape[2]
+    return subject
+
+
+@wp.func
+def load_ellipsoid(scene: Scene, subject: Subject):
+    """The subject in space."""
     e = Ellipsoid()
-    e.centre = scene.centres[b, k]
-    e.axes = scene.axes[b, k]
-    e.semi_axes = scene.semi_axes[b, k]
-    e.camera = scene.camera[b]
+    e.centre = scene.centres[subject.b, subject.k]
+    e.axes = scene.axes[subject.b, subject.k]
+    e.semi_axes = scene.semi_axes[subject.b, subject.k]
+    e.camera = scene.camera[subject.b]
     return e
+
+
+@wp.func
+def pixel_box(subject: Subject, s: Silhouette):
+    """First and last column, first and last row of pixels whose centres the ellipsoid may cover; last < first: none."""
+    # Clamped in float against overflow.
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(subject.width)))
+    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(subject.width - 1)))
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(subject.height)))
+    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(subject.height - 1)))
+    return left, right, top, bottom
 
 
 @wp.struct

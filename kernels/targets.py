@@ -10,7 +10,10 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-IGNORE = wp.constant(wp.uint8(255))  # a target pixel that neither attracts nor repels
+IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
+EACH_BYTE = wp.constant(wp.uint32(0x01010101))  # times a label: four pixels that show it
+HIGH_BITS = wp.constant(wp.uint32(0x80808080))  # of each byte
+_LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
 
 
 @wp.func
@@ -33,6 +36,13 @@ def words_of(image: wp.array2d[wp.uint8]):
 def are_words(images: wp.array3d[wp.uint8]):
     """Whether contiguous images can be read four pixels at once."""
     return images.shape[2] % 4 == 0 and images.ptr % wp.uint64(4) == wp.uint64(0)
+
+
+@wp.func
+def unequal_bytes(a: wp.uint32, b: wp.uint32):
+    """The highest bit of each byte in which two words differ."""
+    difference = a ^ b
+    return (((difference & _LOW_BITS) + _LOW_BITS) | difference) & HIGH_BITS
 
 
 @wp.struct
@@ -66,13 +76,13 @@ def target_of(g: DenseGradient, b: int):
 @wp.func
 def gradient_at(g: LabelTarget, t: int, label: int, pixel: int, shown: int):
     """dL/dA of map ``label`` at a pixel that shows ``shown``; pixels are counted row by row."""
-    want = flat(g.target[t])[pixel]
-    if want == IGNORE or int(want) == shown:
+    want = int(flat(g.target[t])[pixel])
+    if want == IGNORE or want == shown:
         return 0.0
     value = 0.0
     if shown == label:
         value = 2.0
-    elif int(want) == label:
+    elif want == label:
         value = -2.0
     return value * g.label_weights[label]
 
@@ -100,8 +110,8 @@ def may_want(g: DenseGradient, t: int, label: int, pixel: int):
 @wp.func
 def may_want_other(g: LabelTarget, t: int, shown: int, pixel: int):
     """Whether a pixel may have a gradient of a map whose label it does not show."""
-    want = flat(g.target[t])[pixel]
-    return want != IGNORE and int(want) != shown and int(want) > 0
+    want = int(flat(g.target[t])[pixel])
+    return want != IGNORE and want != shown and want > 0
 
 
 @wp.func
@@ -113,7 +123,7 @@ def may_want_other(g: DenseGradient, t: int, shown: int, pixel: int):
 @wp.func
 def cost_of(g: LabelTarget, want: int, label: int):
     """What one pixel of area costs that shows a label and should show another, 0 = background."""
-    if want == int(IGNORE) or want == label:
+    if want == IGNORE or want == label:
         return 0.0
     return g.label_weights[label] + g.label_weights[want]
 
@@ -121,8 +131,8 @@ def cost_of(g: LabelTarget, want: int, label: int):
 @wp.func
 def excess_at(g: LabelTarget, t: int, inside: int, outside: int, pixel: int):
     """How much more a pixel of area costs that shows one label than another, pixels counted row by row."""
-    want = flat(g.target[t])[pixel]
-    return cost_of(g, int(want), inside) - cost_of(g, int(want), outside)
+    want = int(flat(g.target[t])[pixel])
+    return cost_of(g, want, inside) - cost_of(g, want, outside)
 
 
 @wp.func

@@ -247,23 +247,23 @@ def test_phenotypes_say_who_it_is():
 
 def mean_body(rotations: torch.Tensor, global_orient: torch.Tensor | None = None) -> Posed:
     """EllipBody's mean body with these local rotations."""
-    batch, constants = len(rotations), template()
-    identity = torch.eye(3).expand(batch, 3, 3)
+    batch, constants, device = len(rotations), template(), rotations.device
+    identity = torch.eye(3, device=device).expand(batch, 3, 3)
     sizes = (
-        torch.from_numpy(values).float().expand(batch, -1).contiguous()
+        torch.from_numpy(values).float().to(device).expand(batch, -1).contiguous()
         for values in (constants.mean_lengths, constants.mean_thicknesses)
     )
     orient = identity.contiguous() if global_orient is None else global_orient
-    return pose(orient, torch.zeros(batch, 3), rotations.contiguous(), *sizes)
+    return pose(orient, torch.zeros(batch, 3, device=device), rotations.contiguous(), *sizes)
 
 
 REST = torch.eye(3).expand(1, NUM_PARTS, 3, 3)
 
 
-def at_rest() -> tuple[DetailedModel, torch.Tensor, torch.Tensor, torch.Tensor]:
+def at_rest(device: str = "cpu") -> tuple[DetailedModel, torch.Tensor, torch.Tensor, torch.Tensor]:
     """The neutral adult in EllipBody's rest pose."""
-    shape = anny_shape(NEUTRAL)
-    return anny(), shape, *pose_from_ellipbody(anny(), mean_body(REST), shape)
+    model, shape = anny(device), anny_shape(NEUTRAL).to(device)
+    return model, shape, *pose_from_ellipbody(model, mean_body(REST.to(device)), shape)
 
 
 def test_landmarks_are_those_of_ellipbody():
@@ -389,18 +389,18 @@ def project(vertices: torch.Tensor, size: int) -> torch.Tensor:
 
 
 def test_parts_look_like_those_of_ellipbody(device):
-    model, shape = anny(device), anny_shape(NEUTRAL)
-    local = REST.clone()
+    model, shape = anny(device), anny_shape(NEUTRAL).to(device)
+    local = REST.to(device, copy=True)
     for name, vector in {
         "left_upper_arm": (0.0, 0, -1.0),
         "right_upper_arm": (0.0, 0, -1.0),
         "head": (0.0, 0.4, 0),
     }.items():
-        local[:, PART_NAMES.index(name)] = rotation_from_axis_angle(torch.tensor(vector))
+        local[:, PART_NAMES.index(name)] = rotation_from_axis_angle(torch.tensor(vector, device=device))
     posed = mean_body(local)
-    detailed = model.pose(shape.to(device), *(value.to(device) for value in pose_from_ellipbody(anny(), posed, shape)))
+    detailed = model.pose(shape, *pose_from_ellipbody(model, posed, shape))
     mine = rasterize_parts(project(detailed.vertices, 128), detailed_mesh(model), (128, 128)).labels.cpu()
-    other = rasterize_parts(project(posed.vertices(2), 128), ellipbody_mesh(2), (128, 128)).labels
+    other = rasterize_parts(project(posed.vertices(2), 128), ellipbody_mesh(2, device=device), (128, 128)).labels.cpu()
     both = (mine > 0) & (other > 0)
     assert both.sum() > 0.75 * ((mine > 0) | (other > 0)).sum()
     groups = torch.from_numpy(label_set("body14").part_groups)
@@ -410,10 +410,9 @@ def test_parts_look_like_those_of_ellipbody(device):
 
 def test_label_loss_moves_a_detailed_model(device):
     """PartDR + SMPL: the target is the body itself, shifted, wider and with its arms elsewhere."""
-    model = anny(device)
+    model, *start = at_rest(device)
     mesh = detailed_mesh(model)
-    shape, rotations, translation = anny_shape(NEUTRAL), *at_rest()[2:]
-    inputs = [value.to(device).clone().requires_grad_() for value in (shape, rotations, translation)]
+    inputs = [value.clone().requires_grad_() for value in start]
     with torch.no_grad():
         bigger = anny_shape(torch.tensor([[0.5, 0.5, 0.5, 0.9, 0.8, 0.5]])).to(device)
         moved = model.pose(bigger, inputs[1], inputs[2] + torch.tensor([0.05, 0.02, 0.0], device=device))

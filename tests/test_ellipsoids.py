@@ -661,7 +661,7 @@ def test_groups_are_unions(device):
     semi_axes = torch.tensor([[[0.6, 0.6, 0.6], [0.2, 0.2, 0.2]]], device=device)
     bodies = Ellipsoids(centres, torch.eye(3, device=device).expand(1, 2, 3, 3), semi_axes)
     target = torch.zeros(1, *size, dtype=torch.uint8, device=device)
-    target[:, 10:, 5:] = 1
+    target[:, 10:, 12:] = 1
     for gradient in GRADIENTS:
         centres.grad = None
         loss, _ = ellipsoid_label_loss(
@@ -820,7 +820,7 @@ BAD_CALLS = {
     "num_maps: 255": lambda e, c: draw_ellipsoids(e, c, (8, 8), num_maps=255),
     "num_maps: -1": lambda e, c: draw_ellipsoids(e, c, (8, 8), num_maps=-1),
     r"part_labels: \[1\]": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[1]),
-    r"part_labels: \[0, 1\]": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[0, 1]),
+    r"part_labels: \[-1, 1\]": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[-1, 1]),
     r"part_labels: \[1, 256\]": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[1, 256]),
     "gradient: 'exact'": lambda e, c: draw_ellipsoids(e, c, (8, 8), gradient="exact"),
     "occlusion: 'none'": lambda e, c: draw_ellipsoids(e, c, (8, 8), occlusion="none"),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
 import torch
+import warp as wp
 from test_fitting import seen_by, walker
 
 from warp_partdr.ellipsoids import draw_ellipsoids
@@ -47,3 +49,26 @@ def test_fits_and_pictures_of_two_threads_are_those_of_one():
         fits, pictures = pool.map(fit, range(4)), pool.map(draw, range(200))
         assert all(torch.equal(have, want_picture) for have in pictures)
         assert all(torch.equal(have, want_fit) for have in fits)
+
+
+def test_scratch_of_a_side_stream_is_torchs(device):
+    """Warp's own memory comes back on the default stream, for which torch's side streams don't wait."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    where, side = torch.device("cuda", torch.cuda.current_device()), torch.cuda.Stream()
+    size = 1 << 24
+    for stream, share in ((torch.cuda.default_stream(), 0), (side, size)):
+        with torch.cuda.stream(stream):
+            before = torch.cuda.memory_allocated()
+            with on_torch_stream(where) as alias, on_torch_stream(where):
+                scratch = wp.zeros(size, dtype=wp.uint8, device=alias)
+            assert torch.cuda.memory_allocated() - before == share
+            del scratch
+            assert torch.cuda.memory_allocated() == before
+    body = BodyParameters.mean(1, device=device)
+    want = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+    torch.cuda.synchronize()
+    with torch.cuda.stream(side):
+        have = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+    side.synchronize()
+    assert torch.equal(have, want)

@@ -92,8 +92,8 @@ def draw_ellipsoids(
         ellipsoids: P of them a body, at most 255; ``Posed`` or ``Ellipsoids``.
         camera: Weak perspective or perspective, one a body.
         image_size: (H, W) [px].
-        part_labels: Label that each ellipsoid shows, 1 to 254, or 255: hides what is behind and shows nothing; P of
-            them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
+        part_labels: Label that each ellipsoid shows, 1 to 254, or 255: hides what is behind and shows nothing, or 0: is
+            left out; P of them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
         num_maps: K; maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
         gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; "edges", the same
             from one crossing of a border between each two pixels that differ: fastest, and blind to what covers no
@@ -249,8 +249,8 @@ _view = lru_cache(maxsize=64)(View)
 @lru_cache(maxsize=64)
 def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
     labels = tuple(range(1, count + 1)) if given is None else tuple(int(label) for label in given)
-    if len(labels) != count or not all(1 <= label <= 255 for label in labels):
-        raise ValueError(f"part_labels: {list(labels)}; expected {count} labels from 1 to {MAX_LABEL}, or 255")
+    if len(labels) != count or not all(0 <= label <= 255 for label in labels):
+        raise ValueError(f"part_labels: {list(labels)}; expected {count} labels from 0 to 255")
     return labels
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import torch
 import warp as wp
@@ -77,9 +78,51 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
             yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
-    if wp.get_stream(warp_device).cuda_stream == torch_stream.cuda_stream:
-        with wp.ScopedDevice(warp_device):
-            yield warp_device.alias
-    else:
-        with wp.ScopedStream(wp.stream_from_torch(torch_stream), sync_enter=False):
-            yield warp_device.alias
+    side = torch_stream != torch.cuda.default_stream(device)
+    with _torch_memory(warp_device) if side else nullcontext():
+        if wp.get_stream(warp_device).cuda_stream == torch_stream.cuda_stream:
+            with wp.ScopedDevice(warp_device):
+                yield warp_device.alias
+        else:
+            with wp.ScopedStream(wp.stream_from_torch(torch_stream), sync_enter=False):
+                yield warp_device.alias
+
+
+class _TorchMemory:
+    """Warp arrays in torch's memory, which comes back to the stream that it was taken for.
+
+    Warp's own is freed on the default stream. That waits for streams of Warp's making, not for torch's side streams: an
+    array could be handed on while a kernel on one of these still writes to it.
+    """
+
+    def __init__(self, device: int) -> None:
+        self._device = device
+
+    def allocate(self, size_in_bytes: int) -> int:
+        """For the thread's current stream."""
+        stream = torch.cuda.current_stream(self._device)
+        return int(torch.cuda.caching_allocator_alloc(size_in_bytes, self._device, stream))
+
+    def deallocate(self, ptr: int, size_in_bytes: int) -> None:
+        """After what that stream has been given until now."""
+        torch.cuda.caching_allocator_delete(ptr)
+
+
+_memory_lock = threading.Lock()
+_memory_users: Counter[str] = Counter()
+
+
+@contextmanager
+def _torch_memory(device: wp.Device) -> Iterator[None]:
+    """Let Warp take memory from torch; a device has one allocator for all threads, so the last to leave resets it."""
+    with _memory_lock:
+        _memory_users[device.alias] += 1
+        if _memory_users[device.alias] == 1:
+            wp.set_device_allocator(device, _TorchMemory(device.ordinal))
+    try:
+        yield
+    finally:
+        with _memory_lock:
+            _memory_users[device.alias] -= 1
+            if _memory_users[device.alias] == 0:
+                wp.set_device_allocator(device, None)

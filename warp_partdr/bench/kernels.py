@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import torch
 
@@ -27,6 +28,7 @@ from .plan import (
     MINIMISE,
     PARTDR,
     REFINEMENT,
+    TORCH_ITSELF,
     TORCH_REFINEMENT,
     Plan,
 )
@@ -109,6 +111,9 @@ def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
             return torch.autograd.grad(loss.sum(), leaf)
 
         return exact
+    if name == TORCH_ITSELF:
+        leaf = posed.centres.detach().requires_grad_()
+        return lambda: torch.autograd.grad(_Nothing.apply(leaf).sum(), leaf)
     level = LEVELS[name]
     mesh = ellipbody_mesh(level, device=targets.device)
     vertices = camera.project(posed.vertices(level)).detach().requires_grad_()
@@ -117,6 +122,20 @@ def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
         return torch.autograd.grad(label_loss(vertices, mesh, targets, validate=False)[0].sum(), vertices)
 
     return triangles
+
+
+class _Nothing(torch.autograd.Function):
+    """A loss and a gradient of the right shapes for one launch each: autograd's own time."""
+
+    @staticmethod
+    def forward(ctx: Any, centres: torch.Tensor) -> torch.Tensor:
+        ctx.save_for_backward(centres)
+        return centres.sum((1, 2))
+
+    @staticmethod
+    def backward(ctx: Any, grad_loss: torch.Tensor) -> torch.Tensor:
+        (centres,) = ctx.saved_tensors
+        return centres * grad_loss[:, None, None]
 
 
 def _kernel_jobs(plan: Plan) -> _Jobs:

@@ -11,6 +11,7 @@ TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations 
 MINIMISE = "50 iterations, one target, with set-up"
 EXACT, COVERAGE, PARTDR, MESH = "exact, edges", "exact, coverage", "exact, PartDR", "mesh E1"
 GRADIENTS: dict[str, Gradient] = {EXACT: "edges", COVERAGE: "coverage", PARTDR: "partdr"}  # of the exact renderer
+TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
 LEVELS = {f"mesh E{level}": level for level in range(4)}  # of the mesh
 
 
@@ -65,7 +66,7 @@ def make_plan(device: str, *, quick: bool = False) -> Plan:
     more = [
         *((REFINEMENT, name, batch, size) for name in (COVERAGE, PARTDR) for batch in refined),
         *((MINIMISE, EXACT, batch, size) for batch in refined),
-        *((TORCH_GRADIENT, name, 1, size) for name in (COVERAGE, PARTDR)),
+        *((TORCH_GRADIENT, name, 1, size) for name in (TORCH_ITSELF, COVERAGE, PARTDR)),
         (TORCH_REFINEMENT, EXACT, 1, size),
         *((TORCH_GRADIENT, name, middle, size) for name in (EXACT, COVERAGE, PARTDR, MESH)),
     ]
