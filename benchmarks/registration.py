@@ -5,8 +5,9 @@
 Each person is the packaged Anny model with random phenotype values in a pose of motion capture that no prior has seen.
 Its EllipBody is measured as the mean body was (``scripts/measure_mean_body.py``): bones between the person's joints,
 and thicknesses of best silhouettes in the rest pose. Registration sees that EllipBody alone. Such ellipsoids are
-fitted, so about half of the true skin is inside them; "inscribed" bodies, as the paper has them, are the same with each
-ellipsoid as thin as it takes to have at most ``INSIDE / 20`` of the true person's skin vertices in it.
+measured, so about half of the true skin is inside them; "fitted" ones are the same with the weights for a photo's fit;
+"inscribed" ones, as the paper has them, are those with each ellipsoid as thin as it takes to have at most
+``INSIDE / 20`` of the true person's skin vertices in it.
 
 Writes ``registration.json`` and ``registration.png``: from the front and the side, truth in grey, registration in
 colours, which are those of the parts.
@@ -28,7 +29,7 @@ from PIL import Image, ImageDraw
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from anny_people import held_out_poses
+from anny_people import contact_sheet, held_out_poses
 from anny_person import Person
 from measure_mean_body import Silhouettes, fit_thicknesses
 from mocap import Clip
@@ -205,14 +206,6 @@ def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Im
     return shown
 
 
-def sheet(tiles: list[Image.Image], columns: int = 2) -> Image.Image:
-    width, height = tiles[0].size
-    whole = Image.new("RGB", (columns * width, -(-len(tiles) // columns) * height), "white")
-    for i, picture in enumerate(tiles):
-        whole.paste(picture, (i % columns * width, i // columns * height))
-    return whole
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("mocap", type=Path, help="folder that scripts/mocap.py reads")
@@ -227,17 +220,20 @@ def main() -> None:
     mesh = detailed_mesh(model)
     skin = skin_vertices(model) > 0
     poses = held_out_poses(arguments.mocap, arguments.count, np.random.default_rng(arguments.seed))
-    rows: dict[str, list[dict[str, float]]] = {"fitted": [], "inscribed": []}
+    rows: dict[str, list[dict[str, float]]] = {"measured": [], "fitted": [], "inscribed": []}
     tiles = []
     for i, (source, clip) in enumerate(poses):
         subject = make_subject(model, source, clip, np.random.default_rng([arguments.seed, i]))
-        for kind, posed in (("fitted", subject.posed), ("inscribed", inscribed(subject, skin))):
-            weights = RegistrationWeights.inscribed() if kind == "inscribed" else RegistrationWeights()
+        for kind, weights, posed in (
+            ("measured", RegistrationWeights(), subject.posed),
+            ("fitted", RegistrationWeights.fitted(), subject.posed),
+            ("inscribed", RegistrationWeights.inscribed(), inscribed(subject, skin)),
+        ):
             begun = time.perf_counter()
             registered = register(posed, model, options=RegistrationOptions(weights=weights))
             seconds = time.perf_counter() - begun
             rows[kind].append({**score(model, skin, subject, posed, registered), "seconds": seconds})
-            if kind == "fitted":
+            if kind == "measured":
                 bodies = (body.vertices[0].double().numpy() for body in (subject.truth, registered.detailed))
                 tiles.append(tile(mesh, *bodies, f"{i} {source}  {rows[kind][-1]['vertices_mm']:.1f} mm"))
             print(i, source, kind, {name: round(value, 3) for name, value in rows[kind][-1].items()}, flush=True)
@@ -245,7 +241,7 @@ def main() -> None:
     for kind, means in report.items():
         print(kind, {name: round(float(value), 4) for name, value in means.items()})
     (arguments.out / "registration.json").write_text(json.dumps({"mean": report, "each": rows}, indent=1) + "\n")
-    sheet(tiles).save(arguments.out / "registration.png")
+    contact_sheet(tiles, columns=2).save(arguments.out / "registration.png")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,9 @@ from typing import Any
 import torch
 
 from .labels import label_set
-from .template import PART_NAMES
+from .template import NUM_PARTS, PART_NAMES
+
+_SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +108,32 @@ class DetailedModel:
         }
         return replace(self, **moved)
 
-    def rest(self, shape: torch.Tensor, offsets: torch.Tensor | None = None) -> Detailed:
+    def rest(
+        self, shape: torch.Tensor, offsets: torch.Tensor | None = None, *, stretches: torch.Tensor | None = None
+    ) -> Detailed:
         """Bodies at rest, where the model has its origin.
 
         Args:
             shape: Shape values, shape (B, S).
             offsets: Added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Of the parts, about the joints that carry them, shape (B, 20, 3, 3); ``growth.py`` makes some.
+                A part moves with its parent's stretch and does not inherit it.
         """
-        self._check("shape", shape, (shape.shape[0], self.num_shapes))
+        self._check("shape", shape, (None, self.num_shapes))
         vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
         if offsets is not None:
             self._check("offsets", offsets, (shape.shape[0], self.num_vertices, 3))
             vertices = vertices + offsets
         joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
         turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
+        if stretches is not None:
+            self._check("stretches", stretches, (shape.shape[0], NUM_PARTS, 3, 3))
+            bones = joints[:, 1:] - joints[:, self._parents[1:]]
+            bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
+            stretched = self._chain(_homogeneous(turns, torch.cat([joints[:, :1], bones], dim=1)))[..., :3, 3]
+            carrying = list(self.part_joints)
+            vertices = _blend(self._stretch_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            joints = stretched
         return Detailed(vertices, joints, _homogeneous(turns, joints))
 
     def pose(
@@ -129,6 +143,7 @@ class DetailedModel:
         translation: torch.Tensor,
         *,
         offsets: torch.Tensor | None = None,
+        stretches: torch.Tensor | None = None,
     ) -> Detailed:
         """Pose bodies; differentiable in every argument.
 
@@ -138,14 +153,16 @@ class DetailedModel:
                 root's turns the whole body. Shape (B, J, 3, 3).
             translation: Position of the root joint [m], shape (B, 3).
             offsets: Added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Of the parts at rest, shape (B, 20, 3, 3), as in ``rest``.
 
         Raises:
             ValueError: If a shape, dtype or device does not fit the model.
         """
+        self._check("shape", shape, (None, self.num_shapes))
         batch = shape.shape[0]
         self._check("rotations", rotations, (batch, self.num_joints, 3, 3))
         self._check("translation", translation, (batch, 3))
-        rest = self.rest(shape, offsets)
+        rest = self.rest(shape, offsets, stretches=stretches)
         vertices = rest.vertices
         if self.pose_directions is not None:
             bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
@@ -153,11 +170,7 @@ class DetailedModel:
         bones = torch.cat([translation[:, None], rest.joints[:, 1:] - rest.joints[:, self._parents[1:]]], dim=1)
         transforms = self._chain(_homogeneous(rotations, bones))
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
-        moves = joints - (turns * rest.joints[..., None, :]).sum(-1)
-        skin = self.skin_weights @ torch.cat([turns, moves[..., None]], dim=-1).flatten(2)
-        skin = skin.unflatten(2, (3, 4))
-        vertices = (skin[..., :3] * vertices[..., None, :]).sum(-1) + skin[..., 3]
-        return Detailed(vertices, joints, transforms)
+        return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
 
     def landmarks(self, detailed: Detailed, names: Sequence[str]) -> torch.Tensor:
         """Where landmarks are, shape (B, L, 3) [m].
@@ -177,6 +190,32 @@ class DetailedModel:
     @cached_property
     def _parents(self) -> torch.Tensor:
         return torch.tensor(self.parents, device=self.faces.device)
+
+    @cached_property
+    def _joint_parts(self) -> torch.Tensor:
+        """Part 0 to 19 of each joint: the one that it carries, else its parent's, shape (J,)."""
+        parts: list[int] = []
+        for joint, parent in enumerate(self.parents):
+            inherited = 0 if parent < 0 else parts[parent]
+            parts.append(self.part_joints.index(joint) if joint in self.part_joints else inherited)
+        return torch.tensor(parts, device=self.faces.device)
+
+    @cached_property
+    def _stretch_weights(self) -> torch.Tensor:
+        """How much each vertex follows each part's stretch, shape (V, 20): skin weights, spread over the mesh.
+
+        Skin weights change within two or three rows of vertices, where a thicker part would end in a step.
+        """
+        corners = self.faces.long()
+        pairs = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()])
+        alone = torch.arange(self.num_vertices, device=corners.device).expand(2, -1)
+        pairs = torch.unique(torch.cat([pairs, pairs.flip(0), alone], dim=1), dim=1)
+        counts = torch.bincount(pairs[0], minlength=self.num_vertices).to(self.skin_weights)
+        weights = self.skin_weights @ torch.nn.functional.one_hot(self._joint_parts, NUM_PARTS).to(self.skin_weights)
+        for _ in range(_SPREADING):
+            sums = torch.zeros_like(weights).index_add_(0, pairs[0], weights[pairs[1]])
+            weights = sums / counts[:, None]
+        return weights
 
     @cached_property
     def _levels(self) -> tuple[list[tuple[torch.Tensor, torch.Tensor]], torch.Tensor]:
@@ -200,14 +239,27 @@ class DetailedModel:
             world.append(world[-1][:, above] @ local[:, joints])
         return torch.cat(world, dim=1)[:, places]
 
-    def _check(self, name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
-        if tuple(tensor.shape) != shape:
+    def _check(self, name: str, tensor: torch.Tensor, shape: tuple[int | None, ...]) -> None:
+        if not isinstance(tensor, torch.Tensor):
+            raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
+        if tensor.layout != torch.strided:
+            raise ValueError(f"{name}: {tensor.layout}; expected a dense tensor")
+        if len(tensor.shape) != len(shape) or any(w not in (None, n) for w, n in zip(shape, tensor.shape, strict=True)):
             raise ValueError(f"{name}: shape {tuple(tensor.shape)}; expected {shape} for {self.name}")
         like = self.rest_vertices
         if tensor.dtype != like.dtype or tensor.device != like.device:
             raise ValueError(
                 f"{name}: {tensor.dtype} on {tensor.device}; expected {like.dtype} on {like.device}, as the model is"
             )
+
+
+def _blend(
+    weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
+) -> torch.Tensor:
+    """Linear blend skinning: vertices (B, V, 3) follow maps (B, N, 3, 3) of ``rest`` to ``places``; weights (V, N)."""
+    moves = places - (maps * rest[..., None, :]).sum(-1)
+    skin = (weights @ torch.cat([maps, moves[..., None]], dim=-1).flatten(2)).unflatten(2, (3, 4))
+    return (skin[..., :3] * vertices[..., None, :]).sum(-1) + skin[..., 3]
 
 
 def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:

@@ -49,7 +49,7 @@ def pose_from_ellipbody(
     """
     batch = len(posed.rotations)
     rest = model.rest(posed.rotations.new_zeros(batch, model.num_shapes) if shape is None else shape)
-    parts = dict(zip(PART_NAMES, (posed.rotations @ _rest_turns(model, rest)).unbind(1), strict=True))
+    parts = dict(zip(PART_NAMES, (posed.rotations @ rest_turns(model, rest)).unbind(1), strict=True))
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
     pelvis = rotation_from_6d(rotation_to_6d(parts["left_hip"] + parts["right_hip"]))
 
@@ -83,7 +83,7 @@ def pose_from_ellipbody(
     return rotations, wanted - (pelvis @ middle[..., None])[..., 0]
 
 
-def _rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
+def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
     like = rest.joints
     identity = torch.eye(3, dtype=like.dtype, device=like.device).expand(len(like), 3, 3)

@@ -3,7 +3,8 @@
     python demos/edit_body.py [BODY.npz] --out FOLDER
 
 Without a file of ``partdr fit``, the mean body is edited. Writes ``edits.png`` (longer legs, bigger head, thicker arms,
-a wider trunk; ellipsoids above, the registered model below) and ``between.png`` (from the body to one with all edits).
+a thinner and a wider trunk; ellipsoids above, the registered model below) and ``between.png`` (from the body to one
+with longer legs, bigger head, thicker arms and wider trunk), and prints how far the mesh follows.
 """
 
 from __future__ import annotations
@@ -18,15 +19,25 @@ import warp as wp
 from PIL import Image, ImageDraw
 
 from warp_partdr.body.anny import anny
+from warp_partdr.body.growth import MEASURES, UNGROWN
 from warp_partdr.body.rotations import rotation_from_axis_angle
-from warp_partdr.body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES, template
+from warp_partdr.body.template import (
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    SHAPE_INDICES,
+    THICKNESS_NAMES,
+    template,
+)
 from warp_partdr.body_file import load_body
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.detailed import detailed_mesh
 from warp_partdr.mesh import PartMesh, ellipbody_mesh
 from warp_partdr.palette import PART_COLOURS
 from warp_partdr.posing import Posed, pose
-from warp_partdr.registration import Registered, register
+from warp_partdr.registration import Registered, register, vertex_parts
 from warp_partdr.render import rasterize_parts
 
 SIZE = (560, 400)  # (H, W) of a picture
@@ -49,10 +60,12 @@ class Edit:
 EDITS = (
     Edit("as it is"),
     Edit("longer legs", lengths={"upper leg": 1.15, "lower leg": 1.15}),
-    Edit("bigger head", lengths={"head": 1.2}, thicknesses={"head thickness": 1.2}),
-    Edit("thicker arms", thicknesses={"upper arm thickness": 1.35, "forearm thickness": 1.3}),
-    Edit("wider trunk", thicknesses={"torso depth": 1.3, "abdomen width": 1.25, "chest width": 1.15}),
+    Edit("bigger head", lengths={"head": 1.25}, thicknesses={"head thickness": 1.25}),
+    Edit("thicker arms", thicknesses={"upper arm thickness": 1.4, "forearm thickness": 1.4}),
+    Edit("thinner trunk", thicknesses={"torso depth": 0.8, "abdomen width": 0.8, "chest width": 0.8}),
+    Edit("wider trunk", thicknesses={"torso depth": 1.25, "abdomen width": 1.25, "chest width": 1.25}),
 )
+TOGETHER = ("longer legs", "bigger head", "thicker arms", "wider trunk")
 
 
 @dataclass(frozen=True)
@@ -84,6 +97,10 @@ class Body:
 
     def posed(self) -> Posed:
         return pose(*vars(self).values())
+
+    def measures(self) -> torch.Tensor:
+        """``MEASURES`` [m], shape (27,)."""
+        return torch.cat([self.lengths[0], self.thicknesses[0]])
 
 
 def mean_body() -> Body:
@@ -128,21 +145,69 @@ def draw(mesh: PartMesh, vertices: torch.Tensor, feet: float, *, coloured: bool)
     return shown.reshape(SIZE[0], SAMPLES, SIZE[1], SAMPLES, 3).mean((1, 3)).astype(np.uint8)
 
 
-def picture(bodies: list[tuple[str, Body]]) -> Image.Image:
-    """Ellipsoids above, the registered model below, one column a body; each starts from the first one's shape."""
+def register_all(bodies: list[Body]) -> list[Registered]:
+    """The first body, then the others as edits of it."""
     model = anny()
-    mesh, spheres = detailed_mesh(model), ellipbody_mesh(3)
+    first = register(bodies[0].posed(), model)
+    return [first, *(register(body.posed(), model, start=first) for body in bodies[1:])]
+
+
+def mesh_measures(registered: Registered, posed: Posed) -> torch.Tensor:
+    """``MEASURES`` of the posed mesh, up to a factor each, shape (B, 27).
+
+    Lengths are between joints; for thicknesses, the standard deviation of a part's skin along the ellipsoid's axis.
+    """
+    model = registered.model
+    parts, areas = vertex_parts(model)
+    joints = model.landmarks(registered.detailed, JOINT_NAMES)
+    sizes = torch.zeros_like(posed.semi_axes)
+    sizes[..., 0] = (joints[:, 1:] - joints[:, [parent + 1 for parent in PARENTS]]).norm(dim=-1)
+    for part in range(NUM_PARTS):
+        weights = (areas * (parts == part) / areas[parts == part].sum())[:, None]
+        across = registered.detailed.vertices @ posed.axes[:, part, :, 1:]
+        middle = (weights * across).sum(1, keepdim=True)
+        sizes[:, part, 1:] = (weights * (across - middle).square()).sum(1).sqrt()
+    indices = torch.tensor(
+        [(length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second) for length, first, second in SHAPE_INDICES]
+    )
+    sharing = torch.nn.functional.one_hot(indices.flatten(), len(MEASURES)).to(sizes)
+    return sizes.flatten(1) @ (sharing / sharing.sum(0))
+
+
+def following(bodies: list[Body], registered: list[Registered]) -> list[tuple[dict[str, float], dict[str, float]]]:
+    """How far the mesh follows each edit, for each body but the first.
+
+    Returns:
+        By name: for edited measures, the share of the relative change that the mesh has, 1 at best; for the others,
+        their relative change as a share of the largest demanded, 0 at best.
+    """
+    has = [mesh_measures(result, body.posed())[0] for result, body in zip(registered, bodies, strict=True)]
+    rows = []
+    for body, measures in zip(bodies[1:], has[1:], strict=True):
+        demanded = body.measures() / bodies[0].measures() - 1
+        changes = measures / has[0] - 1
+        edited = demanded.abs() > 1e-4
+        shares = torch.where(edited, changes / demanded, changes.abs() / demanded.abs().max()).tolist()
+        named = list(zip(MEASURES, shares, edited.tolist(), strict=True))
+        rows.append(
+            (
+                {name: share for name, share, was in named if was},
+                {name: share for name, share, was in named if not was and name not in UNGROWN},
+            )
+        )
+    return rows
+
+
+def picture(names: list[str], bodies: list[Body], registered: list[Registered]) -> Image.Image:
+    """Ellipsoids above, the registered model below, one column a body."""
+    mesh, spheres = detailed_mesh(registered[0].model), ellipbody_mesh(3)
     height, width = SIZE
     shown = Image.new("RGB", (width * len(bodies), 2 * height + 16), "white")
-    first: Registered | None = None
-    for column, (name, body) in enumerate(bodies):
-        posed = body.posed()
-        registered = register(posed, model, start=first)
-        first = first or registered
-        feet = float(registered.detailed.vertices[..., 1].max())
+    for column, (name, body, result) in enumerate(zip(names, bodies, registered, strict=True)):
+        feet = float(result.detailed.vertices[..., 1].max())
         drawn = (
-            draw(spheres, posed.vertices(3), feet, coloured=True),
-            draw(mesh, registered.detailed.vertices, feet, coloured=False),
+            draw(spheres, body.posed().vertices(3), feet, coloured=True),
+            draw(mesh, result.detailed.vertices, feet, coloured=False),
         )
         shown.paste(Image.fromarray(np.concatenate(drawn)), (column * width, 16))
         ImageDraw.Draw(shown).text((column * width + width // 2 - 30, 2), name, fill="black")
@@ -159,13 +224,21 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
 
     body = read_body(arguments.body) if arguments.body else mean_body()
-    picture([(edit.name, body.edited(edit)) for edit in EDITS]).save(arguments.out / "edits.png", optimize=True)
+    names, bodies = [edit.name for edit in EDITS], [body.edited(edit) for edit in EDITS]
+    registered = register_all(bodies)
+    picture(names, bodies, registered).save(arguments.out / "edits.png", optimize=True)
+    for name, (followed, others) in zip(names[1:], following(bodies, registered), strict=True):
+        said = ", ".join(f"{measure} {share:.0%}" for measure, share in followed.items())
+        print(f"| {name} | {said} | {max(others, key=others.__getitem__)} {max(others.values()):.0%} |")
+
     other = body
     for edit in EDITS:
-        other = other.edited(edit)
+        other = other.edited(edit) if edit.name in TOGETHER else other
     shares = np.linspace(0, 1, STEPS)
-    between = [(f"{100 * share:.0f} %", body.toward(other, float(share))) for share in shares]
-    picture(between).save(arguments.out / "between.png", optimize=True)
+    between = [body.toward(other, float(share)) for share in shares]
+    picture([f"{share:.0%}" for share in shares], between, register_all(between)).save(
+        arguments.out / "between.png", optimize=True
+    )
 
 
 if __name__ == "__main__":

@@ -7,23 +7,29 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from test_detailed import save_npz
 
-from warp_partdr import cli, fitting, output
+from warp_partdr import cli, fitting, output, progress, registration
 from warp_partdr.body.label_sets import LABEL_SETS
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import SKELETONS, convert
 from warp_partdr.body_file import load_body
+from warp_partdr.errors import InputError
 from warp_partdr.fitting import FitOptions, Stage
+from warp_partdr.registration import RegistrationOptions, RegistrationWeights
 
 EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
 QUICK = (Stage("lift", 8, 6, 0.1), Stage("labels", 2, 4, 0.02, 64))
 GOOD = "photo.png --keypoints k.json --parts p.png --labels cdcl14 --out out"
+ALONE = "--model none"  # no detailed model: that takes most of a quick fit's time
+EVERY_FILE = {*output.RESULT_FILES, *output.DETAILED_FILES}
 Run = Callable[..., tuple[int, str, str]]
 
 
@@ -44,6 +50,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
     monkeypatch.setattr(fitting, "FitOptions", partial(FitOptions, stages=QUICK))
+    monkeypatch.setattr(registration, "RegistrationOptions", partial(RegistrationOptions, iterations=2))
 
     def call(line: str, **environment: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["partdr", *line.split()])
@@ -88,7 +95,7 @@ def test_help_teaches(run: Run) -> None:
     assert (code, complaint) == (0, "")
     assert "Usage: partdr fit [OPTIONS] [PHOTO]" in said
     assert '{"format": "coco17", "keypoints": [[x, y, confidence], ...]}' in said  # not taken for markup
-    for name in (*LABEL_SETS, *SKELETONS, *output.RESULT_FILES, "--parts", "--person", "Example"):
+    for name in (*LABEL_SETS, *SKELETONS, *EVERY_FILE, "--parts", "--person", "--model", "Example"):
         assert name in said, name
     assert max(map(len, said.splitlines())) <= 100
 
@@ -253,6 +260,18 @@ BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
     "device": (GOOD + " --device tpu", lambda: None, ["--device", "tpu", "cpu"]),
     "CUDA device": (GOOD + " --device cuda:99", lambda: None, ["--device", "cuda:99", "cpu"]),
     "person": (GOOD + " --person 1", lambda: None, ["person", "1", "0 to 0"]),
+    "no model": (GOOD + " --model nobody.npz", lambda: None, ["--model: nobody.npz", "No such file"]),
+    "name of a model": (GOOD + " --model annie", lambda: None, ["--model: annie", "'anny'", ".npz"]),
+    "damaged model": (
+        GOOD + " --model smpl.npz",
+        lambda: write("smpl.npz", "no archive"),
+        ["--model: smpl.npz", "expected a file of SMPL"],
+    ),
+    "result in place of the model": (
+        GOOD.replace("--out out", "--out . --model detailed.npz"),
+        lambda: write("detailed.npz", "a model"),
+        ["--out", "detailed.npz", "another folder"],
+    ),
     "negative person": (GOOD + " --person -1", lambda: None, ["person", "-1", "0 to 0"]),
     "out is a file": (GOOD.replace("--out out", "--out k.json"), lambda: None, ["k.json", "folder"]),
     "out is in a file": (GOOD.replace("--out out", "--out k.json/out"), lambda: None, ["k.json/out", "folder"]),
@@ -290,9 +309,13 @@ BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_line_and_leaves_nothing(case: str, run: Run, files: Path) -> None:
+def test_bad_input_is_one_line_and_leaves_nothing(
+    case: str, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     line, spoil, says = BAD[case]
     spoil()
+    if "model" in case:
+        monkeypatch.setattr(fitting, "fit_body", lambda *_, **__: pytest.fail("must be found out before the fit"))
     before = tree(files)
     code, said, complaint = run(f"fit {line}")
     assert (code, said) == (2, "")
@@ -324,6 +347,50 @@ def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, m
     assert tree(files) == before
 
 
+@pytest.mark.parametrize(
+    ("fails", "error", "says"),
+    [
+        ("register", RuntimeError("no memory left\non this device"), "no memory left on this device; "),
+        ("register", ValueError("joints: holds NaN"), "joints: holds NaN; "),
+        ("save_detailed", PermissionError(13, "Permission denied"), "out: Permission denied; expected a folder"),
+    ],
+)
+def test_a_detailed_body_that_fails_leaves_the_fit(
+    fails: str, error: Exception, says: str, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(registration if fails == "register" else output, fails, refuse)
+    code, said, complaint = run(f"fit {GOOD}")
+    assert code == 2
+    assert "hypotheses" in said
+    assert "detailed" not in said
+    assert complaint.startswith(f"partdr: {says}")
+    assert complaint.endswith("out holds the fit without its detailed body\n")
+    assert complaint.count("\n") == 1
+    assert {path.name for path in Path("out").iterdir()} == set(output.RESULT_FILES)
+    load_body("out/body.npz")
+
+
+@pytest.mark.parametrize(("flags", "grows", "inscribed"), [("", False, False), ("--grow --inscribed", True, True)])
+def test_only_register_lets_parts_grow(
+    flags: str, grows: bool, inscribed: bool, run: Run, files: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[RegistrationOptions] = []
+
+    def refuse(*_: object, options: RegistrationOptions, **__: object) -> None:
+        given.append(options)
+        raise InputError("seen enough")
+
+    monkeypatch.setattr(registration, "register", refuse)
+    run("fit photo.png --keypoints k.json --out out")
+    run(f"register out/body.npz --photo photo.png --out out {flags}")
+    assert [options.growth for options in given] == [False, grows]
+    assert [options.weights.measures > 0 for options in given] == [False, grows]
+    assert (given[1].weights == RegistrationWeights.inscribed()) == inscribed
+
+
 def test_a_real_process_prints_one_line_too(files: Path) -> None:
     code = "from warp_partdr.cli import main; main()"
     line = [*GOOD.split(), "--device", "tpu"]  # found out last, when torch and Warp are loaded
@@ -347,18 +414,19 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     line = [*GOOD.split(), "--device", "cpu"]
     done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
-    first, second = done.stdout.splitlines()
+    first, second, third = done.stdout.splitlines()
     assert "hypotheses" in first
     assert "foreground F1 0." in first
     assert Path("out", "overlay.png").as_posix() in second
-    assert {path.name for path in Path("out").iterdir()} == set(output.RESULT_FILES)
+    assert Path("out", "detailed.png").as_posix() in third
+    assert {path.name for path in Path("out").iterdir()} == EVERY_FILE
 
 
 def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path) -> None:
     Path("out").mkdir()
     for name in ("report.json", "notes.txt", "parts.png"):
         Path("out", name).write_text("old")
-    assert run("fit photo.png --keypoints k.json --out out")[0] == 0
+    assert run(f"fit photo.png --keypoints k.json --out out {ALONE}")[0] == 0
     assert Path("out", "notes.txt").read_text() == "old"
     assert Path("out", "parts.png").read_text() == "old"  # not a file of this run
     assert "energy" in json.loads(Path("out", "report.json").read_text())
@@ -385,6 +453,8 @@ def own_labels() -> None:
 
 TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     "everything": (GOOD, lambda: None),
+    "no detailed model": (GOOD, lambda: None),
+    "model from a file": (GOOD + " --model smpl.npz", lambda: save_npz(Path("smpl.npz"))),
     "keypoints alone": ("--keypoints k.json --out out", lambda: None),
     "no photo": (GOOD.replace("photo.png ", ""), lambda: None),
     "no labels": ("photo.png --keypoints k.json --out out", lambda: None),
@@ -419,21 +489,27 @@ TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
 def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
     line, prepare = TAKEN[case]
     prepare()
-    code, said, complaint = run(f"fit {line}")
+    clothed = case in ("everything", "keypoints alone", "wide picture", "model from a file")
+    code, said, complaint = run(f"fit {line}" if clothed else f"fit {line} {ALONE}")
     assert (code, complaint) == (0, "")
-    assert said.count("\n") == 2
+    assert said.count("\n") == 2 + clothed
     assert ("F1" in said) == ("--parts" in line)
-    expected = set(output.RESULT_FILES) - (set() if "--parts" in line else {"parts.png"})
+    expected = EVERY_FILE if clothed else set(output.RESULT_FILES)
+    expected = expected - (set() if "--parts" in line else {"parts.png"})
     assert {path.name for path in Path("out").iterdir()} == expected
     for name in (name for name in expected if name.endswith(".png")):
         with Image.open(Path("out", name)) as image:
             image.load()
-            if name == "overlay.png" and "photo.png" in line:
+            if name in ("overlay.png", "detailed.png") and "photo.png" in line:
                 assert image.size == Image.open("photo.png").size
     body = load_body("out/body.npz")
     assert body.image_size.tolist() == list(Image.open("out/overlay.png").size[::-1])
     report = json.loads(Path("out", "report.json").read_text())
     assert np.isfinite(report["energy_total"])
+    if clothed:
+        detailed = json.loads(Path("out", "registration.json").read_text())
+        assert detailed["model"] == ("smpl" if "smpl" in line else "anny")
+        assert np.isfinite(list(detailed["losses"].values())).all()
     if "person" in case:  # the small one's head is at half the height
         assert report["keypoints"]["mean_distance_px"] < 10
         joints = json.loads(Path("out", "body.json").read_text())["joints"]
@@ -445,20 +521,37 @@ def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
     for group, members in enumerate(label_set("cdcl14").groups.values(), start=1):
         image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
     np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
-    code, _, complaint = run("fit photo.png --keypoints k.json --parts p.npy --out out")  # ellipbody20 is the default
+    line = f"fit photo.png --keypoints k.json --parts p.npy --out out {ALONE}"  # ellipbody20 is the default
+    code, _, complaint = run(line)
     assert (code, complaint) == (0, "")
     assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"
 
 
+def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, int, int]] = []
+
+    class Recorder(progress.FitProgress):
+        def __call__(self, stage: str, done: int, total: int) -> None:
+            told.append((stage, done, total))
+
+    monkeypatch.setattr(progress, "FitProgress", Recorder)
+    assert run(f"fit {GOOD}")[0] == 0
+    assert [name for name, _ in groupby(stage for stage, _, _ in told)] == [
+        *(stage.name for stage in QUICK),
+        "writing results",
+        "registration",
+        "writing results",
+    ]
+    assert told[-2] == ("registration", 2, 2)
+
+
 def test_a_bar_shows_the_stages(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes stderr for a terminal then
-    from warp_partdr.progress import FitProgress
-
-    with FitProgress() as progress:
+    with progress.FitProgress():
         pass
     assert "compiling kernels" in capfd.readouterr().err
-    with FitProgress() as progress:
-        progress("labels, fine", 3, 4)
+    with progress.FitProgress() as bar:
+        bar("labels, fine", 3, 4)
     said = capfd.readouterr().err
     assert "labels, fine" in said
     assert "75%" in said

@@ -14,9 +14,11 @@ import trimesh
 from PIL import Image
 
 from warp_partdr import output
+from warp_partdr.body.anny import anny
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
 from warp_partdr.body_file import load_body
+from warp_partdr.detailed import detailed_mesh
 from warp_partdr.errors import InputError
 from warp_partdr.export import ellipbody_scene
 from warp_partdr.fitting import FitOptions, FitResult, Stage, fit_body
@@ -25,6 +27,8 @@ from warp_partdr.palette import PART_COLOURS, group_colours
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pictures import loss_chart, panels
+from warp_partdr.registration import Registered, RegistrationOptions, register
+from warp_partdr.render import rasterize_parts
 
 EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
 QUICK = FitOptions(
@@ -69,6 +73,11 @@ def folder(
     path = tmp_path_factory.mktemp("fit") / "new" / "out"
     output.save_fit(result, path, keypoints=keypoints, parts=parts, photo=photo)
     return path
+
+
+@pytest.fixture(scope="module")
+def registered(result: FitResult) -> Registered:
+    return register(result.posed, anny(), options=RegistrationOptions(iterations=2))
 
 
 def test_all_files_are_there_and_no_others(folder: Path) -> None:
@@ -226,6 +235,60 @@ def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult
     assert chart.width > 500
 
 
+# --- the detailed body ---------------------------------------------------------------------------------------------
+
+
+def test_the_detailed_body_s_files(
+    registered: Registered, result: FitResult, photo: np.ndarray, tmp_path: Path
+) -> None:
+    folder = tmp_path / "new" / "out"
+    output.save_registered(registered, folder, result.camera, photo.shape[:2], photo=photo, seconds=1.23456)
+    assert {path.name for path in folder.iterdir()} == set(output.DETAILED_FILES)
+    report = json.loads((folder / "registration.json").read_text())
+    assert (report["model"], report["seconds"]) == ("anny", 1.235)
+    assert report["losses"]["joints"] == pytest.approx(float(registered.losses["joints"]), abs=1e-4)
+    with np.load(folder / "detailed.npz", allow_pickle=False) as saved:
+        assert saved["model"] == "anny"
+        for name in ("shape", "rotations", "translation"):
+            np.testing.assert_array_equal(saved[name], getattr(registered, name)[0].numpy())
+
+    shown = pixels(folder / "detailed.png")
+    assert shown.shape == photo.shape
+    mesh = detailed_mesh(registered.model)
+    body = rasterize_parts(result.camera.project(registered.detailed.vertices), mesh, photo.shape[:2]).labels[0] > 0
+    changed = (shown != photo).any(-1)
+    assert 0.05 < body.float().mean() < 0.5
+    assert changed[body.numpy()].mean() > 0.98
+    assert changed[~body.numpy()].mean() < 0.01  # outlines
+
+
+def test_the_detailed_body_without_a_photo_or_over_a_large_one(
+    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "OVERLAY_SIDE", 128)
+    output.save_registered(registered, tmp_path, result.camera, (512, 384))
+    shown = pixels(tmp_path / "detailed.png")
+    assert shown.shape == (128, 96, 3)
+    columns = np.flatnonzero((shown != shown[0, 0]).any(-1).any(0)) * 4
+    seen = result.camera.project(registered.detailed.vertices)[0, :, 0]
+    assert abs(columns.min() - float(seen.min())) < 8
+    assert abs(columns.max() - float(seen.max())) < 8
+    assert "seconds" not in json.loads((tmp_path / "registration.json").read_text())
+
+
+def test_a_detailed_body_that_cannot_be_written_leaves_the_older_one(
+    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "detailed.glb").write_text("old")
+    monkeypatch.setattr(output, "save_detailed", refuse)
+    with pytest.raises(InputError, match="No space left on device"):
+        output.save_registered(registered, tmp_path, result.camera, (64, 48))
+    assert tree(tmp_path) == {"detailed.glb": b"old"}
+
+
 # --- other inputs --------------------------------------------------------------------------------------------------
 
 
@@ -326,6 +389,14 @@ def test_relative_and_current_folders(tmp_path: Path, monkeypatch: pytest.Monkey
         output.check_folder(Path(name))
         fill(Path(name), a=name)
     assert tree(tmp_path) == {"a": b".", "out": None, "out/a": b"out", "x": None, "x/y": None, "x/y/a": b"x/y"}
+
+
+def test_results_never_replace_what_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    output.check_inputs(Path("out"), (Path("body.npz"), None, Path("other/detailed.npz")), output.DETAILED_FILES)
+    for given in ("out/detailed.npz", "out/../out/detailed.npz", tmp_path / "out" / "detailed.npz"):
+        with pytest.raises(InputError, match=r"would replace .*detailed\.npz"):
+            output.check_inputs(Path("out"), (None, Path(given)), output.DETAILED_FILES)
 
 
 def test_check_folder(tmp_path: Path) -> None:

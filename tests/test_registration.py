@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
+import math
 import struct
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,15 +17,19 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "demos"))
+
+import edit_body
+
 from warp_partdr.body.anny import anny, anny_shape
 from warp_partdr.body.detailed_pose import pose_from_ellipbody
+from warp_partdr.body.growth import MEASURES, UNGROWN, Growth
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import (
     JOINT_NAMES,
     LENGTH_NAMES,
     NUM_PARTS,
     PARENTS,
-    PART_NAMES,
     THICKNESS_NAMES,
     template,
 )
@@ -32,6 +39,7 @@ from warp_partdr.registration import (
     MATCHED_JOINTS,
     Registered,
     RegistrationOptions,
+    RegistrationWeights,
     _Cells,
     _VertexCosts,
     register,
@@ -86,7 +94,9 @@ def test_the_mean_body_is_anny_s_default_adult(registered: Registered, device: s
 
 
 def test_the_result_poses_the_model(registered: Registered) -> None:
-    again = registered.model.pose(registered.shape, registered.rotations, registered.translation)
+    again = registered.model.pose(
+        registered.shape, registered.rotations, registered.translation, stretches=registered.stretches
+    )
     assert torch.equal(again.vertices, registered.detailed.vertices)
     identity = registered.rotations @ registered.rotations.mT
     assert (identity - torch.eye(3, device=identity.device)).abs().max() < 1e-5
@@ -105,27 +115,100 @@ def test_bodies_of_a_batch_do_not_touch_each_other(registered: Registered, devic
     assert (alone.detailed.vertices[0] - registered.detailed.vertices[1]).norm(dim=-1).max() < 2e-3
 
 
-@pytest.mark.parametrize(
-    ("longer", "thicker", "part", "axis"),
-    [
-        ({"upper leg": 1.15, "lower leg": 1.15}, {}, "left_lower_leg", 0),
-        ({}, {"upper arm thickness": 1.4, "forearm thickness": 1.4}, "left_upper_arm", 1),
-    ],
-)
-def test_the_mesh_follows_edits(
-    registered: Registered, longer: dict[str, float], thicker: dict[str, float], part: str, axis: int, device: str
+@pytest.fixture(scope="module")
+def edits() -> tuple[list[edit_body.Body], list[Registered]]:
+    body = edit_body.mean_body()
+    bodies = [body.edited(edit) for edit in edit_body.EDITS]
+    return bodies, edit_body.register_all(bodies)
+
+
+def test_the_mesh_follows_edits_and_other_parts_stay(edits: tuple[list[edit_body.Body], list[Registered]]) -> None:
+    for followed, others in edit_body.following(*edits):
+        assert all(0.8 < share < 1.25 for share in followed.values()), followed
+        assert all(share < 0.2 for share in others.values()), others
+
+
+def test_growth_turns_no_face_over_and_makes_no_steps(
+    edits: tuple[list[edit_body.Body], list[Registered]],
 ) -> None:
-    model = registered.model
-    edited = register(ellipbodies(device, longer=longer, thicker=thicker), model, start=registered, options=QUICK)
-    posed = ellipbodies(device)
-    k = PART_NAMES.index(part)
-    chosen = vertex_parts(model)[0] == k
+    first, *others = (result.rest().vertices[0] for result in edits[1])
+    corners = edits[1][0].model.faces.long()
+    skin = (skin_vertices(edits[1][0].model) > 0)[corners].all(1)
 
-    def extent(result: Registered) -> torch.Tensor:
-        local = (result.detailed.vertices[:, chosen] - posed.centres[:, k, None]) @ posed.axes[:, k]
-        return local[..., axis].std(1)
+    def normals(vertices: torch.Tensor) -> torch.Tensor:
+        edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
+        return torch.nn.functional.normalize(torch.linalg.cross(edges[:, 0], edges[:, 1]), dim=-1)
 
-    assert (extent(edited) > 1.05 * extent(registered)).all()
+    starts, ends = corners.flatten(), corners.roll(-1, 1).flatten()
+    for other in others:
+        turned = (normals(first) * normals(other)).sum(-1)[skin]
+        assert turned.min() > 0
+        assert turned.mean() > 0.97
+        # An edge is stretched by no more than the edit's factor and what is shared with the neighbours.
+        ratios = (other[starts] - other[ends]).norm(dim=-1) / (first[starts] - first[ends]).norm(dim=-1)
+        assert 0.55 < ratios.quantile(0.001) < ratios.quantile(0.999) < 1.8
+
+
+def test_between_two_bodies_nothing_jumps() -> None:
+    body = edit_body.mean_body()
+    other = body
+    for edit in edit_body.EDITS[1:4]:
+        other = other.edited(edit)
+    shares = torch.linspace(0, 1, 5).tolist()
+    results = edit_body.register_all([body.toward(other, share) for share in shares])
+    vertices = torch.cat([result.detailed.vertices for result in results])
+    steps = vertices.diff(dim=0)
+    whole = (vertices[-1] - vertices[0]).norm(dim=-1)
+    assert whole.max() > 0.08
+    assert (steps.norm(dim=-1) < whole / len(steps) + 0.012).all()
+    assert steps.diff(dim=0).norm(dim=-1).max() < 0.02
+
+
+def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> None:
+    options = replace(QUICK, iterations=10)
+    longer = ellipbodies(device, longer={"lower leg": 1.2}, thicker={"head thickness": 1.3})
+    edited = register(longer, registered.model, start=registered, options=options)
+    names = [list(MEASURES).index(name) for name in ("lower leg", "head thickness")]
+    assert (edited.growth[:, names] > torch.tensor([1.1, 1.15], device=device)).all()
+    still = [list(MEASURES).index(name) for name in ("upper arm", "hand", "upper arm thickness", *UNGROWN)]
+    assert (edited.growth[:, still] / registered.growth[:, still] - 1).abs().max() < 0.04
+    alone = register(longer, registered.model, options=options)
+    assert torch.equal(alone.growth, torch.ones_like(alone.growth))
+    asked = register(longer, registered.model, options=replace(options, growth=True))
+    assert (asked.growth[:, names[1]] > 1.15).all()
+
+
+def test_a_body_is_its_own_edit(registered: Registered, device: str) -> None:
+    again = register(ellipbodies(device), registered.model, start=registered, options=QUICK)
+    assert (again.detailed.vertices - registered.detailed.vertices).norm(dim=-1).mean() < 0.004
+    assert (again.growth - 1).abs().max() < 0.02
+
+
+def test_stretches_of_one_are_none_and_of_all_scale_the_body(device: str) -> None:
+    model = anny(torch.device(device))
+    shape = anny_shape(torch.tensor([[0.2, 0.9, 0.4, 0.6, 0.5, 0.5]], device=device))
+    rest = model.rest(shape)
+    whole = torch.eye(3, device=device).expand(1, NUM_PARTS, 3, 3)
+    for factor in (1.0, 1.3):
+        scaled = model.rest(shape, stretches=factor * whole)
+        root = rest.joints[:, :1]
+        assert (scaled.vertices - root - factor * (rest.vertices - root)).abs().max() < 1e-5
+        assert (scaled.joints - root - factor * (rest.joints - root)).abs().max() < 1e-5
+    # The measures of a body follow: lengths and thicknesses by the factor.
+    body = Growth(model, *vertex_parts(model), shape)
+    grown = body.stretches(torch.full((1, len(MEASURES)), 1.3, device=device))
+    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 1e-3
+
+
+def test_inscribed_bodies_never_thin_the_person(device: str) -> None:
+    thin = dict.fromkeys(THICKNESS_NAMES, 0.6)
+    options = replace(QUICK, iterations=5, growth=True, weights=RegistrationWeights.inscribed())
+    within = register(ellipbodies(device, thicker=thin), anny(torch.device(device)), options=options)
+    assert (within.growth[:, len(LENGTH_NAMES) :] > 0.99).all()
+    fitted = register(
+        ellipbodies(device, thicker=thin), within.model, options=replace(QUICK, iterations=5, growth=True)
+    )
+    assert (fitted.growth[:, len(LENGTH_NAMES) :].amin(1) < 0.9).all()
 
 
 def test_shape_from_lengths_is_exact_for_bodies_of_the_model(device: str) -> None:
@@ -322,10 +405,13 @@ def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
 
 
 def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
     from typer.testing import CliRunner
 
     from warp_partdr.body_file import BodyFile
     from warp_partdr.cli import app
+    from warp_partdr.errors import InputError
+    from warp_partdr.output import DETAILED_FILES
 
     body = BodyFile(
         global_orient=np.diag([1.0, -1.0, -1.0]),
@@ -339,16 +425,31 @@ def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     body.save(tmp_path / "body.npz")
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app, ["register", "body.npz", "--out", "detailed", "--device", "cpu"])
+    Image.new("RGB", (300, 400), "white").save("photo.png")
+    line = ["register", "body.npz", "--photo", "photo.png", "--out", "detailed", "--device", "cpu"]
+    done = CliRunner().invoke(app, line)
     assert done.exit_code == 0, done.output
+    assert "detailed/detailed.png" in done.output
     names = {path.name for path in (tmp_path / "detailed").iterdir()}
-    assert names == {"registration.json", *(f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh", "npz"))}
+    assert names == set(DETAILED_FILES)
+    with Image.open("detailed/detailed.png") as shown:
+        assert shown.size == (300, 400)
+        assert shown.getpixel((299, 0)) == (255, 255, 255)
     with np.load(tmp_path / "detailed" / "detailed.npz", allow_pickle=False) as saved:
         model = anny()
-        again = model.pose(*(torch.from_numpy(saved[name])[None] for name in ("shape", "rotations", "translation")))
+        takes = [name for name in inspect.signature(model.pose).parameters if name in saved]
+        again = model.pose(**{name: torch.from_numpy(saved[name])[None] for name in takes})
     mesh = trimesh.load(tmp_path / "detailed" / "detailed.ply", process=False)
     assert abs(np.ptp(again.vertices[0, :, 1].numpy()) - mesh.extents[1]) < 1e-4
 
-    wrong = CliRunner().invoke(app, ["register", "body.npz", "--model", "nobody.npz", "--out", "detailed"])
-    assert isinstance(wrong.exception, ValueError)
-    assert "--model: nobody.npz" in str(wrong.exception)
+    Image.new("RGB", (400, 300)).save("photo.png")
+    for wrong, says in (
+        (["--model", "nobody.npz"], "--model: nobody.npz"),
+        (["--model", "none"], "--model: none"),
+        (["--photo", "photo.png"], "body: 300x400; photo: 400x300"),
+        (["--out", "body.npz"], "body.npz: Not a directory"),
+    ):
+        refused = CliRunner().invoke(app, ["register", "body.npz", *wrong])
+        assert isinstance(refused.exception, InputError)
+        assert says in str(refused.exception)
+    assert not (tmp_path / "out").exists()

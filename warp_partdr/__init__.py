@@ -51,7 +51,6 @@ _EXPORTS = {
     "ellipbody_scene": "export",
     "FitOptions": "fitting",
     "FitResult": "fitting",
-    "Stage": "fitting",
     "fit_body": "fitting",
     "observe": "fitting",
     "FusedRefinement": "fused",
@@ -73,11 +72,18 @@ _EXPORTS = {
     "up_direction": "pose_prior",
     "Posed": "posing",
     "pose": "posing",
+    "Stage": "quality",
     "Refined": "refinement",
+    "Registered": "registration",
+    "RegistrationOptions": "registration",
+    "RegistrationWeights": "registration",
+    "register": "registration",
     "refine": "refinement",
     "PartImage": "render",
     "label_loss": "render",
     "rasterize_parts": "render",
+    "coarsest_subdivisions": "subdivisions",
+    "silhouette_error": "subdivisions",
 }
 
 __all__ = sorted(["__version__", *_EXPORTS])
@@ -121,7 +127,6 @@ if TYPE_CHECKING:
     from .export import ellipbody_scene as ellipbody_scene
     from .fitting import FitOptions as FitOptions
     from .fitting import FitResult as FitResult
-    from .fitting import Stage as Stage
     from .fitting import fit_body as fit_body
     from .fitting import observe as observe
     from .fused import FusedRefinement as FusedRefinement
@@ -143,11 +148,18 @@ if TYPE_CHECKING:
     from .pose_prior import up_direction as up_direction
     from .posing import Posed as Posed
     from .posing import pose as pose
+    from .quality import Stage as Stage
     from .refinement import Refined as Refined
     from .refinement import refine as refine
+    from .registration import Registered as Registered
+    from .registration import RegistrationOptions as RegistrationOptions
+    from .registration import RegistrationWeights as RegistrationWeights
+    from .registration import register as register
     from .render import PartImage as PartImage
     from .render import label_loss as label_loss
     from .render import rasterize_parts as rasterize_parts
+    from .subdivisions import coarsest_subdivisions as coarsest_subdivisions
+    from .subdivisions import silhouette_error as silhouette_error
 else:
 
     def __getattr__(name: str) -> object:

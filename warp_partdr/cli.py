@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,7 +15,10 @@ from .body.skeletons import SKELETONS
 from .devices import choose_device
 from .errors import InputError
 from .evaluate_command import evaluate
-from .register_command import REGISTER_HELP, register_body
+from .register_command import MODEL_HELP, REGISTER_HELP, clothe, read_model, register_body
+
+if TYPE_CHECKING:
+    from .fitting import FitOptions
 
 
 class Renderer(StrEnum):
@@ -22,6 +26,14 @@ class Renderer(StrEnum):
 
     exact = "exact"
     mesh = "mesh"
+
+
+class QualityName(StrEnum):
+    """How much a fit spends on accuracy; ``quality.STAGES`` has the same names."""
+
+    fast = "fast"
+    balanced = "balanced"
+    accurate = "accurate"
 
 
 _UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
@@ -37,7 +49,10 @@ app.add_typer(bench, name="bench")
 app.add_typer(evaluate, name="evaluate")
 app.command("register", help=REGISTER_HELP)(register_body)
 
+NO_MODEL = "none"
+
 _FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
+Then clothe it in a detailed model: a skinned mesh.
 
 Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14 --out fitted`
 
@@ -50,8 +65,16 @@ OpenPose's own JSON, COCO annotations, or MMPose predictions. Formats: {", ".joi
 keypoints alone are fitted.
 
 **Results** in FOLDER: overlay.png (look at this first), parts.png, body.npz (parameters), body.json (measurements in
-cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json. Older results there are replaced.
+cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json. Of the detailed model: detailed.png, detailed.glb,
+detailed.obj, detailed.ply, detailed.bvh, detailed.npz, registration.json, as `partdr register` leaves them. Older
+results there are replaced.
 """
+
+
+_QUALITY_HELP = (
+    "Part F1, joint error and time on PartBench's clean people: fast 0.87, 47 mm, a third of balanced's time; "
+    "balanced 0.89, 54 mm; accurate 0.89, 52 mm, 1.3 times it. Options for the last stage replace that of the quality."
+)
 
 
 @app.callback()
@@ -72,6 +95,9 @@ def fit(
         str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
     ] = "ellipbody20",
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
+    model: Annotated[
+        str, typer.Option(help=f"Detailed model to end with: {MODEL_HELP}; none skips it.", metavar="NAME")
+    ] = "anny",
     keypoint_format: Annotated[
         str | None, typer.Option(help="Format of the keypoints, if the file does not say.", metavar="NAME")
     ] = None,
@@ -82,6 +108,7 @@ def fit(
     device: Annotated[
         str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
     ] = "auto",
+    quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP)] = QualityName.balanced,
     outline: Annotated[
         bool,
         typer.Option(
@@ -105,6 +132,9 @@ def fit(
     ] = Renderer.exact,
     threads: Annotated[int, typer.Option(help="CPU threads that share the bodies; 0: one a core.", metavar="N")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.", metavar="N")] = 0,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="First say what of this input is modelled, what is left out, and why.")
+    ] = False,
 ) -> None:
     """Fit a body to one person; see ``_FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
@@ -126,8 +156,9 @@ def fit(
     wp.config.log_level = wp.LOG_WARNING
     from .fitting import FitOptions, fit_body
     from .kernels.threads import set_num_threads
-    from .output import RESULT_FILES, check_folder, save_fit
+    from .output import DETAILED_FILES, RESULT_FILES, check_folder, check_inputs, image_size, save_fit
     from .progress import FitProgress
+    from .quality import STAGES
 
     if labels_first and not outline:
         raise InputError("--labels-first: with --no-outline; expected one of the two")
@@ -137,25 +168,42 @@ def fit(
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
     check_folder(out)
-    for given in filter(None, (photo, keypoints, parts, Path(labels))):
-        if any(given.resolve() == (out / name).resolve() for name in RESULT_FILES):
-            raise InputError(f"--out: {out}: the result would replace {given}; expected another folder")
+    check_inputs(out, (photo, keypoints, parts, Path(labels), Path(model)), (*RESULT_FILES, *DETAILED_FILES))
     where = choose_device(device)
     if where == "cpu":
         # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
         # cores: 20 s instead of 1.6 s).
         torch.set_num_threads(1)
+    detailed_model = None if model == NO_MODEL else read_model(model, where)
+    options = FitOptions(seed=seed, renderer=renderer.value, trust_background=trust_background)
+    if quality.value != "balanced":  # which is the default
+        options = replace(options, stages=STAGES[quality.value])
+    if labels_first:
+        options = options.labels_first()
+    if not outline:
+        options = options.without_outline()
+    if explain:
+        from rich.console import Console
+
+        from .explain import explain as choices_of
+        from .explain import print_choices
+
+        print_choices(choices_of(chosen, image, others=others, options=options), Console(highlight=False))
     with FitProgress() as progress:
-        _load_kernels(where)
-        options = FitOptions(seed=seed, renderer=renderer.value, trust_background=trust_background)
-        if labels_first:
-            options = options.labels_first()
-        if not outline:
-            options = options.without_outline()
+        _load_kernels(where, options, labels=image is not None)
         result = fit_body(chosen, image, others=others, options=options, device=where, progress=progress)
         progress("writing results", 1, 1)
         report = save_fit(result, out, keypoints=chosen, parts=image, photo=picture, others=others)
     _summarise(report, out)
+    if detailed_model is None:
+        return
+    try:
+        with FitProgress() as progress:
+            size = image_size(chosen, image, picture)
+            said = clothe(result.posed, detailed_model, out, result.camera, size, picture, progress=progress)
+    except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
+        raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
+    typer.echo(said)
 
 
 _BENCH_KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches and picture sizes.
@@ -187,10 +235,7 @@ def bench_kernels(
     from .bench.report import TABLE_WIDTH, print_report, save_json
     from .progress import FitProgress
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
+    _make_folder(out)
     where = choose_device(device)
     if where == "cpu":
         torch.set_num_threads(1)  # as ``fit`` does
@@ -203,13 +248,115 @@ def bench_kernels(
     typer.echo(f"{files[0]} and {files[1]} hold the same figures")
 
 
-def _load_kernels(device: str) -> None:
-    """Compile all kernels, or load them: later, a stage of the fit would seem to take so long."""
+_BENCH_SAVINGS_HELP = """Time what it saves to model only what a scene requires, one row a saving.
+
+Example: `partdr bench savings --device cpu`
+
+A table on the screen; the same figures as bench-savings-DEVICE.json in FOLDER, with machine and versions. On the CPU,
+on one core. Takes about 40 s; what is left out when, docs/savings.md says.
+"""
+
+
+@bench.command("savings", help=_BENCH_SAVINGS_HELP)
+def bench_savings(
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
+) -> None:
+    """Time savings; see ``_BENCH_SAVINGS_HELP``."""
+    import torch
+    import warp as wp
+    from rich.console import Console
+
+    wp.config.log_level = wp.LOG_WARNING
+    from .bench.machine import about
+    from .bench.report import TABLE_WIDTH
+    from .bench.savings import print_savings, run_savings, save_savings
+    from .kernels.threads import set_num_threads
+    from .progress import FitProgress
+
+    _make_folder(out)
+    where = choose_device(device)
+    if where == "cpu":
+        torch.set_num_threads(1)
+        set_num_threads(1)
+    with FitProgress() as progress:
+        rows = run_savings(where, progress=progress)
+    file, machine = out / f"bench-savings-{where.replace(':', '')}.json", about(where)
+    save_savings(rows, machine, file)
+    print_savings(rows, machine, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
+    typer.echo(f"{file} holds the same figures")
+
+
+_BENCH_TRADEOFF_HELP = """Measure what accuracy costs: mesh E0 to E3 and exact ellipsoids, gradients, picture sizes.
+
+Example: `partdr bench tradeoff --device cpu --quick`
+
+People of known truth, EllipBodies and Annys, are refined from starts a stated way off: time an iteration against part
+F1, joint error and error of the gradient; then iterations, float64, and whole fits at each quality. Tables on the
+screen; the same figures as bench-tradeoff-DEVICE.json, and a chart, .png, in FOLDER, with machine and versions. Twenty
+minutes on two cores that do nothing else; --quick one. docs/accuracy.md says what was found.
+"""
+
+
+@bench.command("tradeoff", help=_BENCH_TRADEOFF_HELP)
+def bench_tradeoff(
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+    quick: Annotated[bool, typer.Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
+) -> None:
+    """Measure the trade; see ``_BENCH_TRADEOFF_HELP``."""
+    import torch
+    import warp as wp
+    from rich.console import Console
+
+    wp.config.log_level = wp.LOG_WARNING
+    from .bench.tradeoff import run_tradeoff
+    from .bench.tradeoff_chart import draw_chart
+    from .bench.tradeoff_plan import make_plan
+    from .bench.tradeoff_report import save_json
+    from .bench.tradeoff_tables import TABLE_WIDTH, print_report
+    from .progress import FitProgress
+
+    _make_folder(out)
+    where = choose_device(device)
+    if where == "cpu":
+        torch.set_num_threads(1)
+    with FitProgress() as progress:
+        report = run_tradeoff(make_plan(where, quick=quick), progress)
+    files = [out / f"bench-tradeoff-{where.replace(':', '')}.{kind}" for kind in ("json", "png")]
+    save_json(report, files[0])
+    draw_chart(report).save(files[1])
+    print_report(report, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
+    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
+
+
+def _load_kernels(device: str, options: FitOptions, *, labels: bool) -> None:
+    """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
     import warp as wp
 
-    from .kernels import kinematics, part_gradient, rasterize
+    from .kernels import ellipsoid_picture, ellipsoids, kinematics, part_gradient, rasterize, refine_state, targets
 
-    for module in (kinematics, rasterize, part_gradient):
+    modules: list[Any] = [kinematics, rasterize]
+    if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
+        modules.append(refine_state.MODULE)
+    if labels and options.renderer == "mesh":
+        modules.append(part_gradient)
+    elif labels and device == "cpu":
+        gradients = sorted({stage.gradient for stage in options.stages if stage.size})
+        modules += [targets, ellipsoids, ellipsoid_picture]
+        modules += [f"warp_partdr.kernels.ellipsoid_{gradient}" for gradient in gradients]
+    for module in modules:
         wp.load_module(module, device=device)
 
 

@@ -49,7 +49,7 @@ def save_detailed(registered: Registered, folder: Path, *, index: int = 0) -> No
 def glb(registered: Registered, index: int = 0) -> bytes:
     """A body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose."""
     model = registered.model
-    rest = model.rest(registered.shape[index : index + 1]).joints[0].detach().cpu().double().numpy()
+    rest = registered.rest().joints[index].detach().cpu().double().numpy()
     transforms = registered.detailed.transforms[index].detach().cpu().double().numpy()
     weights, joints = model.skin_weights.cpu().double().topk(min(SKIN_WEIGHTS, model.num_joints), dim=1)
     padding = (0, SKIN_WEIGHTS - weights.shape[1])
@@ -111,7 +111,7 @@ def glb(registered: Registered, index: int = 0) -> bytes:
 def bvh(registered: Registered, index: int = 0) -> str:
     """A body's skeleton and pose as BVH, one frame, centimetres and degrees."""
     model = registered.model
-    rest = 100 * model.rest(registered.shape[index : index + 1]).joints[0].detach().cpu().double().numpy()
+    rest = 100 * registered.rest().joints[index].detach().cpu().double().numpy()
     rotations = registered.rotations[index].detach().cpu().double().numpy()
     rotations[0] = _GLTF_FROM_CAMERA @ rotations[0]
     upright = _upright(registered, index, lowered=False)

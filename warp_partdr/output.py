@@ -1,23 +1,28 @@
-"""The files that ``partdr fit`` leaves: written to a temporary folder first, then moved into place as one."""
+"""The files that ``partdr fit`` and ``partdr register`` leave.
+
+They are written to a temporary folder first, then moved into place as one.
+"""
 
 from __future__ import annotations
 
 import json
 import platform
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from . import __version__, metrics
 from .body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
 from .body.template import JOINT_NAMES
 from .body_file import BodyFile
-from .cameras import Crop
+from .cameras import Crop, WeakPerspective
+from .detailed_files import save_detailed
 from .energy import LandmarkGather
 from .errors import InputError
 from .export import ellipbody_scene
@@ -26,12 +31,17 @@ from .keypoints import Keypoints2D, person_height
 from .palette import group_colours
 from .part_files import PartLabels
 from .person import select_person
-from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body
+from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
+from .registration import Registered
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", "report.json")
+DETAILED_FILES = (
+    *(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")),
+    "registration.json",
+)
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 _LSP6 = "lsp6"
 
@@ -72,6 +82,18 @@ def check_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}; expected a folder to write to") from error
+
+
+def check_inputs(folder: Path, given: Iterable[Path | None], files: Iterable[str]) -> None:
+    """Raise if one of these files, written to ``folder``, would replace a given one.
+
+    Raises:
+        InputError: It names the one that would be replaced.
+    """
+    results = {(folder / name).resolve() for name in files}
+    for path in given:
+        if path is not None and path.resolve() in results:
+            raise InputError(f"--out: {folder}: the result would replace {path}; expected another folder")
 
 
 def _existing(folder: Path) -> Path:
@@ -132,10 +154,55 @@ def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarr
     return int(max(height, 1)), int(max(width, 1))
 
 
+def save_registered(
+    registered: Registered,
+    folder: str | Path,
+    camera: WeakPerspective,
+    size: tuple[int, int],
+    *,
+    photo: np.ndarray | None = None,
+    seconds: float | None = None,
+) -> None:
+    """Write the first body as ``DETAILED_FILES``.
+
+    Args:
+        registered: In the camera frame.
+        folder: Made if it is not there.
+        camera: Of the picture.
+        size: (H, W) of the picture [px].
+        photo: The picture, shape (H, W, 3), uint8, if there was one.
+        seconds: How long the registration took, for its report.
+    """
+    canvas, zoom = _canvas(size, photo)
+    model, shown_size = registered.model, (canvas.height, canvas.width)
+    shown = shade_detailed(registered.detailed, model, _zoomed(camera, zoom, shown_size), shown_size)
+    numbers: dict[str, Any] = {
+        name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
+    }
+    losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
+    report: dict[str, Any] = {"model": model.name, "losses": losses}
+    if seconds is not None:
+        report["seconds"] = round(seconds, 3)
+    with replacing(Path(folder)) as temporary:
+        save_detailed(registered, temporary)
+        np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
+        _over(canvas, shown, 0.9).save(temporary / "detailed.png")
+        _write_json(temporary / "registration.json", report)
+
+
 def draw_overlay(
     result: FitResult, keypoints: Keypoints2D, size: tuple[int, int], photo: np.ndarray | None = None
 ) -> Image:
     """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    canvas, zoom = _canvas(size, photo)
+    shown_size = (canvas.height, canvas.width)
+    overlay = _over(canvas, shade_body(result.posed, _zoomed(result.camera, zoom, shown_size), shown_size), 0.72)
+    draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
+    return overlay
+
+
+def _canvas(size: tuple[int, int], photo: np.ndarray | None) -> tuple[Image, float]:
+    """The photo, or gray, at most ``OVERLAY_SIDE`` pixels a side, and its pixels a pixel of the picture."""
     from PIL import Image
 
     zoom = min(1.0, OVERLAY_SIDE / max(size))
@@ -143,10 +210,17 @@ def draw_overlay(
     canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
     if canvas.size != (width, height):
         canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
-    camera = result.camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=(height, width)))
-    overlay = Image.fromarray(blend(np.asarray(canvas), shade_body(result.posed, camera, (height, width)), 0.72))
-    draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
-    return overlay
+    return canvas, zoom
+
+
+def _zoomed(camera: WeakPerspective, zoom: float, size: tuple[int, int]) -> WeakPerspective:
+    return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
+
+
+def _over(canvas: Image, rgba: np.ndarray, opacity: float) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(blend(np.asarray(canvas), rgba, opacity))
 
 
 def body_file(result: FitResult, size: tuple[int, int]) -> BodyFile:

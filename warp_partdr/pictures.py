@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from .body.detailed import Detailed, DetailedModel
 from .body.rotations import rotation_from_axis_angle
 from .body.skeletons import Skeleton
 from .cameras import WeakPerspective
+from .detailed import detailed_mesh
 from .keypoints import Keypoints2D
-from .mesh import ellipbody_mesh
+from .mesh import PartMesh, ellipbody_mesh
 from .palette import PART_COLOURS
 from .posing import Posed
 from .render import rasterize_parts
@@ -24,14 +26,30 @@ if TYPE_CHECKING:
 _SUBDIVISIONS = 3
 _LIGHT = np.array([-0.35, -0.6, -0.72])  # toward the light, camera frame
 _AMBIENT = 0.45
+_SKIN = np.array([196, 208, 226], dtype=np.uint8)  # apart from people's
 _SAMPLES = 2  # a side, for smooth outlines
 
 
 def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int]) -> np.ndarray:
-    """The first body, coloured by part and lit, on nothing: RGBA, shape (H, W, 4), uint8."""
-    height, width = image_size
+    """The first body's ellipsoids, coloured by part and lit, on nothing: RGBA, shape (H, W, 4), uint8."""
     mesh = ellipbody_mesh(_SUBDIVISIONS)
-    points = posed.vertices(_SUBDIVISIONS)[:1].detach().cpu()
+    return _shade(posed.vertices(_SUBDIVISIONS)[:1], mesh, camera, image_size, PART_COLOURS)
+
+
+def shade_detailed(
+    detailed: Detailed, model: DetailedModel, camera: WeakPerspective, image_size: tuple[int, int]
+) -> np.ndarray:
+    """The first body's skin in one colour, lit, on nothing: RGBA, shape (H, W, 4), uint8."""
+    colours = np.broadcast_to(_SKIN, PART_COLOURS.shape)
+    return _shade(detailed.vertices[:1], detailed_mesh(model).to("cpu"), camera, image_size, colours)
+
+
+def _shade(
+    vertices: torch.Tensor, mesh: PartMesh, camera: WeakPerspective, image_size: tuple[int, int], colours: np.ndarray
+) -> np.ndarray:
+    """A mesh with vertices (1, V, 3) in the camera frame [m], in the colours of its labels: RGBA, (H, W, 4), uint8."""
+    height, width = image_size
+    points = vertices.detach().cpu()
     scale, translation = (tensor[:1].detach().cpu() * _SAMPLES for tensor in (camera.scale, camera.translation))
     fine = WeakPerspective(scale, translation)
     image = rasterize_parts(fine.project(points), mesh, (height * _SAMPLES, width * _SAMPLES))
@@ -42,7 +60,7 @@ def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int
     brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ light, 0, 1)
     index, labels = image.face_index[0].numpy(), image.labels[0].numpy()
     rgba = np.zeros((*labels.shape, 4), dtype=np.float32)
-    rgba[..., :3] = PART_COLOURS[labels] * brightness[index][..., None]
+    rgba[..., :3] = colours[labels] * brightness[index][..., None]
     rgba[..., 3] = 255.0 * (labels > 0)
     # Colours count by how much of them is there, or outlines would turn dark.
     blocks = rgba.reshape(height, _SAMPLES, width, _SAMPLES, 4)

@@ -1,34 +1,49 @@
-"""The command ``partdr register``: from body.npz to a detailed body."""
+"""The command ``partdr register``, from body.npz to a detailed body, and what ``partdr fit`` shares with it."""
 
 from __future__ import annotations
 
-import json
+import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .errors import InputError
 
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .body.detailed import DetailedModel
+    from .cameras import WeakPerspective
+    from .posing import Posed
+    from .progress import FitProgress
+
 REGISTER_HELP = """Clothe a fitted body in a detailed model: body.npz of `partdr fit` in, a skinned mesh out.
 
-Example: `partdr register out/body.npz --out detailed`
+Example: `partdr register out/body.npz --photo photo.png --out detailed`
 
-**Results** in FOLDER: detailed.glb (mesh, skeleton and skin weights, posed; opens in Blender), detailed.obj,
-detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape, rotations and position for the
-model) and registration.json (terms of the loss). Older results there are replaced.
+**Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
+Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
+rotations and position for the model) and registration.json (terms of the loss). Older results there are replaced.
 """
+MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
 
 def register_body(
     body: Annotated[Path, typer.Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
-    model: Annotated[
-        str, typer.Option(help="anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X.", metavar="NAME")
-    ] = "anny",
+    model: Annotated[str, typer.Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
+    photo: Annotated[
+        Path | None, typer.Option(help="The fit's picture, to draw the body over.", metavar="FILE", show_default=False)
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     inscribed: Annotated[
         bool,
         typer.Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead."),
+    ] = False,
+    grow: Annotated[
+        bool,
+        typer.Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited."),
     ] = False,
     device: Annotated[
         str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
@@ -36,41 +51,98 @@ def register_body(
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from .body_file import load_body
+    from .part_files import check_sizes, read_photo
 
     fitted = load_body(body)
+    height, width = fitted.image_size.tolist()
+    picture = None if photo is None else read_photo(photo)
+    check_sizes(body=(height, width), photo=None if picture is None else picture.shape[:2])
 
-    import numpy as np
     import torch
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from .body.detailed_files import load_model
-    from .detailed_files import save_detailed
     from .devices import choose_device
-    from .output import check_folder, replacing
+    from .output import DETAILED_FILES, check_folder, check_inputs
     from .posing import pose
     from .progress import FitProgress
-    from .registration import RegistrationOptions, RegistrationWeights, register
 
     check_folder(out)
+    check_inputs(out, (body, photo, Path(model)), DETAILED_FILES)
     where = choose_device(device)
     if where == "cpu":
         torch.set_num_threads(1)  # as ``fit`` does
+    detailed_model = read_model(model, where)
+    names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
+    seen = fitted.camera(), (height, width), picture
+    with FitProgress() as progress:
+        posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
+        said = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
+    typer.echo(said)
+
+
+def read_model(name: str, device: str) -> DetailedModel:
+    """The model that ``--model`` names.
+
+    Raises:
+        InputError: If there is none of that name, or its file can't be used.
+    """
+    from .body.detailed_files import load_model
+
     try:
-        detailed_model = load_model(model, device=where)
+        return load_model(name, device=device)
     except ValueError as error:
         raise InputError(f"--model: {error}") from error
-    names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
-    posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
-    weights = RegistrationWeights.inscribed() if inscribed else RegistrationWeights()
-    with FitProgress() as progress:
-        registered = register(posed, detailed_model, options=RegistrationOptions(weights=weights), progress=progress)
-    with replacing(out) as temporary:
-        save_detailed(registered, temporary)
-        numbers = {name: getattr(registered, name)[0].cpu().numpy() for name in ("shape", "rotations", "translation")}
-        np.savez(temporary / "detailed.npz", model=np.array(detailed_model.name), **numbers)
-        losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
-        report = {"model": detailed_model.name, "losses": losses}
-        (temporary / "registration.json").write_text(json.dumps(report, indent=1) + "\n")
-    height = float(np.ptp(detailed_model.rest(registered.shape).vertices[0, :, 1].cpu().numpy()))
-    typer.echo(f"{detailed_model.name}, {height:.2f} m tall at rest; {out / 'detailed.glb'} opens in Blender")
+
+
+def clothe(
+    posed: Posed,
+    model: DetailedModel,
+    out: Path,
+    camera: WeakPerspective,
+    size: tuple[int, int],
+    photo: np.ndarray | None,
+    *,
+    progress: FitProgress,
+    inscribed: bool = False,
+    grow: bool = False,
+) -> str:
+    """Register a model to one EllipBody and write ``DETAILED_FILES``.
+
+    Args:
+        posed: The body, B = 1, in the camera frame.
+        model: On the same device.
+        out: Folder for the files.
+        camera: Of the picture.
+        size: (H, W) of the picture [px].
+        photo: The picture, shape (H, W, 3), uint8, if there is one.
+        progress: Has said yet that kernels are compiled.
+        inscribed: Whether the ellipsoids are to lie within the skin.
+        grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
+            people. A fit's are too rough for that: hands and feet came out as thin as boards.
+
+    Returns:
+        A line about the body for the terminal.
+
+    Raises:
+        InputError: If the folder can't be written to.
+    """
+    import warp as wp
+
+    from .kernels import rasterize, registration
+    from .output import save_registered
+    from .registration import RegistrationOptions, RegistrationWeights, register
+
+    for module in (registration, rasterize):
+        wp.load_module(module, device=str(posed.joints.device))
+    if inscribed:
+        weights = RegistrationWeights.inscribed() if grow else replace(RegistrationWeights.inscribed(), measures=0.0)
+    else:
+        weights = RegistrationWeights() if grow else RegistrationWeights.fitted()
+    options = RegistrationOptions(weights=weights, growth=grow)
+    started = time.perf_counter()
+    registered = register(posed, model, options=options, progress=progress)
+    seconds = time.perf_counter() - started
+    progress("writing results", 1, 1)
+    save_registered(registered, out, camera, size, photo=photo, seconds=seconds)
+    return f"{model.name}: {out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"

@@ -1,7 +1,8 @@
 """Registration: shape and pose in which a detailed model clothes EllipBody (paper, section 3.3, eq. 16 to 18).
 
 The detailed model takes EllipBody's pose, and a shape whose bones have EllipBody's lengths. Then Adam refines shape,
-turns of the parts and position together, all bodies of a batch side by side. ``docs/registration.md`` has the formulas.
+turns of the parts and position together, all bodies of a batch side by side. Where EllipBody's lengths and thicknesses
+are none of the model's people, parts grow. ``docs/registration.md`` has the formulas.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ import warp as wp
 
 from .body.detailed import Detailed, DetailedModel
 from .body.detailed_pose import pose_from_ellipbody
+from .body.growth import MEASURES, UNGROWN, Growth
 from .body.icosphere import icosphere
 from .body.rotations import rotation_from_axis_angle
-from .body.template import JOINT_NAMES, NUM_PARTS, PARENTS
+from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
 from .checks import check_finite
 from .kernels import registration as kernels
 from .posing import Posed
@@ -31,6 +33,11 @@ MATCHED_JOINTS: tuple[str, ...] = tuple(name for name in JOINT_NAMES if name != 
 _SUBDIVISIONS = 2  # of the icosphere whose corners are the samples
 _CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
 _RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
+# Measures within so many standard deviations of natural people's are noise more than growth.
+_NATURAL = 2.0
+# The same after an edit, as a logarithm: what is special about the person is known then.
+_KNOWN = 0.02
+_MOST_GROWTH = 1.0  # of a measure's logarithm
 _CENTIMETRES = 1e4  # square metres to square centimetres
 
 
@@ -38,26 +45,36 @@ _CENTIMETRES = 1e4  # square metres to square centimetres
 class RegistrationWeights:
     """Of the terms of the loss, which ``docs/registration.md`` defines; distances count in centimetres.
 
-    The defaults are for ellipsoids that match a picture's outlines, as a fit's do, so that half of the skin is inside.
+    The defaults are for ellipsoids that match a person's outlines, so that half of the skin is inside, and whose
+    thicknesses are known: measured or edited.
 
     Attributes:
         joints: Distance between the model's joints and EllipBody's.
         icp: Distance between the surfaces, both ways.
         penetration: Eq. 18.
+        measures: Lengths and thicknesses of the body against EllipBody's.
+        thinner: Whether a thickness counts where EllipBody is thinner than the model; within a body it says nothing.
         shape: Square of the shape values.
         pose: Square of the turns from EllipBody's pose [rad].
     """
 
     joints: float = 5.0
-    icp: float = 2.0
+    icp: float = 0.5
     penetration: float = 10.0
+    measures: float = 30.0
     shape: float = 0.5
     pose: float = 20.0
+    thinner: bool = True
+
+    @classmethod
+    def fitted(cls) -> RegistrationWeights:
+        """For a fit's ellipsoids, of which single thicknesses, such as hands', are rough."""
+        return cls(icp=2.0, measures=0.0)
 
     @classmethod
     def inscribed(cls) -> RegistrationWeights:
         """For ellipsoids that lie within the body, as the paper has them."""
-        return cls(icp=1.0, penetration=2000.0, shape=0.05)
+        return cls(icp=1.0, penetration=2000.0, shape=0.05, thinner=False)
 
 
 @dataclass(frozen=True)
@@ -71,6 +88,8 @@ class RegistrationOptions:
         search_every: Steps after which closest points are looked for again.
         scale: Distance from which on closest points count less and less (Geman and McClure) [m].
         reach: Distance beyond which there is no closest point [m].
+        growth: Whether parts may grow beyond what the model's shape values reach. By default they do after an edit,
+            that is with a ``start``: people are in the model's reach, and what is not is mostly a fit's error.
     """
 
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
@@ -79,6 +98,7 @@ class RegistrationOptions:
     search_every: int = 5
     scale: float = 0.03
     reach: float = 0.15
+    growth: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +110,9 @@ class Registered:
         shape: Shape values, shape (B, S).
         rotations: Local rotation of each joint, shape (B, J, 3, 3).
         translation: Position of the root joint [m], shape (B, 3).
+        stretches: Of the parts at rest, shape (B, 20, 3, 3).
+        growth: Factors of ``MEASURES`` that are in the stretches, shape (B, 27).
+        unexplained: Logarithms of the factors by which EllipBody's measures are off the body's, shape (B, 27).
         detailed: The posed bodies, in EllipBody's frame.
         losses: Weighted terms of the loss at the end, by name, shape (B,) each.
     """
@@ -98,8 +121,15 @@ class Registered:
     shape: torch.Tensor
     rotations: torch.Tensor
     translation: torch.Tensor
+    stretches: torch.Tensor
+    growth: torch.Tensor
+    unexplained: torch.Tensor
     detailed: Detailed
     losses: dict[str, torch.Tensor]
+
+    def rest(self) -> Detailed:
+        """The bodies at rest, where the model has its origin."""
+        return self.model.rest(self.shape, stretches=self.stretches)
 
 
 def register(
@@ -115,8 +145,8 @@ def register(
     Args:
         posed: B EllipBodies, float32, in any frame: ``FitResult.posed`` is in the camera's.
         model: On the same device, float32.
-        start: Where the shapes start, such as the registration of the same bodies before an edit; by default, shapes
-            with EllipBody's bone lengths.
+        start: The registration of the same bodies before an edit: shapes start there, and what EllipBody did not
+            explain about these people stays; by default, shapes start with EllipBody's bone lengths.
         options: Weights, iterations and so on.
         progress: Told the stage, how many iterations are done and how many there are.
 
@@ -136,6 +166,7 @@ def register(
     free = sorted({0, *model.part_joints})
     turns = like.new_zeros(len(shape), len(free), 3)
     loss = _Loss(model, posed, options)
+    tailor = _Tailor(model, posed, options, loss.parts, loss.areas, shape, start)
 
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
     shares = (1.0, 0.2, 0.05)
@@ -149,21 +180,36 @@ def register(
         return rotations
 
     for iteration in range(options.iterations):
-        detailed = model.pose(shape, turned(), translation)
-        if iteration % options.search_every == 0:
+        searching = iteration % options.search_every == 0
+        if searching:
+            tailor.grow(shape.detach())
+        detailed = model.pose(shape, turned(), translation, stretches=tailor.stretches)
+        if searching:
             loss.search(detailed.vertices.detach())
         adam.zero_grad()
-        torch.stack(list(loss(detailed, shape, turns).values())).sum().backward()
+        terms = {**loss(detailed, shape, turns), "measures": tailor(shape)}
+        torch.stack(list(terms.values())).sum().backward()
         adam.step()
         falling.step()
         if progress is not None:
             progress("registration", iteration + 1, options.iterations)
     with torch.no_grad():
         rotations = turned()
-        detailed = model.pose(shape, rotations, translation)
+        detailed = model.pose(shape, rotations, translation, stretches=tailor.stretches)
         loss.search(detailed.vertices)
-        losses = loss(detailed, shape, turns)
-    return Registered(model, shape.detach(), rotations, translation.detach(), detailed, losses)
+        losses = {**loss(detailed, shape, turns), "measures": tailor(shape)}
+        unexplained = tailor.differences(shape) - tailor.logs
+    return Registered(
+        model,
+        shape.detach(),
+        rotations,
+        translation.detach(),
+        tailor.stretches,
+        tailor.logs.exp(),
+        unexplained,
+        detailed,
+        losses,
+    )
 
 
 def shape_from_lengths(model: DetailedModel, posed: Posed, *, prior: float = 1e-5, iterations: int = 4) -> torch.Tensor:
@@ -241,6 +287,65 @@ class _Loss:
             "shape": weights.shape * shape.square().mean(-1),
             "pose": weights.pose * turns.square().sum(-1).mean(-1),
         }
+
+
+class _Tailor:
+    """Compares EllipBody's lengths and thicknesses with the body's, and lets parts grow where no shape has them.
+
+    A measure whose logarithm is off by r adds log(1 + r² / d²) to the loss, d being the spread over natural people: a
+    Cauchy distribution, so that the shape follows small differences and is not drawn far by large ones. What such a
+    robust fit gives up of r, which is r³ / (r² + d²), is growth.
+    """
+
+    def __init__(
+        self,
+        model: DetailedModel,
+        posed: Posed,
+        options: RegistrationOptions,
+        parts: torch.Tensor,
+        areas: torch.Tensor,
+        shape: torch.Tensor,
+        start: Registered | None,
+    ) -> None:
+        self.options = options
+        self.grows = start is not None if options.growth is None else options.growth
+        self.body = Growth(model, parts, areas, shape.detach())
+        self.demanded = self.body.demanded(posed.semi_axes)
+        self.spreads = _NATURAL * self.body.spreads
+        self.outward = torch.zeros(len(MEASURES), dtype=torch.bool, device=shape.device)
+        self.growing = torch.tensor([name not in UNGROWN for name in MEASURES], device=shape.device)
+        self.logs = torch.zeros_like(self.demanded)
+        if start is not None:
+            self.demanded = self.demanded - start.unexplained
+            self.spreads = torch.full_like(self.spreads, _KNOWN)
+            self.logs = start.growth.log()
+        elif not options.weights.thinner:
+            self.outward[len(LENGTH_NAMES) :] = True
+        self.stretches = self.body.stretches(self.logs.exp())
+
+    def __call__(self, shape: torch.Tensor) -> torch.Tensor:
+        """The loss, shape (B,)."""
+        squares = (self._kept(self.differences(shape)) / self.spreads).square()
+        return self.options.weights.measures * squares.log1p().mean(-1)
+
+    def differences(self, shape: torch.Tensor) -> torch.Tensor:
+        """Logarithms of what EllipBody demands over what bodies have that do not grow, shape (B, 27)."""
+        return self.demanded - self.body.measured(shape)
+
+    def grow(self, shape: torch.Tensor) -> None:
+        """Renew growth and stretches."""
+        if not self.grows:
+            return
+        has = self.body.measured(shape)
+        off = self._kept(self.demanded - has)
+        wanted = off**3 / (off.square() + self.spreads.square())
+        # A part's stretch changes a little less than its measure, and its neighbours' too.
+        got = self.body.measured(shape, self.stretches) - has
+        self.logs = self.growing * (self.logs + wanted - got).clamp(-_MOST_GROWTH, _MOST_GROWTH)
+        self.stretches = self.body.stretches(self.logs.exp())
+
+    def _kept(self, differences: torch.Tensor) -> torch.Tensor:
+        return torch.where(self.outward, differences.clamp(min=0), differences)
 
 
 def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:

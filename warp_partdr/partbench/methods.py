@@ -13,11 +13,11 @@ from ..errors import InputError
 from ..evaluation import METHODS as SUPERVISIONS
 from ..evaluation import Method
 from ..fitting import FitOptions, FitResult
-from ..registration import RegistrationOptions, register
+from ..registration import RegistrationOptions, RegistrationWeights, register
 from .anny_fit import fit_anny
 
 # A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
-_REGISTRATION = RegistrationOptions(iterations=40)
+_REGISTRATION = RegistrationOptions(RegistrationWeights.fitted(), iterations=40)
 _FLAT = FitOptions(depth_weight=0.0)
 
 

@@ -1,0 +1,50 @@
+"""Measure ``THICKNESS_RATIOS`` of ``body/growth.py`` on random people of the packaged Anny, and print them.
+
+    python scripts/measure_thickness_ratios.py [--count 100] [--seed 1000]
+
+Their EllipBody thicknesses are those of best silhouettes, as ``measure_mean_body.py`` has them; none of the people are
+those of ``benchmarks/registration.py``, whose seeds are small.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from registration import PHENOTYPES, measure_shape
+
+from warp_partdr.body.anny import anny, anny_shape
+from warp_partdr.body.growth import THICKNESS_RATIOS, Growth
+from warp_partdr.body.template import LENGTH_NAMES, THICKNESS_NAMES
+from warp_partdr.registration import vertex_parts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=100, help="how many people")
+    parser.add_argument("--seed", type=int, default=1000)
+    arguments = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+    model = anny()
+    rng = np.random.default_rng(arguments.seed)
+    phenotypes = [[rng.uniform(*span) for span in PHENOTYPES.values()] for _ in range(arguments.count)]
+    shapes = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
+    wanted = np.log([measure_shape(model, shape[None])[1] for shape in shapes])
+    body = Growth(model, *vertex_parts(model), shapes)
+    # The measures hold the ratios of now.
+    assumed = np.log([THICKNESS_RATIOS[name][0] for name in THICKNESS_NAMES])
+    ratios = wanted - body.measured(shapes)[:, len(LENGTH_NAMES) :].numpy() + assumed
+    for name, mean, spread in zip(THICKNESS_NAMES, np.exp(ratios.mean(0)), ratios.std(0, ddof=1), strict=True):
+        print(f'    "{name}": ({mean:.3f}, {spread:.3f}),')
+
+
+if __name__ == "__main__":
+    main()
