@@ -11,8 +11,9 @@ Three rules settle the rest:
 
 * Source id 255 is ignored, as in most data sets, unless the set gives it a meaning.
 * A group without source ids is never wanted at a pixel, but is wrong on background: the torso under LIP's clothes.
-* An ellipsoid that is in no group costs nothing where it shows: ``part_groups`` maps it to 255. The sets that come
-  with the project leave none out.
+* An ellipsoid that is in no group costs nothing where it shows, and hides what is behind: ``part_groups`` maps it to
+  255. One that is left out (hands and feet, where nobody labelled any) isn't drawn at all and costs no time: 0. The
+  sets that come with the project have every part in a group.
 
 The sets themselves are in ``label_sets.py``.
 """
@@ -44,21 +45,25 @@ class LabelSet:
         groups: Group name -> its ellipsoids, in the order of the group ids 1 to G.
         ids: Source id -> group name, "background" or "ignore".
         class_names: Source id -> the data set's own name of the class, where it differs from the group's.
+        left_out: Ellipsoids that are not drawn.
 
     Raises:
-        ValueError: If a part is unknown or in two groups, a group is empty, an id has no such group or is out of
-            range, or no id is background.
+        ValueError: If a part is unknown, in two groups, or in one and left out, a group is empty, an id has no such
+            group or is out of range, or no id is background.
     """
 
     name: str
     groups: Mapping[str, tuple[str, ...]]
     ids: Mapping[int, str]
     class_names: Mapping[int, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.groups:
             raise ValueError(f"{self.name}: groups: none; expected at least one")
-        owner: dict[str, str] = {}
+        if unknown := [part for part in self.left_out if part not in PART_NAMES]:
+            raise ValueError(f"{self.name}: left_out: no part {unknown[0]!r}; expected {', '.join(PART_NAMES)}")
+        owner: dict[str, str] = dict.fromkeys(self.left_out, "left_out")
         for group, parts in self.groups.items():
             if group in ("background", "ignore"):
                 raise ValueError(f"{self.name}: groups: {group!r}; expected a name other than background and ignore")
@@ -93,11 +98,12 @@ class LabelSet:
 
     @cached_property
     def part_groups(self) -> np.ndarray:
-        """Group id of each part label 0 to 20, shape (21,), uint8; 255 for a part in no group."""
+        """Group id of each part label 0 to 20, shape (21,), uint8; 255 for a part in no group, 0 for one left out."""
         table = np.full(NUM_PARTS + 1, IGNORE, dtype=np.uint8)
         table[0] = BACKGROUND
         for group, parts in enumerate(self.groups.values(), start=1):
             table[[PART_NAMES.index(part) + 1 for part in parts]] = group
+        table[[PART_NAMES.index(part) + 1 for part in self.left_out]] = BACKGROUND
         return table
 
     @cached_property
@@ -220,7 +226,8 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
         }
 
     ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` says for every number that may occur in
-    the label images which group it is; several numbers may be one group. ``name`` may be left out.
+    the label images which group it is; several numbers may be one group. ``name`` may be missing. A list ``left_out``
+    names parts that are not drawn, such as hands and feet that nobody labelled.
 
     Raises:
         ValueError: If there is no such set or file, or its content does not fit.
@@ -263,11 +270,15 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
             sources[int(key)] = str(group)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{where}: id {key!r}; expected an integer") from error
+    left_out = data.get("left_out", ())
+    if not isinstance(left_out, list | tuple) or not all(isinstance(part, str) for part in left_out):
+        raise ValueError(f"{where}: left_out: {left_out!r}; expected a list of part names")
     try:
         return LabelSet(
             name=str(data.get("name", Path(where).stem)),
             groups={str(group): tuple(parts) for group, parts in groups.items()},
             ids=sources,
+            left_out=tuple(left_out),
         )
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error

@@ -20,7 +20,7 @@ from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pose_prior import PosePrior
-from warp_partdr.refinement import LENGTH_BOUNDS, THICKNESS_BOUNDS, refine
+from warp_partdr.refinement import SIZES, refine
 from warp_partdr.render import rasterize_parts
 
 SIZE = (200, 160)
@@ -223,8 +223,8 @@ def test_sizes_stay_within_human_bounds():
     flooded = replace(seen, labels=torch.full_like(seen.labels, 8))
     refined = refine(walker(), Energy(flooded, size=64, weights=Weights(seg=1.0)), iterations=40, learning_rate=0.1)
     mean = BodyParameters.mean(1)
-    assert (refined.parameters.thicknesses <= mean.thicknesses * THICKNESS_BOUNDS[1] + 1e-6).all()
-    assert (refined.parameters.lengths >= mean.lengths * LENGTH_BOUNDS[0] - 1e-6).all()
+    assert (refined.parameters.thicknesses <= mean.thicknesses * SIZES["thicknesses"][1] + 1e-6).all()
+    assert (refined.parameters.lengths >= mean.lengths * SIZES["lengths"][0] - 1e-6).all()
     assert refined.parameters.thicknesses[0, 6] > 1.2 * mean.thicknesses[0, 6]
 
 

@@ -19,7 +19,7 @@ from warp_partdr.kernels.refine_state import Drawn
 from warp_partdr.kernels.surface_forces import Forces
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.pose_prior import PosePrior
-from warp_partdr.refinement import LENGTH_BOUNDS, THICKNESS_BOUNDS, refine
+from warp_partdr.refinement import SIZES, refine
 
 SIZE = 64
 LABELS = label_set("surreal14")
@@ -238,7 +238,7 @@ def test_sizes_stay_within_bounds(device):
     have = FusedRefinement(Energy(huge), 1, learning_rate=1.0).refine(body).parameters
     mean = BodyParameters.mean(1, device=device)
     at_a_bound = 0
-    for name, (low, high) in (("lengths", LENGTH_BOUNDS), ("thicknesses", THICKNESS_BOUNDS)):
+    for name, (low, high) in SIZES.items():
         share = have.tensors()[name] / mean.tensors()[name]
         assert (share >= low - 1e-6).all()
         assert (share <= high + 1e-6).all()

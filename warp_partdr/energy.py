@@ -14,9 +14,11 @@ from typing import Literal
 import numpy as np
 import torch
 
+from .body.ellipbody import DEFAULT_SUBDIVISIONS
 from .body.labels import LabelSet
 from .body.landmarks import landmark_points
 from .body.template import template
+from .cameras import WeakPerspective
 from .ellipsoid_passes import Gradient
 from .ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartMesh, ellipbody_mesh
@@ -24,6 +26,7 @@ from .parameters import BodyParameters
 from .pose_prior import PosePrior, up_direction
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, label_loss, rasterize_parts
+from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 Renderer = Literal["exact", "mesh"]
 
@@ -76,10 +79,13 @@ class Energy:
         weights: Of the terms.
         prior: The pose prior.
         renderer: "exact" ellipsoids, or their "mesh".
-        subdivisions: Level of the drawn mesh, 0 to 3.
+        subdivisions: Level of the drawn mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance`` for the first
+            bodies that are drawn, and the same from then on (``coarsest_subdivisions``).
+        tolerance: Of "auto" [px of the drawn crop].
         gradient: Of the exact renderer: "partdr", "coverage" or "edges"; the mesh has PartDR's alone.
         max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
-        depth_weight: PartDR: the paper's lambda of the z gradient; 0 leaves it out.
+        depth_weight: PartDR: the paper's lambda of the z gradient; 0 leaves it out, as a label set of one group does,
+            with which nothing that shows hides something else.
 
     Attributes:
         votes: How much each landmark counts, shape (L,).
@@ -91,7 +97,8 @@ class Energy:
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
     renderer: Renderer = "exact"
-    subdivisions: int = 1
+    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
+    tolerance: float = DEFAULT_TOLERANCE
     gradient: Gradient = "partdr"
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
@@ -107,12 +114,12 @@ class Energy:
         self._mean_lengths = torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device)
         self._mean_thicknesses = torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device)
         self.target: torch.Tensor | None = None
-        self._mesh: PartMesh | None = None
+        self._mesh: tuple[int, PartMesh] | None = None  # its level, and itself
         self._part_labels: list[int] = []
         if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
             self._part_labels = [int(group) for group in seen.label_set.part_groups[1:]]
-            if self.renderer == "mesh":
-                self._mesh = ellipbody_mesh(self.subdivisions, device=device).relabel(seen.label_set.part_groups)
+            if seen.label_set.num_groups == 1:
+                self.depth_weight = 0.0
             self.target = resize_nearest(seen.labels, self.size)
         self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
@@ -140,13 +147,14 @@ class Energy:
         camera = parameters.camera(self.size)
         image_size = (self.size, self.size)
         maps = None
-        if self._mesh is not None:
-            vertices = camera.project(posed.vertices(self.subdivisions))
+        if self.renderer == "mesh":
+            level, mesh = self._find_mesh(posed, camera)
+            vertices = camera.project(posed.vertices(level))
             if self._maps is None:
                 target = self.target.expand(parameters.batch_size, -1, -1)
                 return label_loss(
                     vertices,
-                    self._mesh,
+                    mesh,
                     target,
                     max_distance=self.max_distance,
                     depth_weight=self.depth_weight,
@@ -154,7 +162,7 @@ class Energy:
                 )[0]
             maps = rasterize_parts(
                 vertices,
-                self._mesh,
+                mesh,
                 image_size,
                 num_maps=len(self._maps),
                 max_distance=self.max_distance,
@@ -187,6 +195,18 @@ class Energy:
         assert maps is not None
         assert self._known is not None
         return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
+
+    def _find_mesh(self, posed: Posed, camera: WeakPerspective) -> tuple[int, PartMesh]:
+        """The drawn mesh and its level, which stays: the energy must not jump while it is minimised."""
+        if self._mesh is None:
+            label_set = self.observation.label_set
+            assert label_set is not None
+            level = self.subdivisions
+            if level == "auto":
+                level = coarsest_subdivisions(posed, camera, tolerance=self.tolerance)
+            mesh = ellipbody_mesh(level, device=posed.centres.device).relabel(label_set.part_groups)
+            self._mesh = level, mesh
+        return self._mesh
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
+from .body.ellipbody import DEFAULT_SUBDIVISIONS
 from .body.labels import IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
-from .ellipsoid_passes import Gradient
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
 from .errors import InputError
 from .fused import minimise
@@ -26,8 +25,11 @@ from .part_files import PartLabels
 from .person import crop_nearest, person_crop, select_person
 from .pose_prior import PosePrior
 from .posing import Posed
+from .quality import OUTLINE, STAGES, Quality
+from .quality import Stage as Stage
 from .refinement import refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
+from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 CROP_MARGIN = 0.1  # of the person's extent, on each side
 LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
@@ -35,36 +37,6 @@ LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True)
-class Stage:
-    """One round of a fit: refine what is left, then keep the best.
-
-    Attributes:
-        name: For the progress bar and the report.
-        bodies: How many hypotheses enter at most.
-        iterations: Steps of Adam.
-        learning_rate: Of these steps.
-        size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
-        weights: Of the energy's terms in this stage; None takes the fit's.
-        gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
-        max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
-    """
-
-    name: str
-    bodies: int
-    iterations: int
-    learning_rate: float
-    size: int = 0
-    weights: Weights | None = None
-    gradient: Gradient = "partdr"
-    max_distance: float = math.inf
-
-
-# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
-# disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
-# with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
-OUTLINE = "outline"
-_OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
 _LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), gradient="coverage")
 
 
@@ -75,25 +47,34 @@ class FitOptions:
     Attributes:
         stages: In order; the first one lifts the hypotheses into 3D.
         weights: Of the energy's terms, where a stage has none of its own.
-        renderer: "exact" ellipsoids, or their "mesh" (E1, with PartDR's gradient).
+        renderer: "exact" ellipsoids, or their "mesh", with PartDR's gradient.
+        subdivisions: Level of the mesh, 0 to 3; "auto": in each stage the coarsest that is within ``tolerance`` of the
+            ellipsoids.
+        tolerance: Of "auto" [px of the drawn crop].
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
         depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
         seed: Of the random choice of hypotheses, where there are too many.
     """
 
-    stages: tuple[Stage, ...] = (
-        Stage("lift", 256, 30, 0.1),
-        Stage("keypoints", 256, 20, 0.04),
-        Stage("labels, coarse", 40, 25, 0.03, 64),
-        Stage("labels, middle", 12, 25, 0.02, 128),
-        Stage("labels, fine", 4, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 250, 0.01, 256, _OUTLINE_WEIGHTS, max_distance=2.0),
-    )
+    stages: tuple[Stage, ...] = STAGES["balanced"]
     weights: Weights = field(default_factory=Weights)
     renderer: Renderer = "exact"
+    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
+    tolerance: float = DEFAULT_TOLERANCE
     trust_background: bool = False
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     seed: int = 0
+
+    @classmethod
+    def at(cls, quality: Quality) -> FitOptions:
+        """Those of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
+
+        Raises:
+            ValueError: If there is no such quality.
+        """
+        if quality not in STAGES:
+            raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES)}")
+        return cls(stages=STAGES[quality])
 
     def labels_first(self) -> FitOptions:
         """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
@@ -148,10 +129,28 @@ class FitResult:
         return LandmarkGather(names, self.parameters.shift.device)(self.posed)[0].cpu().numpy()
 
     def draw(
-        self, image_size: tuple[int, int], *, subdivisions: int = 3, camera: WeakPerspective | None = None
+        self,
+        image_size: tuple[int, int],
+        *,
+        subdivisions: Subdivisions = 3,
+        tolerance: float = DEFAULT_TOLERANCE,
+        camera: WeakPerspective | None = None,
     ) -> PartImage:
-        """The body's 20 parts in the full picture, or in another camera's."""
-        vertices = (camera or self.camera).project(self.posed.vertices(subdivisions))
+        """The body's 20 parts in the full picture, or in another camera's.
+
+        Args:
+            image_size: (H, W) [px].
+            subdivisions: Level of the mesh, 0 to 3, or "auto": the coarsest that keeps the tolerance.
+            tolerance: How far its silhouettes may be from the ellipsoids' [px].
+            camera: Instead of the fit's.
+
+        Raises:
+            ValueError: If no level keeps the tolerance.
+        """
+        camera = camera or self.camera
+        if subdivisions == "auto":
+            subdivisions = coarsest_subdivisions(self.posed, camera, tolerance=tolerance)
+        vertices = camera.project(self.posed.vertices(subdivisions))
         return rasterize_parts(vertices, ellipbody_mesh(subdivisions, device=vertices.device), image_size)
 
 
@@ -160,6 +159,7 @@ def fit_body(
     parts: PartLabels | None = None,
     *,
     others: Sequence[Keypoints2D] = (),
+    quality: Quality = "balanced",
     options: FitOptions | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
@@ -170,7 +170,8 @@ def fit_body(
         keypoints: The person's 2D keypoints in the picture.
         parts: The picture's part labels; None fits keypoints alone.
         others: Other people's keypoints, which keep their labels apart from the person's.
-        options: Stages, weights and mesh level.
+        quality: "fast", "balanced" or "accurate": stages and picture sizes; docs/accuracy.md has what each gives.
+        options: Stages, weights and renderer of your own, instead of those of ``quality``.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
 
@@ -180,14 +181,11 @@ def fit_body(
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
-    options = options or FitOptions()
+    options = options or FitOptions.at(quality)
     trust = options.trust_background
     seen, crop = observe(keypoints, parts, others=others, trust_background=trust, device=device)
     prior = PosePrior().to(device)
-    # Without labels, the stages that draw them have nothing to add.
-    stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
-    if not stages:
-        raise ValueError("options.stages: none without labels; expected at least one of size 0")
+    stages = stages_of(options, parts)
     bodies, targets, known = hypothesize(seen, stages[0].bodies, seed=options.seed)
     bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
     hypotheses = bodies.batch_size
@@ -212,6 +210,8 @@ def fit_body(
             weights,
             prior,
             renderer=options.renderer,
+            subdivisions=options.subdivisions,
+            tolerance=options.tolerance,
             gradient=stage.gradient,
             max_distance=stage.max_distance,
             depth_weight=options.depth_weight,
@@ -255,6 +255,18 @@ def fit_body(
         hypotheses=hypotheses,
         finalists=finalists,
     )
+
+
+def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
+    """The rounds of a fit: without labels, the stages that draw them have nothing to add.
+
+    Raises:
+        ValueError: If none is left.
+    """
+    stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
+    if not stages:
+        raise ValueError("options.stages: none without labels; expected at least one of size 0")
+    return stages
 
 
 def observe(

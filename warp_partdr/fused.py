@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -34,7 +34,7 @@ from .kernels.surface_forces import NUM_SUMS
 from .kernels.threads import run_slices, split_batch
 from .parameters import BodyParameters
 from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
-from .refinement import LEARNING_RATE, LENGTH_BOUNDS, SHAPE_RATE, THICKNESS_BOUNDS, Refined, rate_share, refine
+from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, refine
 from .streams import capture_apart, on_torch_stream
 
 TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
@@ -86,11 +86,13 @@ class FusedRefinement:
         tolerance: A body rests once its best energy fell by no more than this share over ``patience`` iterations; None
             lets every body run on, as ``refine`` does.
         patience: See ``tolerance``.
+        frozen: As in ``refine``.
         renderer: Makes what draws and compares, from the energies, the posed ellipsoids and the flags (B,) of bodies
             that do not rest; it is asked only where energies compare labels.
 
     Raises:
-        ValueError: If the energies differ in more than what they saw, see probabilities, or draw a mesh.
+        ValueError: If the energies differ in more than what they saw, see probabilities, or draw a mesh, or ``frozen``
+            names what is no parameter, or all of them.
     """
 
     def __init__(
@@ -103,8 +105,10 @@ class FusedRefinement:
         final_rate: float = 0.1,
         tolerance: float | None = None,
         patience: int = 10,
+        frozen: Collection[str] = (),
         renderer: MakeRenderer = EllipsoidPicture,
     ) -> None:
+        free = BodyParameters.free(frozen)
         energies = _as_list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device
@@ -132,7 +136,7 @@ class FusedRefinement:
         stopping.tolerance, stopping.patience = -1.0 if tolerance is None else tolerance, patience
         with on_torch_stream(self._device) as where:
             self._state = self._make_state(where)
-            self._problem = self._make_problem(where, stopping)
+            self._problem = self._make_problem(where, stopping, free)
             self._renderer = renderer(energies, self._state.ellipsoids, self._state.active) if labels else None
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         self.observe(energies)
@@ -174,13 +178,13 @@ class FusedRefinement:
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
         return state
 
-    def _make_problem(self, where: str, stopping: Stopping) -> Problem:
+    def _make_problem(self, where: str, stopping: Stopping, free: Collection[str]) -> Problem:
         """What stays the same, but for what is seen."""
         energy, problem = self._energy, Problem()
         problem.skeleton, problem.half_size = skeleton(where), energy.size / 2
         problem.landmarks = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
         problem.rules, problem.mixture = rules(where, energy.prior), mixture(where, energy.prior)
-        problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, self._device)
+        problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         problem.stopping = stopping
         return problem
 
@@ -289,6 +293,7 @@ def minimise(
     *,
     iterations: int = 50,
     learning_rate: float = LEARNING_RATE,
+    frozen: Collection[str] = (),
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
     """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh.
@@ -296,14 +301,18 @@ def minimise(
     On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
     """
     if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
-        return refine(start, energy, iterations=iterations, learning_rate=learning_rate, on_iteration=on_iteration)
+        return refine(
+            start, energy, iterations=iterations, learning_rate=learning_rate, frozen=frozen, on_iteration=on_iteration
+        )
     device = start.shift.device
     made: dict[int, tuple[FusedRefinement, BodyParameters]] = {}
     done: dict[int, Refined] = {}
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        fused = FusedRefinement(energy, bodies.batch_size, iterations=iterations, learning_rate=learning_rate)
+        fused = FusedRefinement(
+            energy, bodies.batch_size, iterations=iterations, learning_rate=learning_rate, frozen=frozen
+        )
         made[part.start] = fused, bodies
 
     def work(part: slice) -> None:
@@ -359,17 +368,17 @@ def _term_weights(energy: Energy) -> TermWeights:
     return weights
 
 
-def _step_rule(rates: Sequence[float], device: torch.device) -> StepRule:
+def _step_rule(rates: Sequence[float], free: Collection[str], device: torch.device) -> StepRule:
     factors, lower, upper = (torch.empty(1, sum(_WIDTHS)) for _ in range(3))
-    factors.fill_(1.0)
+    for name, columns in _split(factors).items():
+        columns.fill_((SHAPE_RATE if name in SIZES else 1.0) if name in free else 0.0)
     lower.fill_(-math.inf)
     upper.fill_(math.inf)
-    mean = BodyParameters.mean(1)
-    for name, (low, high) in (("lengths", LENGTH_BOUNDS), ("thicknesses", THICKNESS_BOUNDS)):
-        usual = mean.tensors()[name]
-        _split(factors)[name].fill_(SHAPE_RATE)
-        _split(lower)[name].copy_(low * usual)
-        _split(upper)[name].copy_(high * usual)
+    mean = BodyParameters.mean(1).tensors()
+    for name, (low, high) in SIZES.items():
+        if name in free:
+            _split(lower)[name].copy_(low * mean[name])
+            _split(upper)[name].copy_(high * mean[name])
     schedule = [
         (rate / (1 - BETAS[0] ** step), math.sqrt(1 - BETAS[1] ** step)) for step, rate in enumerate(rates, start=1)
     ]

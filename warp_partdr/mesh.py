@@ -85,12 +85,20 @@ class PartMesh:
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
 
-        A face with the new label 255 still hides what is behind it, but costs nothing where it shows.
-        The edges stay those of the ellipsoids or parts that the mesh was built from.
+        A face with the new label 255 still hides what is behind it, but costs nothing where it shows; one with 0 is
+        left out. The edges stay those of the ellipsoids or parts that the mesh was built from.
         """
         old = self.face_labels.cpu().numpy()
-        new = np.array([table[int(label)] for label in old], dtype=np.uint8)
-        return replace(self, face_labels=torch.from_numpy(new).to(self.faces.device))
+        new = torch.from_numpy(np.array([table[int(label)] for label in old], dtype=np.uint8)).to(self.faces.device)
+        if (new > 0).all():
+            return replace(self, face_labels=new)
+        # An edge between two faces lies within one part, so both are kept or none.
+        kept = torch.where(new > 0, (new > 0).cumsum(0) - 1, -1).int()
+        edges = self.edges.clone()
+        of_faces = edges[:, 2:4]
+        edges[:, 2:4] = torch.where(of_faces >= 0, kept[of_faces.long()], -1)
+        edges = edges[edges[:, 2:4].amax(1) >= 0]
+        return PartMesh(self.faces[new > 0], new[new > 0], edges)
 
 
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:

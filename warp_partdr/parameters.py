@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -82,11 +83,24 @@ class BodyParameters:
         """Some of the bodies."""
         return replace(self, **{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
-    def leaves(self) -> BodyParameters:
-        """Detached copies that collect gradients."""
-        return replace(
-            self, **{field.name: getattr(self, field.name).detach().clone().requires_grad_() for field in fields(self)}
-        )
+    def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
+        """Detached copies that collect gradients, but for the frozen ones."""
+        copies = {name: tensor.detach().clone() for name, tensor in self.tensors().items()}
+        return replace(self, **{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
+
+    @classmethod
+    def free(cls, frozen: Collection[str]) -> tuple[str, ...]:
+        """Names of the parameters that are not frozen.
+
+        Raises:
+            ValueError: If ``frozen`` names something else, or all of them.
+        """
+        names = tuple(field.name for field in fields(cls))
+        if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in names]):
+            raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {names}")
+        if not (free := tuple(name for name in names if name not in frozen)):
+            raise ValueError("frozen: all parameters; expected at least one to be free")
+        return free
 
     def detach(self) -> BodyParameters:
         """The numbers alone."""

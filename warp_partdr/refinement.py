@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import torch
@@ -14,8 +14,7 @@ LEARNING_RATE = 1e-2  # the paper's
 SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
 # Shares of the mean adult's sizes that a body keeps within. A torso's depth can't be seen from the front, and would
 # take any value that fills a gap in the labels.
-LENGTH_BOUNDS = (0.6, 1.4)
-THICKNESS_BOUNDS = (0.4, 1.6)
+SIZES = {"lengths": (0.6, 1.4), "thicknesses": (0.4, 1.6)}
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,7 @@ def refine(
     iterations: int = 50,
     learning_rate: float = LEARNING_RATE,
     final_rate: float = 0.1,
+    frozen: Collection[str] = (),
     on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
     """Minimise ``energy`` from every start side by side.
@@ -52,25 +52,27 @@ def refine(
         iterations: Steps of Adam.
         learning_rate: Of angles [rad] and of the camera [half-sides of the crop]; shape moves at 0.3 of it.
         final_rate: Share of the learning rate at the last step; it falls along a cosine.
+        frozen: Names of ``BodyParameters`` that stay as they start and get no gradient, such as ("lengths",
+            "thicknesses") of a person who was measured before.
         on_iteration: Called with the number of steps done, for a progress bar.
 
     Returns:
         The best state of each body, not the last: PartDR's estimate does not promise descent. Lengths stay within 60
         and 140 % of the mean adult's, thicknesses within 40 and 160 %.
+
+    Raises:
+        ValueError: If ``frozen`` names what is no parameter, or all of them.
     """
-    bodies = start.leaves()
-    shape = [bodies.lengths, bodies.thicknesses]
-    rest = [bodies.orientation, bodies.rotations, bodies.log_scale, bodies.shift]
-    groups = [{"params": rest, "lr": learning_rate}, {"params": shape, "lr": learning_rate * SHAPE_RATE}]
-    optimizer = torch.optim.Adam(groups)
+    free = BodyParameters.free(frozen)
+    bodies = start.leaves(frozen)
+    rates = {name: learning_rate * (SHAPE_RATE if name in SIZES else 1.0) for name in free}
+    optimizer = torch.optim.Adam([{"params": bodies.tensors()[name], "lr": rate} for name, rate in rates.items()])
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: rate_share(step, iterations, final_rate))
-    mean = BodyParameters.mean(1, device=bodies.lengths.device)
+    mean = BodyParameters.mean(1, device=bodies.lengths.device).tensors()
     bounds = [
-        (sizes, low * usual, high * usual)
-        for sizes, usual, (low, high) in (
-            (bodies.lengths, mean.lengths, LENGTH_BOUNDS),
-            (bodies.thicknesses, mean.thicknesses, THICKNESS_BOUNDS),
-        )
+        (bodies.tensors()[name], low * mean[name], high * mean[name])
+        for name, (low, high) in SIZES.items()
+        if name in free
     ]
     best: BodyParameters | None = None
     best_energy = torch.empty(0)

@@ -1,0 +1,168 @@
+"""``partdr bench tradeoff``: what accuracy a picture size, a renderer and its gradient buy, and for how much time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+
+import torch
+
+from ..energy import LandmarkGather, Weights
+from ..evaluation import Method, evaluate
+from ..fitting import FitOptions
+from ..parameters import BodyParameters
+from ..partbench.samples import partbench
+from ..pose_prior import PosePrior
+from ..quality import STAGES
+from ..refinement import refine
+from .machine import about
+from .tradeoff_fits import own_part_f1, refine_all, score, time_iteration
+from .tradeoff_gradient import gradient_error, true_gradient
+from .tradeoff_plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
+from .tradeoff_report import (
+    BFLOAT16,
+    FLOAT32,
+    FLOAT64,
+    KEYPOINTS_TOO,
+    Fit,
+    Gradient,
+    Precision,
+    Report,
+)
+from .tradeoff_report import LABELS_ALONE as SEES_LABELS_ALONE
+from .tradeoff_truth import JOINTS, People, make_people
+
+Progress = Callable[[str, int, int], None]
+
+_LEVELS = ("clean", "realistic")  # of PartBench
+
+
+def run_tradeoff(plan: Plan, progress: Progress = lambda name, done, total: None) -> Report:
+    """Measure all of a plan."""
+    report = Report(plan.device, about(plan.device))
+    progress("making people", 0, 1)
+    own, annys = (people.to(plan.device) for people in make_people(plan.ellipbodies, plan.annys))
+    jobs = [
+        *_time_jobs(plan, report, own),
+        *_fit_jobs(plan, report, (own, annys)),
+        *_gradient_jobs(plan, report, own),
+        *_precision_jobs(report, own),
+        *_quality_jobs(plan, report),
+    ]
+    for index, (name, job) in enumerate(jobs):
+        progress(name, index, len(jobs))
+        job()
+    progress("done", len(jobs), len(jobs))
+    return report
+
+
+_Jobs = Iterator[tuple[str, Callable[[], None]]]
+
+
+def _time_jobs(plan: Plan, report: Report, people: People) -> _Jobs:
+    start = people.starts(DISTANCE)
+
+    def work(name: str, size: int) -> None:
+        report.times[name, size] = time_iteration(Setting(name, size), people, start, plan.device, plan.budget)
+
+    for name in NAMES:
+        for size in plan.sizes:
+            yield f"time, {name}, {size} px", partial(work, name, size)
+
+
+def _fit_jobs(plan: Plan, report: Report, crowds: tuple[People, ...]) -> _Jobs:
+    """All settings from the middle distance; from the others, and with labels alone, fewer."""
+    for name in NAMES:
+        for size in plan.sizes:
+            for iterations in plan.iterations:
+                setting = Setting(name, size, iterations)
+                far = [distance for distance in plan.distances if iterations == ITERATIONS or distance == DISTANCE]
+                for people in crowds:
+                    for distance in far:
+                        yield (
+                            f"{people.name}, {name}, {size} px",
+                            partial(_fit, report, people, setting, distance, KEYPOINTS_TOO, None),
+                        )
+                        if size == SIZE and iterations == ITERATIONS:
+                            yield (
+                                f"{people.name}, {name}, labels alone",
+                                partial(_fit, report, people, setting, distance, SEES_LABELS_ALONE, LABELS_ALONE),
+                            )
+
+
+def _fit(report: Report, people: People, setting: Setting, distance: float, seen: str, weights: Weights | None) -> None:
+    bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
+    own = None
+    if setting.renderer == "mesh" and setting == Setting(setting.name):
+        own = own_part_f1(bodies, people, setting.subdivisions)
+    report.fits.append(Fit(people.name, seen, setting, distance, score(bodies, people), own, seconds))
+
+
+def _gradient_jobs(plan: Plan, report: Report, people: People) -> _Jobs:
+    def work(distance: float) -> None:
+        bodies = people.starts(distance)
+        true = true_gradient(people, bodies)
+        for name in NAMES:
+            for size in plan.sizes:
+                setting = Setting(name, size)
+                error = gradient_error(setting, people, bodies, true)
+                report.gradients.append(Gradient(setting, distance, error))
+
+    for distance in plan.gradient_distances:
+        yield f"gradients, {distance} rad off", partial(work, distance)
+
+
+def _precision_jobs(report: Report, people: People) -> _Jobs:
+    for name in PRECISION_NAMES:
+        yield f"numbers, {name}", partial(_compare_numbers, report, people, Setting(name))
+
+
+def _compare_numbers(report: Report, people: People, setting: Setting) -> None:
+    """The same refinement with posing, losses and Adam in float32 and in float64; kernels draw in float32."""
+    start, gather = people.starts(DISTANCE), LandmarkGather(JOINTS, people.labels.device)
+    found: dict[str, BodyParameters] = {}
+    seconds: dict[str, float] = {}
+    for numbers, kind in ((FLOAT32, torch.float32), (FLOAT64, torch.float64)):
+        begin = time.perf_counter()
+        found[numbers] = _refine_in_torch(setting, people, start, kind)
+        seconds[numbers] = (time.perf_counter() - begin) / (len(people) * setting.iterations)
+    found[BFLOAT16], seconds[BFLOAT16] = _cast(found[FLOAT32], torch.bfloat16), seconds[FLOAT32]
+    reference = gather(found[FLOAT32].posed())
+    for numbers, bodies in found.items():
+        bodies = _cast(bodies, torch.float32)
+        moved = 1000 * (gather(bodies.posed()) - reference).norm(dim=-1).mean()
+        report.precisions.append(
+            Precision(setting.name, numbers, score(bodies, people), float(moved), seconds[numbers])
+        )
+
+
+def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, kind: torch.dtype) -> BodyParameters:
+    prior = PosePrior().to(start.shift.device, kind)
+    found = []
+    for person in range(len(people)):
+        seen = people.observation(person)
+        energy = setting.energy(replace(seen, points=seen.points.to(kind)), prior)
+        body = _cast(start.select(torch.tensor([person], device=start.shift.device)), kind)
+        found.append(
+            refine(body, energy, iterations=setting.iterations, learning_rate=RATE).parameters.tensors().values()
+        )
+    return BodyParameters(*(torch.cat(column) for column in zip(*found, strict=True)))
+
+
+def _cast(bodies: BodyParameters, kind: torch.dtype) -> BodyParameters:
+    return BodyParameters(**{name: tensor.to(kind) for name, tensor in bodies.tensors().items()})
+
+
+def _quality_jobs(plan: Plan, report: Report) -> _Jobs:
+    """Whole fits, one person at a time, so that none is slowed by another."""
+
+    def work(level: str) -> None:
+        methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in STAGES}
+        found = evaluate(partbench(plan.fits, (level,)), methods, device=plan.device)
+        report.qualities[level] = next(iter(found.pooled().values()))
+
+    if plan.fits:
+        for level in _LEVELS:
+            yield f"whole fits, {level}", partial(work, level)

@@ -1,0 +1,107 @@
+"""Refinements of people of known truth: how near they end, and how long an iteration takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+
+from ..body.template import NUM_PARTS
+from ..energy import LandmarkGather, Weights
+from ..fused import FusedRefinement
+from ..mesh import ellipbody_mesh
+from ..metrics import accuracy, confusion, pa_mpjpe, part_f1
+from ..parameters import BodyParameters
+from ..pose_prior import PosePrior
+from ..refinement import refine
+from ..render import rasterize_parts
+from .timing import Timing, time_calls
+from .tradeoff_plan import RATE, Setting
+from .tradeoff_truth import JOINTS, TRUTH_SIZE, People, draw_truth
+
+_SCORED = TRUTH_SIZE // 3  # [px], side of the pictures that are compared
+_TIMED_PEOPLE, _TIMED_ITERATIONS = 4, 5
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How near bodies are to the truth, an array of shape (N,) each.
+
+    Attributes:
+        part_f1: Of 20 parts and background, of exact ellipsoids at 512 px.
+        accuracy: Share of the picture's pixels with the right label.
+        joint_error: Mean distance of 14 joints after the best similarity [mm].
+    """
+
+    part_f1: np.ndarray
+    accuracy: np.ndarray
+    joint_error: np.ndarray
+
+
+def score(bodies: BodyParameters, people: People) -> Scores:
+    """Compare a body for each person with the truth."""
+    counts = confusion(draw_truth(bodies, _SCORED), _true_labels(people), NUM_PARTS + 1)
+    joints = LandmarkGather(JOINTS, bodies.shift.device)(bodies.posed())
+    error = 1000 * pa_mpjpe(joints, people.joints)
+    return Scores(part_f1(counts), accuracy(counts), error.cpu().numpy())
+
+
+def own_part_f1(bodies: BodyParameters, people: People, subdivisions: int) -> np.ndarray:
+    """Part F1, shape (N,), of the bodies' mesh, as the paper draws them."""
+    vertices = bodies.camera(_SCORED).project(bodies.posed().vertices(subdivisions))
+    mesh = ellipbody_mesh(subdivisions, device=vertices.device)
+    drawn = [rasterize_parts(each[None], mesh, (_SCORED, _SCORED)).labels for each in vertices]
+    return part_f1(confusion(torch.cat(drawn), _true_labels(people), NUM_PARTS + 1))
+
+
+def _true_labels(people: People) -> torch.Tensor:
+    """What lies at the centres of the compared pictures' pixels."""
+    return people.labels[:, 1::3, 1::3]
+
+
+def refine_all(
+    setting: Setting, people: People, start: BodyParameters, weights: Weights | None = None
+) -> tuple[BodyParameters, float]:
+    """Refine a body for each person, as the library would: one graph for exact ellipsoids, torch for meshes.
+
+    Returns:
+        The bodies, and the seconds that an iteration took for one of them.
+    """
+    prior = PosePrior().to(start.shift.device)
+    if setting.renderer == "mesh":
+        # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
+        energy = setting.energy(people.observation(), prior, weights)
+        begin = time.perf_counter()
+        found = refine(start, energy, iterations=setting.iterations, learning_rate=RATE)
+    else:
+        energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
+        fused = FusedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
+        begin = time.perf_counter()
+        found = fused.refine(start)
+    float(found.energy.sum())  # until the device is done
+    seconds = time.perf_counter() - begin
+    return found.parameters, seconds / (len(people) * setting.iterations)
+
+
+def time_iteration(setting: Setting, people: People, start: BodyParameters, device: str, budget: float) -> Timing:
+    """Of one body's refinement without its set-up: the fastest run of each of a few people [s an iteration].
+
+    Runs are short, so that some of them are disturbed by nothing else on the machine.
+    """
+    setting = replace(setting, iterations=_TIMED_ITERATIONS)
+    prior = PosePrior().to(start.shift.device)
+    runs: list[Callable[[], object]] = []
+    for person in range(min(_TIMED_PEOPLE, len(people))):
+        energy = setting.energy(people.observation(person), prior)
+        body = start.select(torch.tensor([person], device=start.shift.device))
+        if setting.renderer == "mesh":
+            runs.append(partial(refine, body, energy, iterations=setting.iterations))
+        else:
+            fused = FusedRefinement(energy, 1, iterations=setting.iterations)
+            runs.append(partial(fused.refine, body))
+    fastest = [time_calls(run, device, budget / len(runs)).fastest for run in runs]
+    return Timing(tuple(seconds / setting.iterations for seconds in fastest))

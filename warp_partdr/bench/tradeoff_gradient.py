@@ -1,0 +1,69 @@
+"""How far each estimator's gradient of L_seg is from the derivative of the area that shows a wrong label."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..ellipsoids import ellipsoid_label_loss
+from ..energy import REFERENCE_SIZE, resize_nearest
+from ..mesh import ellipbody_mesh
+from ..parameters import BodyParameters
+from ..refinement import SHAPE_RATE
+from ..render import label_loss
+from .plan import COVERAGE
+from .tradeoff_plan import Setting
+from .tradeoff_truth import TRUTH_SIZE, People
+
+# Adam moves lengths and thicknesses [m] that much slower than angles [rad]: so one of their units counts as less.
+_STEPS = {"lengths": SHAPE_RATE, "thicknesses": SHAPE_RATE}
+
+
+@dataclass(frozen=True)
+class GradientError:
+    """Of gradients against true ones, over all numbers of a body and its camera; an array of shape (N,) each.
+
+    Attributes:
+        angle: Between the two [degrees].
+        ratio: Of their lengths.
+    """
+
+    angle: np.ndarray
+    ratio: np.ndarray
+
+
+def gradient_error(setting: Setting, people: People, bodies: BodyParameters, true: torch.Tensor) -> GradientError:
+    """Of a setting's estimate at a body for each person; ``true`` as ``true_gradient`` returns it."""
+    found = _gradient(setting, bodies, resize_nearest(people.labels, setting.size))
+    cosine = torch.nn.functional.cosine_similarity(found, true, dim=1)
+    ratio = found.norm(dim=1) / true.norm(dim=1)
+    return GradientError(torch.rad2deg(cosine.clamp(-1, 1).acos()).cpu().numpy(), ratio.cpu().numpy())
+
+
+def true_gradient(people: People, bodies: BodyParameters) -> torch.Tensor:
+    """The derivative of the area in which a body for each person shows a wrong label, shape (N, P).
+
+    That is the coverage gradient in pictures as fine as the truth: 3 to 24 samples a side of a pixel. They are large,
+    so they are drawn one at a time.
+    """
+    setting = Setting(COVERAGE, TRUTH_SIZE)
+    one = (torch.tensor([index], device=people.labels.device) for index in range(len(people)))
+    return torch.cat([_gradient(setting, bodies.select(index), people.labels[index]) for index in one])
+
+
+def _gradient(setting: Setting, bodies: BodyParameters, labels: torch.Tensor) -> torch.Tensor:
+    """Of L_seg [pixels of a 256 px picture], in the unit of a step of each number, shape (B, P)."""
+    leaves = bodies.leaves()
+    posed, camera = leaves.posed(), leaves.camera(setting.size)
+    if setting.renderer == "mesh":
+        mesh = ellipbody_mesh(setting.subdivisions, device=labels.device)
+        loss, _ = label_loss(camera.project(posed.vertices(setting.subdivisions)), mesh, labels)
+    else:
+        loss, _ = ellipsoid_label_loss(posed, camera, labels, gradient=setting.gradient)
+    scaled = (REFERENCE_SIZE / setting.size) ** 2 * loss.sum()
+    names = leaves.tensors()
+    grads = torch.autograd.grad(scaled, list(names.values()))
+    rows = [_STEPS.get(name, 1.0) * grad for name, grad in zip(names, grads, strict=True)]
+    return torch.cat([row.reshape(len(row), -1) for row in rows], dim=1)

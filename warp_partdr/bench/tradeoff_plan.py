@@ -1,0 +1,93 @@
+"""What ``partdr bench tradeoff`` runs: which renderers, gradients, picture sizes and iterations, from which starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..ellipsoid_passes import Gradient
+from ..energy import Energy, Observation, Renderer, Weights
+from ..pose_prior import PosePrior
+from .plan import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
+
+NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the order of tables and legends
+SIZE, ITERATIONS, DISTANCE = 256, 50, 0.15  # what stays the same while others change
+NEAR, FAR = 0.05, 0.3
+RATE = 0.02  # of Adam: between those of a fit's stages
+LABELS_ALONE = Weights(proj=0.0)
+PRECISION_NAMES = ("mesh E1", PARTDR, COVERAGE)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a user chooses for a refinement.
+
+    Attributes:
+        name: One of ``NAMES``.
+        size: Side of the drawn crop [px].
+        iterations: Steps of Adam.
+    """
+
+    name: str
+    size: int = SIZE
+    iterations: int = ITERATIONS
+
+    @property
+    def renderer(self) -> Renderer:
+        """What draws."""
+        return "mesh" if self.name in LEVELS else "exact"
+
+    @property
+    def subdivisions(self) -> int:
+        """Level of the mesh; of exact ellipsoids one that is not used."""
+        return LEVELS.get(self.name, 0)
+
+    @property
+    def gradient(self) -> Gradient:
+        """Its estimator."""
+        return GRADIENTS.get(self.name, "partdr")
+
+    def energy(self, seen: Observation, prior: PosePrior, weights: Weights | None = None) -> Energy:
+        """What the refinement minimises."""
+        return Energy(
+            seen,
+            self.size,
+            weights or Weights(),
+            prior,
+            renderer=self.renderer,
+            subdivisions=self.subdivisions,
+            gradient=self.gradient,
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is run.
+
+    Attributes:
+        device: "cpu" or a CUDA device.
+        ellipbodies: People who are EllipBodies.
+        annys: People who are Annys.
+        sizes: Sides of the picture [px].
+        iterations: Steps of Adam; each number is a run of its own, for the rate falls along all of a run.
+        distances: How far starts are off the truth [rad].
+        gradient_distances: The same, of bodies whose gradients are compared [rad].
+        budget: For timing a setting [s].
+        fits: People whom ``fit_body`` fits at each quality; 0: none.
+    """
+
+    device: str
+    ellipbodies: int = 12
+    annys: int = 12
+    sizes: tuple[int, ...] = (64, 128, 256, 512)
+    iterations: tuple[int, ...] = (10, 25, 50, 100)
+    distances: tuple[float, ...] = (NEAR, DISTANCE, FAR)
+    gradient_distances: tuple[float, ...] = (0.01, NEAR, DISTANCE, FAR)
+    budget: float = 0.5
+    fits: int = 20
+
+
+def make_plan(device: str, *, quick: bool = False) -> Plan:
+    """All of it, or what takes less than a minute on two cores."""
+    if quick:
+        return Plan(device, 3, 3, (64, 256), (10, 50), (DISTANCE,), (DISTANCE,), 0.05, 1)
+    return Plan(device)
