@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 DEFAULT_SUBDIVISIONS = 1  # E1, the paper's default (section 4.3, "Speed of Part Differentiable Renderer")
 
+# Products of three such numbers, an area in pixels times a depth, stay within float32.
+LARGEST = 1e12
+
 _PRECISIONS = {wp.float32: (wp.vec3f, wp.mat33f), wp.float64: (wp.vec3d, wp.mat33d)}
 
 
@@ -133,12 +136,12 @@ class EllipBody:
         """Copy arrays of shape (B, 3, 3), (B, 3), (B, 20, 3, 3), (B, 12) and (B, 15) to a device.
 
         Raises:
-            ValueError: If a shape differs, or a value is not finite.
+            ValueError: If a shape differs, or a value is not finite or beyond 1e12.
         """
         if dtype not in _PRECISIONS:
             raise ValueError(f"dtype: {dtype}; expected warp.float32 or warp.float64")
         vec, mat = _PRECISIONS[dtype]
-        batch = len(global_orient)
+        batch = len(np.atleast_1d(global_orient))
         given = {
             "global_orient": (global_orient, (batch, 3, 3), mat),
             "translation": (translation, (batch, 3), vec),
@@ -151,8 +154,12 @@ class EllipBody:
             value = np.asarray(value)
             if value.shape != shape:
                 raise ValueError(f"{name}: shape {value.shape}; expected {shape}")
+            if value.dtype.kind not in "fiu":
+                raise ValueError(f"{name}: {value.dtype}; expected numbers")
             if not np.isfinite(value).all():
                 raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
+            if value.size and np.abs(value).max() > LARGEST:
+                raise ValueError(f"{name}: holds {np.abs(value).max():g}; expected numbers up to {LARGEST:g}")
             arrays[name] = wp.array(np.ascontiguousarray(value), dtype=warp_type, device=device)
         return cls(**arrays)
 
@@ -198,7 +205,13 @@ class EllipBody:
         return posed
 
     def measure(self, index: int = 0) -> dict[str, float]:
-        """Every length and thickness of one body by name [m], such as ``{"left forearm length": 0.26}``."""
+        """Every length and thickness of one body by name [m], such as ``{"left forearm length": 0.26}``.
+
+        Raises:
+            ValueError: If there is no body ``index``.
+        """
+        if not isinstance(index, int) or not 0 <= index < self.batch_size:
+            raise ValueError(f"index: {index}; expected one of {self.batch_size} bodies")
         lengths, thicknesses = self.lengths.numpy()[index], self.thicknesses.numpy()[index]
         measured: dict[str, float] = {}
         for part, (length, first, second) in zip(PART_NAMES, SHAPE_INDICES, strict=True):

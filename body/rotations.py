@@ -15,6 +15,17 @@ def skew(vector: torch.Tensor) -> torch.Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
 
+def _check(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
+    """Raise unless it is a dense floating tensor (..., *shape)."""
+    if not isinstance(tensor, torch.Tensor):
+        raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
+    if tensor.shape[-len(shape) :] != shape or not tensor.is_floating_point() or tensor.layout != torch.strided:
+        expected = ", ".join(["...", *map(str, shape)])
+        raise ValueError(
+            f"{name}: {tensor.dtype}, {tensor.layout}, shape {tuple(tensor.shape)}; expected dense floats ({expected})"
+        )
+
+
 def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
     """Rodrigues' formula.
 
@@ -23,7 +34,11 @@ def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
 
     Returns:
         Rotation matrices, shape (..., 3, 3).
+
+    Raises:
+        ValueError: If the shape or dtype is wrong.
     """
+    _check("axis_angle", axis_angle, (3,))
     square = (axis_angle * axis_angle).sum(-1)[..., None, None]
     small = square < _TINY_ANGLE**2
     # where() alone would still differentiate the branch not taken, through sqrt(0)
@@ -44,7 +59,11 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
     Returns:
         Rotation matrices, shape (..., 3, 3). A column without direction, or a second one along the first, is replaced
         by a fixed other direction, so that the result is a rotation always.
+
+    Raises:
+        ValueError: If the shape or dtype is wrong.
     """
+    _check("columns", columns, (6,))
     first, second = columns[..., :3], columns[..., 3:]
     x_axis = torch.tensor([1.0, 0.0, 0.0], dtype=columns.dtype, device=columns.device)
     first = _normalise_or(first, x_axis)
@@ -61,6 +80,7 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
 
 def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
     """The first two columns of rotation matrices (..., 3, 3), shape (..., 6)."""
+    _check("rotation", rotation, (3, 3))
     return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
 
 
@@ -69,6 +89,7 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
 
     Through the largest quaternion component, so that it holds at pi.
     """
+    _check("rotation", rotation, (3, 3))
     m = rotation
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     # Rows of the matrix 4 q qᵀ for q = (w, x, y, z) (Shepperd, 1978).

@@ -4,20 +4,20 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoids import Silhouette, middle_at, room_at
+from .ellipsoids import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
 from .surface_forces import Subject
 from .targets import excess_at
 
 wp.set_module_options({"enable_backward": False})
 
-_TINY = wp.constant(1.0e-20)
+_TINY = wp.constant(1.0e-18)  # share of its middle's at which a front is as steep as it gets
 _ROOT_STEPS = wp.constant(4)  # of false position
 
 
 @wp.func
 def root_at(s: Silhouette, x: float, y: float):
     """How much nearer the front surface is than the outline's plane; 0 outside."""
-    return wp.sqrt(wp.max(room_at(s, x, y), 0.0))
+    return s.bulge * wp.sqrt(wp.max(inside_at(s, x, y), 0.0))
 
 
 @wp.func
@@ -27,23 +27,34 @@ def front_at(s: Silhouette, x: float, y: float):
 
 
 @wp.func
+def outward_at(s: Silhouette, x: float, y: float):
+    """Gradient in the picture of half the square of the distance from an outline's centre: its normal, if longer."""
+    place = to_disc(s, x - s.mean[0], y - s.mean[1])
+    return wp.vec2(s.factor[0] * place[0] + s.factor[1] * place[1], s.factor[2] * place[1])
+
+
+@wp.func
+def room_at(s: Silhouette, x: float, y: float):
+    """Square of ``root_at``, negative outside."""
+    return s.bulge * s.bulge * inside_at(s, x, y)
+
+
+@wp.func
 def room_slope(s: Silhouette, x: float, y: float):
     """Gradient in the picture of an ellipsoid's room."""
-    dx = x - s.mean[0]
-    dy = y - s.mean[1]
-    return -2.0 * wp.vec2(s.conic[0] * dx + s.conic[1] * dy, s.conic[1] * dx + s.conic[2] * dy)
+    return -2.0 * s.bulge * s.bulge * outward_at(s, x, y)
 
 
 @wp.func
 def slope_at(s: Silhouette, x: float, y: float, root: float):
     """Gradient in the picture of the front surface's nearness, where that is ``root`` more than the middle's."""
-    return s.slope + 0.5 * room_slope(s, x, y) / root
+    return s.slope - s.bulge * (s.bulge / root) * outward_at(s, x, y)
 
 
 @wp.func
 def nearness_slope(s: Silhouette, x: float, y: float):
     """Gradient in the picture of the front surface's nearness."""
-    return slope_at(s, x, y, wp.sqrt(wp.max(room_at(s, x, y), _TINY)))
+    return slope_at(s, x, y, s.bulge * wp.sqrt(wp.max(inside_at(s, x, y), _TINY)))
 
 
 @wp.func
@@ -82,19 +93,20 @@ def find_crossing(
 @wp.func
 def line_root(s: Silhouette, x: float, y: float, axis: int):
     """Positive where the line through (x, y) along an axis crosses the outline; its root says where."""
-    across = wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
-    along = wp.where(axis == 0, s.conic[0], s.conic[2])
-    lean = s.conic[1] * across
-    return lean * lean + along * (s.room - wp.where(axis == 0, s.conic[2], s.conic[0]) * across * across)
+    if axis == 0:
+        return row_root(s, y - s.mean[1])
+    reach = s.factor[0] * (x - s.mean[0])
+    return 1.0 - reach * reach
 
 
 @wp.func
 def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
     """Where the line through (x, y) along an axis leaves (side 1) or enters (side -1) the outline."""
-    along = wp.where(axis == 0, s.conic[0], s.conic[2])
-    lean = s.conic[1] * wp.where(axis == 0, y - s.mean[1], x - s.mean[0])
     root = wp.sqrt(wp.max(line_root(s, x, y, axis), 0.0))
-    return wp.where(axis == 0, s.mean[0], s.mean[1]) + (side * root - lean) / along
+    if axis == 0:
+        return s.mean[0] + (side * root - row_lean(s, y - s.mean[1])) / along_row(s)
+    upward = wp.sign(s.factor[2])  # of a picture that the camera mirrors, the other way
+    return s.mean[1] + (side * upward * root - s.factor[1] * (x - s.mean[0])) / s.factor[2]
 
 
 @wp.func

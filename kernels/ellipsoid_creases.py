@@ -8,8 +8,8 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_borders import chord_shares, find_crossing, front_at, lead, room_slope, root_at, slope_at
-from .ellipsoids import Silhouette, middle_at, room_at
+from .ellipsoid_borders import chord_shares, find_crossing, front_at, lead, room_at, room_slope, root_at, slope_at
+from .ellipsoids import Silhouette, inside_at, middle_at, to_disc
 from .lanes import ballot, lowest_bit, nth_bit, tell
 from .surface_forces import Ellipsoid, Scene, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
 
@@ -23,11 +23,12 @@ _RIM = wp.constant(1.0e-3)  # the smallest root, as a share of the largest, that
 @wp.func
 def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
     """Between which shares of the way from a place an ellipsoid is there; the first is larger if it is nowhere."""
-    x = start[0] - s.mean[0]
-    y = start[1] - s.mean[1]
-    a = (s.conic[0] * way[0] + 2.0 * s.conic[1] * way[1]) * way[0] + s.conic[2] * way[1] * way[1]
-    b = (s.conic[0] * x + s.conic[1] * y) * way[0] + (s.conic[1] * x + s.conic[2] * y) * way[1]
-    square = b * b + a * room_at(s, start[0], start[1])
+    place = to_disc(s, start[0] - s.mean[0], start[1] - s.mean[1])
+    move = to_disc(s, way[0], way[1])
+    a = wp.dot(move, move)
+    b = wp.dot(place, move)
+    miss = place[0] * move[1] - place[1] * move[0]
+    square = a - miss * miss
     if square <= 0.0 or a <= 0.0:
         return wp.vec2(1.0, 0.0)
     root = wp.sqrt(square)
@@ -47,8 +48,8 @@ def is_hidden(subject: Subject, s: Silhouette, j: int, place: wp.vec2):
             bits &= bits - wp.uint32(1)
             if i != j:
                 other = subject.silhouettes[i]
-                room = room_at(other, x, y)
-                if room > 0.0 and middle_at(other, x, y) + wp.sqrt(room) > nearness:
+                inside = inside_at(other, x, y)
+                if inside > 0.0 and middle_at(other, x, y) + other.bulge * wp.sqrt(inside) > nearness:
                     return True
     return False
 
@@ -71,13 +72,13 @@ def push_crease(
     root = root_at(s, x, y)
     other_root = root_at(other, x, y)
     # A root is steep where it is small. Both fronts are equally near, so the larger one tells the smaller.
-    if root * root * other.room < other_root * other_root * s.room:
+    if root * other.bulge < other_root * s.bulge:
         root = other_middle + other_root - middle
     else:
         other_root = middle + root - other_middle
     # At the outline itself slopes are infinite and forces are not.
-    root = wp.max(root, _RIM * wp.sqrt(s.room))
-    other_root = wp.max(other_root, _RIM * wp.sqrt(other.room))
+    root = wp.max(root, _RIM * s.bulge)
+    other_root = wp.max(other_root, _RIM * other.bulge)
     slope = slope_at(s, x, y, root)
     steepness = wp.length(slope - slope_at(other, x, y, other_root))
     if steepness > 0.0:
@@ -134,7 +135,7 @@ def push_chord(
 @wp.func
 def lead_if_there(one: Silhouette, other: Silhouette, place: wp.vec2):
     """How much nearer one front surface is than another; _NOWHERE unless both are there."""
-    if room_at(one, place[0], place[1]) <= 0.0 or room_at(other, place[0], place[1]) <= 0.0:
+    if inside_at(one, place[0], place[1]) <= 0.0 or inside_at(other, place[0], place[1]) <= 0.0:
         return _NOWHERE
     return lead(one, other, place[0], place[1])
 
@@ -272,7 +273,8 @@ def room_range(s: Silhouette, x: float, y: float, half: float):
     room = room_at(s, x, y)
     slope = room_slope(s, x, y)
     tilt = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
-    bend = half * half * (s.conic[0] + 2.0 * wp.abs(s.conic[1]) + s.conic[2])
+    corner = to_disc(s, half, wp.where(s.factor[1] * s.factor[2] < 0.0, -half, half))  # the farthest
+    bend = s.bulge * s.bulge * wp.dot(corner, corner)
     return wp.vec2(room - tilt - bend, room + tilt)
 
 

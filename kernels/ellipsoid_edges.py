@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from .ellipsoid_borders import find_crossing, front_at, lead, nearness_slope, outline_end
+from .ellipsoid_borders import find_crossing, front_at, lead, nearness_slope, outline_end, outward_at
 from .ellipsoids import Seen, Silhouette, middle_at
 from .lanes import count_up, nth_bit, tell
 from .surface_forces import (
@@ -100,9 +100,7 @@ class Lever:
 @wp.func
 def push_outline(sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x: float, y: float, excess: float):
     """Force on an ellipsoid whose outline a line along an axis crosses at (x, y)."""
-    dx = x - s.mean[0]
-    dy = y - s.mean[1]
-    normal = wp.normalize(wp.vec2(s.conic[0] * dx + s.conic[1] * dy, s.conic[1] * dx + s.conic[2] * dy))
+    normal = wp.normalize(outward_at(s, x, y))
     amount = excess * wp.abs(wp.where(axis == 0, normal[0], normal[1]))
     return push_picture(sums, lever, x, y, middle_at(s, x, y), amount * normal, 0.0)
 

@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from .ellipsoid_borders import chord_shares
-from .ellipsoids import Silhouette, middle_at, room_at
+from .ellipsoids import Silhouette, inside_at, middle_at
 from .lanes import ballot, lowest_bit, tell
 from .surface_forces import Ellipsoid, Scene, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 
@@ -85,9 +85,9 @@ def look_behind(subject: Subject, s: Silhouette, place: wp.vec2):
             j = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
             other = subject.silhouettes[j]
-            room = room_at(other, x, y)
-            if room > 0.0:
-                there = middle_at(other, x, y) + wp.sqrt(room)
+            inside = inside_at(other, x, y)
+            if inside > 0.0:
+                there = middle_at(other, x, y) + other.bulge * wp.sqrt(inside)
                 if there > behind:
                     behind = there
                     label = other.label

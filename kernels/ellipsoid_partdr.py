@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from .ellipsoid_borders import front_at, line_root, outline_end
-from .ellipsoids import Seen, Silhouette, in_box, middle_at, room_at
+from .ellipsoids import Seen, Silhouette, in_box, inside_at, middle_at
 from .part_gradient import MIN_DELTA_Z
 from .surface_forces import (
     BLOCK,
@@ -166,7 +166,7 @@ def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: flo
     label = silhouettes[k].label
     for j in range(silhouettes.shape[0]):
         if j != k and silhouettes[j].label == label and in_box(silhouettes[j], x, y):
-            if room_at(silhouettes[j], x, y) > 0.0:
+            if inside_at(silhouettes[j], x, y) > 0.0:
                 there = front_at(silhouettes[j], x, y)
                 if there > nearness or (there == nearness and j < k):
                     return False
@@ -218,13 +218,13 @@ def walk_depths(
                 other = silhouettes[j].label
                 if other != shown and may_want(gradient, subject.target, other, at) and in_box(silhouettes[j], x, y):
                     g = gradient_at(gradient, subject.target, other, at, shown)
-                    if g != 0.0 and room_at(silhouettes[j], x, y) > 0.0:
+                    if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
                         if is_nearest_of_label(silhouettes, j, back, x, y):
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
-        elif shown != s.label and may_want(gradient, subject.target, s.label, at) and room_at(s, x, y) > 0.0:
+        elif shown != s.label and may_want(gradient, subject.target, s.label, at) and inside_at(s, x, y) > 0.0:
             g = gradient_at(gradient, subject.target, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)

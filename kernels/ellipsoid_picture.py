@@ -1,12 +1,12 @@
 """Which ellipsoid each pixel shows, how deep, and what that costs: one algorithm for CUDA, one for the CPU device.
 
-Both decide with the same functions: an ellipsoid covers a pixel where ``room_at`` its centre is positive, the nearest
+Both decide with the same functions: an ellipsoid covers a pixel where ``inside_at`` its centre is positive, the nearest
 shows, and of equal ones that with the lower index.
 """
 
 import warp as wp
 
-from .ellipsoids import Silhouette, middle_at, room_at
+from .ellipsoids import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
 from .lanes import LANES, ballot, lowest_bit, sum_lanes
 from .surface_forces import rests
 from .targets import LabelTarget, are_words, cost_of, flat, target_of, words_of
@@ -57,18 +57,17 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
         return False
     # Within these rows the outline goes farthest right where it does at all, or at the row next to there.
     half = s.high[0] - s.mean[0]
-    tilt = s.conic[1] / s.conic[2] * half
+    tilt = s.factor[1] / s.factor[2] * half
     dy = wp.clamp(-tilt, top - s.mean[1], bottom - s.mean[1])
-    lean = s.conic[1] * dy
-    root = wp.max(lean * lean + s.conic[0] * (s.room - s.conic[2] * dy * dy), 0.0)
+    along = along_row(s)
+    root = wp.max(row_root(s, dy), 0.0)
     slack = 0.5 + _SLACK * half
-    if s.mean[0] + (wp.sqrt(root) - lean) / s.conic[0] + slack < left:
+    if s.mean[0] + (wp.sqrt(root) - row_lean(s, dy)) / along + slack < left:
         return False
     dy = wp.clamp(tilt, top - s.mean[1], bottom - s.mean[1])
-    lean = s.conic[1] * dy
-    root = wp.max(lean * lean + s.conic[0] * (s.room - s.conic[2] * dy * dy), 0.0)
+    root = wp.max(row_root(s, dy), 0.0)
     # A root that overflowed is no reason to leave anything out, so the test must not be the other way round.
-    return not s.mean[0] - (wp.sqrt(root) + lean) / s.conic[0] - slack > right
+    return not s.mean[0] - (wp.sqrt(root) + row_lean(s, dy)) / along - slack > right
 
 
 @wp.kernel(launch_bounds=(_BLOCK, 8))  # 64 registers
@@ -131,14 +130,15 @@ def draw_tiles(
                 k = LANES * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
                 s = ellipsoids[k]
-                first_room = room_at(s, x, y)
+                place = to_disc(s, x - s.mean[0], y - s.mean[1])
                 first_middle = middle_at(s, x, y)
-                fall = 2.0 * (s.conic[0] * (x - s.mean[0]) + s.conic[1] * (y - s.mean[1]))
                 for i in range(_QUAD):
                     # Selects, not branches: neighbours disagree.
-                    room = first_room - float(i) * (fall + float(i) * s.conic[0])
-                    nearness = first_middle + float(i) * s.slope[0] + wp.sqrt(wp.max(room, 0.0))
-                    nearer = room > 0.0 and nearness > best[i]
+                    u = place[0] + float(i) * s.factor[0]
+                    v = place[1] + float(i) * s.factor[1]
+                    inside = 1.0 - u * u - v * v
+                    nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
+                    nearer = inside > 0.0 and nearness > best[i]
                     best[i] = wp.where(nearer, nearness, best[i])
                     shown[i] = wp.where(nearer, k + 1, shown[i])
                     label[i] = wp.where(nearer, s.label, label[i])
@@ -208,12 +208,12 @@ def draw_rows(
         if y > ellipsoids[k].low[1] and y < ellipsoids[k].high[1]:
             s = ellipsoids[k]
             dy = y - s.mean[1]
-            half_b = s.conic[1] * dy
-            root = half_b * half_b + s.conic[0] * (s.room - s.conic[2] * dy * dy)
+            root = row_root(s, dy)
             if root > 0.0:
-                middle = s.mean[0] - half_b / s.conic[0]
-                reach = wp.sqrt(root) / s.conic[0]
-                # One pixel more on either side: ``room_at`` has the last word.
+                along = along_row(s)
+                middle = s.mean[0] - row_lean(s, dy) / along
+                reach = wp.sqrt(root) / along
+                # One pixel more on either side: ``inside_at`` has the last word.
                 left = int(wp.clamp(middle - reach - 1.0, 0.0, float(width)))
                 right = int(wp.clamp(middle + reach + 1.0, -1.0, float(width - 1)))
                 # The nearness of background is set where an ellipsoid may be, and nowhere else.
@@ -231,9 +231,9 @@ def draw_rows(
                     last = wp.max(last, right)
                 for column in range(left, right + 1):
                     x = float(column) + 0.5
-                    room = room_at(s, x, y)
-                    if room > 0.0:
-                        nearness = middle_at(s, x, y) + wp.sqrt(room)
+                    inside = inside_at(s, x, y)
+                    if inside > 0.0:
+                        nearness = middle_at(s, x, y) + s.bulge * wp.sqrt(inside)
                         if nearness > fronts[begin + column]:
                             fronts[begin + column] = nearness
                             image[begin + column] = wp.uint8(k + 1)

@@ -3,8 +3,11 @@
 With X = c + A diag(a) u (u on the unit sphere) and the camera (f_x, f_y, c_x, c_y), every ellipsoid is seen as an
 ellipse and a nearness, which is -z (weak perspective) or 1/z (perspective), so that larger is nearer:
 
-    room(p) = room - (p - mean)^T conic (p - mean)              positive where the ellipsoid covers p
-    nearness(p) = nearness + slope . (p - mean) + sqrt(room(p)) of its front surface
+    inside(p) = 1 - |factor (p - mean)|^2                               positive where the ellipsoid covers p
+    nearness(p) = nearness + slope . (p - mean) + bulge sqrt(inside(p)) of its front surface
+
+``factor`` is a triangular root of the outline's conic. Squares of it would cancel where an outline is thin and askew,
+and leave float32 where it is far away: at a thickness of a thousandth of the length, or at 10 km.
 
 Both cameras take this one form, so everything after ``see_ellipsoids`` is the same code.
 """
@@ -18,6 +21,7 @@ wp.set_module_options({"enable_backward": False})
 
 _FEW = 32  # threads a block: a launch has few, and more blocks share more of the GPU
 _FAR = wp.constant(1.0e30)  # [px] an empty bounding box's bounds
+_THIN = wp.constant(1.0e15)  # [1/px] of which squares are float32
 
 
 @wp.struct
@@ -27,8 +31,8 @@ class Silhouette:
     mean: wp.vec2  # centre of the outline [px]
     low: wp.vec2  # bounding box of the outline [px]; low > high: not drawn
     high: wp.vec2
-    conic: wp.vec3  # xx, xy, yy of the quadratic form
-    room: float
+    factor: wp.vec3  # xx, yx, yy of the triangular matrix [1/px]
+    bulge: float  # [nearness] of the front's middle over the outline's plane
     slope: wp.vec2  # [nearness/px]
     nearness: float
     farthest: float  # nearness of the farthest and of the closest point of the front surface
@@ -37,11 +41,35 @@ class Silhouette:
 
 
 @wp.func
-def room_at(s: Silhouette, x: float, y: float):
-    """Positive where the ellipsoid covers (x, y); 0 on its outline."""
-    dx = x - s.mean[0]
-    dy = y - s.mean[1]
-    return s.room - (s.conic[0] * dx + 2.0 * s.conic[1] * dy) * dx - s.conic[2] * dy * dy
+def to_disc(s: Silhouette, dx: float, dy: float):
+    """Where a place, from the outline's centre, is when the outline is the unit circle."""
+    return wp.vec2(s.factor[0] * dx, s.factor[1] * dx + s.factor[2] * dy)
+
+
+@wp.func
+def inside_at(s: Silhouette, x: float, y: float):
+    """Positive where the ellipsoid covers (x, y); 0 on its outline, 1 in its middle."""
+    place = to_disc(s, x - s.mean[0], y - s.mean[1])
+    return 1.0 - place[0] * place[0] - place[1] * place[1]
+
+
+@wp.func
+def along_row(s: Silhouette):
+    """What divides the way from a row's middle to its ends."""
+    return s.factor[0] * s.factor[0] + s.factor[1] * s.factor[1]
+
+
+@wp.func
+def row_root(s: Silhouette, dy: float):
+    """Positive where a row, from the outline's centre, crosses the outline; its root says where."""
+    reach = s.factor[0] * s.factor[2] * dy
+    return along_row(s) - reach * reach
+
+
+@wp.func
+def row_lean(s: Silhouette, dy: float):
+    """How far, times ``along_row``, the middle of a row lies left of the outline's centre."""
+    return s.factor[1] * s.factor[2] * dy
 
 
 @wp.func
@@ -79,7 +107,7 @@ def see_ellipsoid(
     s.label = label
     s.low = wp.vec2(_FAR, _FAR)
     s.high = wp.vec2(-_FAR, -_FAR)
-    s.room = -1.0
+    s.bulge = -1.0
     rx = half_axes_row(axes, semi_axes, 0)
     ry = half_axes_row(axes, semi_axes, 1)
     rz = half_axes_row(axes, semi_axes, 2)
@@ -137,18 +165,20 @@ def see_ellipsoid(
         rzy = wp.dot(rz, ry)
         slope_x = -(rzx * vyy - rzy * vxy) / det
         slope_y = -(rzy * vxx - rzx * vxy) / det
-    conic_xx = room * vyy / (det * fx * fx)
-    conic_xy = -room * vxy / (det * fx * fy)
-    conic_yy = room * vxx / (det * fy * fy)
+    deviation = wp.sqrt(vxx)
+    factor_xx = one / (fx * deviation)
+    factor_yy = deviation / (fy * wp.sqrt(det))
+    factor_yx = -vxy / (fx * deviation * wp.sqrt(det))
+    bulge = wp.sqrt(room)
     # Too thin for float32, or not finite: it covers no pixel.
-    if not (float(room) > 0.0 and float(conic_xx) < _FAR and float(conic_yy) < _FAR):
+    if not (float(bulge) > 0.0 and float(wp.abs(factor_xx)) < _THIN and float(wp.abs(factor_yy)) < _THIN):
         return s
     s.mean = wp.vec2(float(fx * mx + wp.float64(camera[2])), float(fy * my + wp.float64(camera[3])))
     half = wp.vec2(float(wp.abs(fx) * wp.sqrt(vxx)), float(wp.abs(fy) * wp.sqrt(vyy)))
     s.low = s.mean - half
     s.high = s.mean + half
-    s.conic = wp.vec3(float(conic_xx), float(conic_xy), float(conic_yy))
-    s.room = float(room)
+    s.factor = wp.vec3(float(factor_xx), float(factor_yx), float(factor_yy))
+    s.bulge = float(bulge)
     s.slope = wp.vec2(float(slope_x / fx), float(slope_y / fy))
     s.nearness = float(nearness)
     # |C^1/2 slope|^2, with C the outline's covariance: how much the rim and the front differ from the middle.

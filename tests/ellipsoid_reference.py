@@ -357,7 +357,9 @@ def crossings(scene, k, axis, line):
     def discriminant(place):
         centre = np.full_like(place, line + 0.5)
         origin, direction = ray_in_unit_space(scene, k, *((place, centre) if axis == 0 else (centre, place)))
-        return (origin * direction).sum(0) ** 2 - (direction**2).sum(0) * ((origin**2).sum(0) - 1)
+        length2 = (direction**2).sum(0)
+        closest = origin - (origin * direction).sum(0) / length2 * direction
+        return length2 * (1 - (closest**2).sum(0))  # a difference of squares would cancel where thickness is small
 
     # A quadratic along the line: three values tell it.
     bounds = boxes(scene)[k]

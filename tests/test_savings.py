@@ -186,7 +186,9 @@ def test_one_label_has_no_z_gradient_and_none_is_looked_for(device, renderer):
         leaves = replace(body, shift=body.shift + 0.1, rotations=1.3 * body.rotations).leaves()
         energy.segmentation(leaves, leaves.posed()).sum().backward()
         gradients.append(leaves.rotations.grad)
-    assert torch.equal(*gradients)
+    # The mesh's sums on CUDA are atomic, in no fixed order.
+    tolerance = {"rtol": 0, "atol": 0} if renderer == "exact" or device == "cpu" else {"rtol": 1e-4, "atol": 1e-3}
+    torch.testing.assert_close(*gradients, **tolerance)
     assert Energy(observation(body, label_set("body14")), SIZE).depth_weight == 1.0
 
 

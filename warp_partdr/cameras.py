@@ -5,9 +5,12 @@ Camera frame: x right, y down, z away from the viewer [m]; pixel (row v, column 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
+
+from .checks import FLOATS, check_tensor
 
 
 @dataclass(frozen=True)
@@ -17,12 +20,20 @@ class WeakPerspective:
     Attributes:
         scale: s [px/m], shape (B,).
         translation: (t_u, t_v), where the frame's origin is seen [px], shape (B, 2).
+
+    Raises:
+        ValueError: If a shape or dtype is wrong, or the two differ in dtype or device.
     """
 
     scale: torch.Tensor
     translation: torch.Tensor
 
     perspective = False
+
+    def __post_init__(self) -> None:
+        check_tensor("scale", self.scale, (None,), dtypes=FLOATS)
+        shape = (self.scale.shape[0], 2)
+        check_tensor("translation", self.translation, shape, dtypes=FLOATS, like=("scale", self.scale))
 
     @property
     def intrinsics(self) -> torch.Tensor:
@@ -31,6 +42,7 @@ class WeakPerspective:
 
     def project(self, points: torch.Tensor) -> torch.Tensor:
         """Points in the camera frame [m], shape (B, N, 3), to (u [px], v [px], z [m])."""
+        _check_points(points, self.scale)
         image = points[..., :2] * self.scale[:, None, None] + self.translation[:, None]
         return torch.cat([image, points[..., 2:]], dim=-1)
 
@@ -52,11 +64,14 @@ class WeakPerspective:
             parameters: Shape (B, 3).
             image_size: Side of the crop [px].
         """
+        check_tensor("parameters", parameters, (None, 3), dtypes=FLOATS)
+        _check_side(image_size)
         scale = parameters[:, 0] * (image_size / 2)
         return cls(scale, scale[:, None] * parameters[:, 1:] + image_size / 2)
 
     def to_hmr(self, image_size: int) -> torch.Tensor:
         """HMR's (s, t_x, t_y) of a square crop of this side [px], shape (B, 3)."""
+        _check_side(image_size)
         shift = (self.translation - image_size / 2) / self.scale[:, None]
         return torch.cat([self.scale[:, None] / (image_size / 2), shift], dim=1)
 
@@ -71,6 +86,8 @@ class WeakPerspective:
             The camera, and the translation [m], shape (B, 3), to add to points in front of it. Points in the origin's
             depth plane project exactly as here.
         """
+        check_tensor("focal", focal, (self.scale.shape[0],), dtypes=FLOATS, like=("scale", self.scale))
+        check_tensor("centre", centre, tuple(self.translation.shape), dtypes=FLOATS, like=("scale", self.scale))
         depth = focal / self.scale
         shift = (self.translation - centre) / self.scale[:, None]
         return Perspective(focal[:, None].expand(-1, 2), centre), torch.cat([shift, depth[:, None]], dim=1)
@@ -83,12 +100,20 @@ class Perspective:
     Attributes:
         focal: (f_x, f_y) [px], shape (B, 2).
         centre: Principal point (c_x, c_y) [px], shape (B, 2).
+
+    Raises:
+        ValueError: If a shape or dtype is wrong, or the two differ in dtype or device.
     """
 
     focal: torch.Tensor
     centre: torch.Tensor
 
     perspective = True
+
+    def __post_init__(self) -> None:
+        check_tensor("focal", self.focal, (None, 2), dtypes=FLOATS)
+        shape = (self.focal.shape[0], 2)
+        check_tensor("centre", self.centre, shape, dtypes=FLOATS, like=("focal", self.focal))
 
     @property
     def intrinsics(self) -> torch.Tensor:
@@ -100,6 +125,7 @@ class Perspective:
 
         A point at or behind the camera has no picture; its z says so, and the renderer leaves its faces out.
         """
+        _check_points(points, self.focal)
         depth = points[..., 2:]
         # Finite numbers for points that are not drawn anyway; the sign of z stays.
         safe = torch.where(depth.abs() < _MIN_DEPTH, torch.full_like(depth, _MIN_DEPTH), depth)
@@ -120,11 +146,26 @@ class Perspective:
         Args:
             point: The body's origin in the camera frame [m], shape (B, 3).
         """
+        check_tensor("point", point, (self.focal.shape[0], 3), dtypes=FLOATS, like=("focal", self.focal))
         scale = self.focal.mean(1) / point[:, 2]
         return WeakPerspective(scale, self.project(point[:, None])[:, 0, :2])
 
 
 _MIN_DEPTH = 1e-6  # [m]
+
+
+def _check_side(image_size: float) -> None:
+    """Raise ValueError unless a picture can have this side."""
+    if not 0 < image_size < math.inf:
+        raise ValueError(f"image_size: {image_size}; expected a positive number")
+
+
+def _check_points(points: torch.Tensor, like: torch.Tensor) -> None:
+    """Raise unless there are points (B, N, 3) for B cameras; one camera serves any number."""
+    batch = like.shape[0] if like.shape[0] != 1 else None
+    check_tensor("points", points, (batch, None, 3), dtypes=FLOATS)
+    if points.device != like.device:
+        raise ValueError(f"points: on {points.device}; expected {like.device}, as the camera")
 
 
 @dataclass(frozen=True)
@@ -136,12 +177,22 @@ class Crop:
         top: First row.
         zoom: Pixels of the crop a pixel of the full picture.
         size: (H, W) of the resized crop [px].
+
+    Raises:
+        ValueError: If a number is not finite, or ``zoom`` is not positive.
     """
 
     left: float
     top: float
     zoom: float
     size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        for name in ("left", "top", "zoom"):
+            if not math.isfinite(value := getattr(self, name)):
+                raise ValueError(f"{name}: {value}; expected a finite number")
+        if not self.zoom > 0:
+            raise ValueError(f"zoom: {self.zoom}; expected a positive number")
 
     def origin_of(self, like: torch.Tensor) -> torch.Tensor:
         """(left, top) as a tensor like ``like``."""

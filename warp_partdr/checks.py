@@ -7,7 +7,13 @@ from collections.abc import Sequence
 
 import torch
 
+from .body.ellipbody import LARGEST
+
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
+
+MAX_PIXELS = 2**31  # of a batch: they are counted in 32 bits
+MAX_PICTURE = 2**28  # [px]; Warp counts the bytes of one picture in 32 bits, and a z-buffer has eight a pixel
+MIN_NEAR = 1e-6  # [m]; a perspective camera sees nothing nearer
 
 
 def check_tensor(
@@ -29,10 +35,12 @@ def check_tensor(
 
     Raises:
         TypeError: If it is no tensor.
-        ValueError: If shape, dtype or device differ.
+        ValueError: If shape, dtype or device differ, or it is sparse.
     """
     if not isinstance(tensor, torch.Tensor):
         raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
+    if tensor.layout != torch.strided:
+        raise ValueError(f"{name}: {tensor.layout}; expected a dense tensor")
     have = tensor.shape
     if have != shape and (
         len(have) != len(shape) or any(want not in (None, size) for want, size in zip(shape, have, strict=True))
@@ -43,24 +51,72 @@ def check_tensor(
         raise ValueError(f"{name}: {tensor.dtype}; expected {' or '.join(map(str, dtypes))}")
     if like is not None:
         other_name, other = like
+        if not isinstance(other, torch.Tensor):
+            raise TypeError(f"{other_name}: {type(other).__name__}; expected a torch.Tensor")
         if tensor.device != other.device:
             raise ValueError(f"{name}: on {tensor.device}; expected {other.device}, as {other_name}")
         if tensor.dtype != other.dtype and tensor.is_floating_point() and other.is_floating_point():
             raise ValueError(f"{name}: {tensor.dtype}; expected {other.dtype}, as {other_name}")
+    if tensor.is_meta:
+        raise ValueError(f"{name}: on meta; expected a device that holds numbers")
 
 
-def check_image_size(image_size: Sequence[int]) -> None:
-    """Raise ValueError unless ``image_size`` is two positive integers."""
+def contiguous(tensor: torch.Tensor) -> torch.Tensor:
+    """The tensor as Warp takes it: to torch an empty one is contiguous whatever its strides, to Warp it is not."""
+    tensor = tensor.contiguous()
+    return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
+
+
+def check_image_size(image_size: Sequence[int], batch: int = 1) -> None:
+    """Raise unless ``image_size`` is two positive integers, and so many pictures of that size can be counted.
+
+    Raises:
+        TypeError: If it is no sequence.
+        ValueError: If it is another sequence, or the pictures are too large.
+    """
+    if not isinstance(image_size, Sequence):
+        raise TypeError(f"image_size: {type(image_size).__name__}; expected two positive integers (H, W)")
     if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
         raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
+    pixels = image_size[0] * image_size[1]
+    if pixels >= MAX_PICTURE:
+        raise ValueError(f"image_size: 1 pictures of {tuple(image_size)}; expected fewer than 2**28 pixels each")
+    if batch * pixels >= MAX_PIXELS:
+        raise ValueError(
+            f"image_size: {batch} pictures of {tuple(image_size)}; expected fewer than 2**31 pixels, split the batch"
+        )
+
+
+def check_whole(name: str, value: int, low: int, high: int) -> None:
+    """Raise ValueError unless ``value`` is an integer from ``low`` to ``high``."""
+    if not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{name}: {value!r}; expected an integer from {low} to {high}")
+
+
+def check_near(near: float | None, perspective: bool, default: float) -> float:
+    """The near plane [m]: of a weak-perspective camera none but what is given, of a perspective one never behind it.
+
+    Raises:
+        ValueError: If ``near`` is NaN.
+    """
+    if near is None:
+        return default if perspective else -math.inf
+    if math.isnan(near):
+        raise ValueError(f"near: {near}; expected a depth")
+    return max(float(near), MIN_NEAR) if perspective else float(near)
 
 
 def check_finite(**tensors: torch.Tensor) -> None:
-    """Raise ValueError if a tensor holds NaN or infinity; synchronises with the device, once for all of them."""
+    """Raise ValueError if a tensor holds NaN, infinity or numbers that the kernels' float32 can't reckon with.
+
+    Synchronises with the device, once for all of them.
+    """
     with torch.no_grad():
-        sums = torch.stack([tensor.sum(dtype=torch.float64) for tensor in tensors.values()])
-        if math.isfinite(sums.sum()):
+        norms = [torch.linalg.vector_norm(tensor, dtype=torch.float64) for tensor in tensors.values()]
+        if torch.stack(norms).sum() <= LARGEST:
             return
-        for name, tensor in tensors.items():  # which one, if any: large float64 numbers may just add up to infinity
+        for name, tensor in tensors.items():  # which one, if any: many numbers may just add up to so much
             if not torch.isfinite(tensor).all():
                 raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
+            if (tensor.abs() > LARGEST).any():
+                raise ValueError(f"{name}: holds {tensor.abs().max():g}; expected numbers up to {LARGEST:g}")

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import torch
 import warp as wp
 
+from .checks import contiguous
 from .kernels import ellipsoid_coverage, ellipsoid_edges, ellipsoid_partdr, ellipsoid_picture, surface_forces
 from .kernels import ellipsoids as kernel_ellipsoids
 from .kernels.ellipsoids import Seen, launch_see
@@ -102,7 +103,7 @@ def arrays_of(tensors: Sequence[torch.Tensor]) -> list[wp.array]:
 
 def draw(tensors: Sequence[torch.Tensor], view: View) -> Picture:
     """The picture."""
-    picture, launch = prepare_picture([tensor.contiguous() for tensor in tensors], view)
+    picture, launch = prepare_picture([contiguous(tensor) for tensor in tensors], view)
     if len(picture.parts):  # Warp cuts nothing out of an empty array
         modules = (kernel_ellipsoids, ellipsoid_picture)
         with on_torch_stream(picture.parts.device) as where:
@@ -151,7 +152,7 @@ def gradients(
     tensors: Sequence[torch.Tensor], picture: Picture, view: View, options: Options, gradient: Any
 ) -> tuple[torch.Tensor, ...]:
     """With respect to centres, axes, semi-axes and camera."""
-    tensors = [tensor.contiguous() for tensor in tensors]
+    tensors = [contiguous(tensor) for tensor in tensors]
     grads = tuple(torch.empty_like(tensor) for tensor in tensors)
     launch = prepare_gradients(tensors, picture, view, options, gradient, grads)
     if len(picture.parts):
@@ -209,7 +210,7 @@ def dense_gradient(maps: torch.Tensor) -> DenseGradient:
     """A gradient with respect to label maps, shape (B, K, H, W)."""
     with on_torch_stream(maps.device):
         dense = DenseGradient()
-        dense.maps = _wp(maps.float().contiguous(), wp.float32)
+        dense.maps = _wp(contiguous(maps.float()), wp.float32)
     return dense
 
 

@@ -11,7 +11,7 @@ from typing import Any, get_args
 import torch
 
 from .cameras import Camera
-from .checks import FLOATS, check_finite, check_image_size, check_tensor
+from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole
 from .ellipsoid_passes import (
     Gradient,
     Options,
@@ -116,8 +116,7 @@ def draw_ellipsoids(
     """
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
     tensors, view = _check(ellipsoids, camera, image_size, part_labels, near, validate)
-    if not 0 <= num_maps <= MAX_LABEL:
-        raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
+    check_whole("num_maps", num_maps, 0, MAX_LABEL)
     if num_maps == 0:
         with torch.no_grad():
             picture = draw(tensors, view)
@@ -169,7 +168,7 @@ def ellipsoid_label_loss(
     tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
-    weights = weight_table(label_weights, target.device)
+    weights = weight_table(label_weights, target.device, validate)
     loss, rows = find_label_loss(loss_recipe(view, options), tensors, target, weights)
     return loss, _LaterImage(partial(_draw_rows, rows, tuple([tensor.shape for tensor in tensors]), view))
 
@@ -224,11 +223,7 @@ def _check(
     check_tensor("camera", intrinsics, (batch, 4), dtypes=FLOATS)
     if intrinsics.device != centres.device:
         raise ValueError(f"camera: on {intrinsics.device}; expected {centres.device}, as centres")
-    check_image_size(image_size)
-    if batch * image_size[0] * image_size[1] >= 2**31:
-        raise ValueError(
-            f"image_size: {batch} pictures of {image_size}; expected fewer than 2**31 pixels, split the batch"
-        )
+    check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
     labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
@@ -236,9 +231,8 @@ def _check(
         check_finite(centres=centres, axes=axes, semi_axes=semi_axes, camera=intrinsics)
         if not (semi_axes > 0).all():
             raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
-    if near is None:
-        near = DEFAULT_NEAR if camera.perspective else -math.inf
-    view = _view(image_size[0], image_size[1], float(near), camera.perspective, labels)
+    near = check_near(near, camera.perspective, DEFAULT_NEAR)
+    view = _view(image_size[0], image_size[1], near, camera.perspective, labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
     return tensors, view
 

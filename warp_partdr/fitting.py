@@ -32,6 +32,7 @@ from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 CROP_MARGIN = 0.1  # of the person's extent, on each side
+LARGEST_PLACE = 1e6  # [px] of a keypoint
 LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
 
 Progress = Callable[[str, int, int], None]
@@ -281,6 +282,8 @@ def observe(
     visible = keypoints.visible
     if not visible.any():
         raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
+    if not (np.abs(keypoints.points[visible]) <= LARGEST_PLACE).all():
+        raise InputError(f"keypoints: hold NaN, or numbers beyond {LARGEST_PLACE:g}; expected pixels")
     if len(np.unique(keypoints.points[visible], axis=0)) < 2:
         raise InputError("keypoints: all lie in one point; expected different places")
     groups = None

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 import warp as wp
 
-from .body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES
+from .body.template import NUM_PARTS
 from .checks import check_tensor
 from .energy import REFERENCE_SIZE, Energy
 from .fused_picture import EllipsoidPicture
@@ -32,23 +32,14 @@ from .kernels.refine_state import (
 from .kernels.refine_step import BETAS
 from .kernels.surface_forces import NUM_SUMS
 from .kernels.threads import run_slices, split_batch
-from .parameters import BodyParameters
+from .parameters import ROW, BodyParameters
 from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
-from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, refine
+from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, check_steps, rate_share, refine
 from .streams import capture_apart, on_torch_stream
 
 TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
 
-# A body's parameters as they follow one another in a row.
-_ROW: dict[str, tuple[int, ...]] = {
-    "orientation": (6,),
-    "rotations": (NUM_PARTS, 3),
-    "lengths": (len(LENGTH_NAMES),),
-    "thicknesses": (len(THICKNESS_NAMES),),
-    "log_scale": (),
-    "shift": (2,),
-}
-_WIDTHS = [math.prod(shape) for shape in _ROW.values()]
+_WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
 
 class PartRenderer(Protocol):
@@ -109,6 +100,7 @@ class FusedRefinement:
         renderer: MakeRenderer = EllipsoidPicture,
     ) -> None:
         free = BodyParameters.free(frozen)
+        check_steps(iterations, learning_rate)
         energies = _as_list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device
@@ -244,7 +236,7 @@ class FusedRefinement:
         """
         batch = self._parameters.shape[0]
         for name, tensor in start.tensors().items():
-            check_tensor(name, tensor, (batch, *_ROW[name]), dtypes=(torch.float32,), like=("energies", self._points))
+            check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=("energies", self._points))
         with torch.no_grad():
             rows = [
                 tensor.reshape(batch, width) for tensor, width in zip(start.tensors().values(), _WIDTHS, strict=True)
@@ -300,6 +292,7 @@ def minimise(
 
     On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
     """
+    start.check_finite()
     if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
         return refine(
             start, energy, iterations=iterations, learning_rate=learning_rate, frozen=frozen, on_iteration=on_iteration
@@ -347,7 +340,7 @@ def _compares_labels(energy: Energy) -> bool:
 def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
     """Views of rows by name, shaped as ``BodyParameters`` has them."""
     columns = rows.split(_WIDTHS, dim=1)
-    return {name: part.reshape(len(rows), *shape) for (name, shape), part in zip(_ROW.items(), columns, strict=True)}
+    return {name: part.reshape(len(rows), *shape) for (name, shape), part in zip(ROW.items(), columns, strict=True)}
 
 
 def _bodies(rows: torch.Tensor) -> Bodies:

@@ -27,11 +27,23 @@ class Keypoints2D:
         skeleton: Name of their format, such as "coco17".
         points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
         confidence: 0 (missing) to 1, shape (J,), float32.
+
+    Raises:
+        InputError: If a shape is wrong, or a confidence is none.
     """
 
     skeleton: str
     points: np.ndarray
     confidence: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.format)
+        for name, shape in (("points", (count, 2)), ("confidence", (count,))):
+            values = getattr(self, name)
+            if not isinstance(values, np.ndarray) or values.shape != shape or values.dtype.kind != "f":
+                raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.skeleton}")
+        if not ((self.confidence >= 0) & (self.confidence <= 1)).all():
+            raise InputError("confidence: holds numbers that are not from 0 to 1")
 
     @property
     def format(self) -> Skeleton:

@@ -42,12 +42,15 @@ class PartMesh:
             ValueError: If a shape, an index or a label is out of range.
         """
         faces, face_labels = np.asarray(faces), np.asarray(face_labels)
+        for name, values in (("faces", faces), ("face_labels", face_labels)):
+            if values.dtype.kind not in "biuf" or not (np.isfinite(values) & (np.mod(values, 1) == 0)).all():
+                raise ValueError(f"{name}: {values.dtype}; expected integers")
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise ValueError(f"faces: shape {faces.shape}; expected (F, 3)")
         if face_labels.shape != (len(faces),):
             raise ValueError(f"face_labels: shape {face_labels.shape}; expected ({len(faces)},)")
-        if faces.size and faces.min() < 0:
-            raise ValueError(f"faces: index {faces.min()}; expected 0 or more")
+        if faces.size and not 0 <= faces.min() <= faces.max() < 2**31:
+            raise ValueError(f"faces: index {faces.min()} to {faces.max()}; expected 0 or more, below 2**31")
         if face_labels.size and (face_labels.min() < 1 or face_labels.max() > MAX_LABEL):
             raise ValueError(f"face_labels: {face_labels.min()} to {face_labels.max()}; expected 1 to {MAX_LABEL}")
         faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -89,7 +92,13 @@ class PartMesh:
         left out. The edges stay those of the ellipsoids or parts that the mesh was built from.
         """
         old = self.face_labels.cpu().numpy()
-        new = torch.from_numpy(np.array([table[int(label)] for label in old], dtype=np.uint8)).to(self.faces.device)
+        try:
+            labels = np.array([table[int(label)] for label in old])
+        except LookupError as error:
+            raise ValueError(f"table: {error}; expected a label for each of the mesh's") from error
+        if labels.size and not (labels.dtype.kind in "iu" and 0 <= labels.min() <= labels.max() <= 255):
+            raise ValueError(f"table: {labels.tolist()[:5]}; expected labels 0 to 255")
+        new = torch.from_numpy(labels.astype(np.uint8)).to(self.faces.device)
         if (new > 0).all():
             return replace(self, face_labels=new)
         # An edge between two faces lies within one part, so both are kept or none.

@@ -39,8 +39,8 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
     Raises:
         ValueError: If the shapes differ or a class is out of range.
     """
-    want = torch.as_tensor(target).to(torch.int64)
-    have = torch.as_tensor(predicted).to(want)
+    want = _tensor("target", target).to(torch.int64)
+    have = _tensor("predicted", predicted).to(want)
     if have.shape != want.shape:
         raise ValueError(f"predicted: shape {tuple(have.shape)}; expected {tuple(want.shape)}, as target")
     if want.ndim < 2:
@@ -107,6 +107,8 @@ def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid:
     points, target, weights = _checked(points, target, valid)
     if centre_on:
         joints = list(centre_on)
+        if not all(0 <= joint < points.shape[-2] for joint in joints):
+            raise ValueError(f"centre_on: {joints}; expected some of {points.shape[-2]} joints")
         if not bool((weights[..., joints] > 0).all()):
             raise ValueError(f"valid: not all of joints {joints}; expected those that the body is centred on")
         points, target = (joint - joint[..., joints, :].mean(-2, keepdim=True) for joint in (points, target))
@@ -153,17 +155,27 @@ def pve(vertices: Array, target: Array, *, pelvis: Array, target_pelvis: Array) 
     return _mean_distance(vertices - pelvis[..., None, :], target - target_pelvis[..., None, :], weights)
 
 
+def _tensor(name: str, values: Array) -> torch.Tensor:
+    """Dense numbers, where they are."""
+    if not isinstance(values, torch.Tensor | np.ndarray):
+        raise TypeError(f"{name}: {type(values).__name__}; expected a tensor or an array")
+    tensor = torch.as_tensor(values)
+    if tensor.layout != torch.strided or tensor.is_meta or tensor.is_complex():
+        raise ValueError(f"{name}: {tensor.dtype}, {tensor.layout} on {tensor.device}; expected dense numbers")
+    return tensor
+
+
 def _checked(points: Array, target: Array, valid: Array | None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Both as tensors of one kind, 0 where invalid, and the weight of each point, 0 or 1, shape (..., J)."""
-    have = torch.as_tensor(points)
+    have = _tensor("points", points)
     have = have.to(have.dtype if have.dtype in (torch.float32, torch.float64) else torch.float32)
-    want = torch.as_tensor(target).to(have)
+    want = _tensor("target", target).to(have)
     if have.shape != want.shape or have.ndim < 1 or have.shape[-1] != 3:
         raise ValueError(f"points: shape {tuple(have.shape)}; expected (..., 3), as target: {tuple(want.shape)}")
     if valid is None:
         weights = have.new_ones(have.shape[:-1])
     else:
-        kept = torch.as_tensor(valid).to(have.device, torch.bool)
+        kept = _tensor("valid", valid).to(have.device, torch.bool)
         if kept.shape != have.shape[:-1]:
             raise ValueError(f"valid: shape {tuple(kept.shape)}; expected {tuple(have.shape[:-1])}")
         weights = kept.to(have.dtype)

@@ -8,9 +8,19 @@ from dataclasses import dataclass, fields, replace
 import torch
 
 from .body.rotations import rotation_from_6d, rotation_from_axis_angle
-from .body.template import LOCKED_PARTS, NUM_PARTS, template
+from .body.template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
 from .cameras import WeakPerspective
+from .checks import check_tensor
 from .posing import Posed, pose
+
+ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
+    "orientation": (6,),
+    "rotations": (NUM_PARTS, 3),
+    "lengths": (len(LENGTH_NAMES),),
+    "thicknesses": (len(THICKNESS_NAMES),),
+    "log_scale": (),
+    "shift": (2,),
+}
 
 
 @dataclass(frozen=True)
@@ -24,6 +34,9 @@ class BodyParameters:
         thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
         log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
         shift: Where the pelvis is in the crop, shape (B, 2).
+
+    Raises:
+        ValueError: If a shape or dtype is wrong, or they differ in dtype or device.
     """
 
     orientation: torch.Tensor
@@ -32,6 +45,22 @@ class BodyParameters:
     thicknesses: torch.Tensor
     log_scale: torch.Tensor
     shift: torch.Tensor
+
+    def __post_init__(self) -> None:
+        check_tensor("log_scale", self.log_scale, (None,), dtypes=(torch.float32, torch.float64))
+        for name, shape in ROW.items():
+            value = getattr(self, name)
+            like = ("log_scale", self.log_scale)
+            check_tensor(name, value, (self.batch_size, *shape), dtypes=(torch.float32, torch.float64), like=like)
+
+    def check_finite(self) -> None:
+        """Raise ValueError if a number is NaN or infinite; waits for the device."""
+        tensors = self.tensors()
+        if torch.stack([torch.isfinite(tensor).all() for tensor in tensors.values()]).all():
+            return
+        for name, tensor in tensors.items():
+            if not torch.isfinite(tensor).all():
+                raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
 
     @classmethod
     def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
@@ -72,6 +101,7 @@ class BodyParameters:
             rotation_from_axis_angle(self.free_rotations()),
             self.lengths,
             self.thicknesses,
+            validate=False,
         )
 
     def camera(self, size: int) -> WeakPerspective:

@@ -35,6 +35,17 @@ class PartLabels:
     groups: np.ndarray
     maps: np.ndarray | None = None
 
+    def __post_init__(self) -> None:
+        groups, count = self.groups, self.label_set.num_groups
+        if not isinstance(groups, np.ndarray) or groups.ndim != 2 or groups.dtype != np.uint8 or not groups.size:
+            found = f"{groups.dtype} {groups.shape}" if isinstance(groups, np.ndarray) else type(groups).__name__
+            raise InputError(f"groups: {found}; expected a picture of uint8 group ids (H, W)")
+        if (strange := groups[(groups > count) & (groups != IGNORE)]).size:
+            raise InputError(f"groups: id {strange[0]}; expected 0 to {count} of {self.label_set.name}, or {IGNORE}")
+        shape = (count + 1, *groups.shape)
+        if self.maps is not None and (not isinstance(self.maps, np.ndarray) or self.maps.shape != shape):
+            raise InputError(f"maps: shape {np.shape(self.maps)}; expected {shape}")
+
 
 def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
     """A label set by name, JSON file or content, see ``body.labels.label_set``.

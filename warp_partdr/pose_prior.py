@@ -153,6 +153,10 @@ class PosePrior(torch.nn.Module):
         return excess.square().sum((1, 2))
 
     def _check(self, name: str, values: torch.Tensor, shape: tuple[int, ...]) -> None:
+        if not isinstance(values, torch.Tensor):
+            raise TypeError(f"{name}: {type(values).__name__}; expected a torch.Tensor")
+        if values.layout != torch.strided or values.device != self._whitening.device:
+            raise ValueError(f"{name}: {values.layout} on {values.device}; expected dense on {self._whitening.device}")
         if tuple(values.shape[1:]) != shape or values.ndim != len(shape) + 1:
             expected = ", ".join(["B", *(str(size) for size in shape)])
             raise ValueError(f"{name}: shape {tuple(values.shape)}; expected ({expected})")

@@ -10,7 +10,7 @@ import warp as wp
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
 from .body.template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
-from .checks import check_tensor
+from .checks import check_finite, check_tensor, contiguous
 from .kernels import kinematics
 from .streams import on_torch_stream
 
@@ -46,6 +46,8 @@ def pose(
     rotations: torch.Tensor,
     lengths: torch.Tensor,
     thicknesses: torch.Tensor,
+    *,
+    validate: bool = True,
 ) -> Posed:
     """Pose EllipBody (paper, eq. 13 and 14).
 
@@ -56,13 +58,15 @@ def pose(
             ``rotation_from_6d`` and ``rotation_from_axis_angle`` make some.
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+        validate: Look for NaN and infinity; on CUDA that waits for the device.
 
     Returns:
         The posed bodies; float32 or float64, as the arguments.
 
     Raises:
-        ValueError: If a shape, dtype or device does not fit the others.
+        ValueError: If a shape, dtype or device does not fit the others, or something is NaN or infinite.
     """
+    check_tensor("global_orient", global_orient, (None, 3, 3), dtypes=tuple(_WARP_TYPES))
     batch = global_orient.shape[0]
     shapes = {
         "global_orient": (global_orient, (batch, 3, 3)),
@@ -73,11 +77,13 @@ def pose(
     }
     for name, (tensor, shape) in shapes.items():
         check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
+    if validate:
+        check_finite(**{name: tensor for name, (tensor, _) in shapes.items()})
     return Posed(*_Bones.apply(global_orient, translation, rotations, lengths, thicknesses))
 
 
 def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
-    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
+    return wp.from_torch(contiguous(tensor.detach()), dtype=kind, requires_grad=False)
 
 
 class _Bones(torch.autograd.Function):

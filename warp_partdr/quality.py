@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from .checks import MAX_PICTURE, MAX_PIXELS, check_whole
 from .ellipsoid_passes import Gradient
 from .energy import Weights
+from .refinement import check_steps
 
 Quality = Literal["fast", "balanced", "accurate"]
 
@@ -35,6 +37,11 @@ class Stage:
     weights: Weights | None = None
     gradient: Gradient = "partdr"
     max_distance: float = math.inf
+
+    def __post_init__(self) -> None:
+        check_whole("bodies", self.bodies, 1, MAX_PIXELS)
+        check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1)
+        check_steps(self.iterations, self.learning_rate)
 
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids

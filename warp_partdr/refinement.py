@@ -8,9 +8,12 @@ from dataclasses import dataclass
 
 import torch
 
+from .checks import check_whole
 from .parameters import BodyParameters
 
 LEARNING_RATE = 1e-2  # the paper's
+_MAX_RATE = 1e3
+_MAX_ITERATIONS = 10**7  # each has a row in the history
 SHAPE_RATE = 0.3  # lengths and thicknesses in metres move this much slower than angles in radians
 # Shares of the mean adult's sizes that a body keeps within. A torso's depth can't be seen from the front, and would
 # take any value that fills a gap in the labels.
@@ -61,8 +64,11 @@ def refine(
         and 140 % of the mean adult's, thicknesses within 40 and 160 %.
 
     Raises:
-        ValueError: If ``frozen`` names what is no parameter, or all of them.
+        ValueError: If ``frozen`` names what is no parameter, or all of them; if ``iterations`` or ``learning_rate`` is
+            out of range, or ``start`` holds NaN or infinity.
     """
+    check_steps(iterations, learning_rate)
+    start.check_finite()
     free = BodyParameters.free(frozen)
     bodies = start.leaves(frozen)
     rates = {name: learning_rate * (SHAPE_RATE if name in SIZES else 1.0) for name in free}
@@ -107,6 +113,13 @@ def refine(
             on_iteration(iteration + 1)
     assert best is not None
     return Refined(best, best_energy, best_terms, torch.stack(history) if history else best_energy[None][:0])
+
+
+def check_steps(iterations: int, learning_rate: float) -> None:
+    """Raise ValueError unless these are a number of steps and a finite rate."""
+    check_whole("iterations", iterations, 0, _MAX_ITERATIONS)
+    if not 0 <= learning_rate <= _MAX_RATE:
+        raise ValueError(f"learning_rate: {learning_rate}; expected 0 to {_MAX_RATE:g}")
 
 
 def rate_share(step: int, iterations: int, final_rate: float) -> float:

@@ -20,9 +20,10 @@ from .body.growth import MEASURES, UNGROWN, Growth
 from .body.icosphere import icosphere
 from .body.rotations import rotation_from_axis_angle
 from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
-from .checks import check_finite
+from .checks import check_finite, check_tensor
 from .kernels import registration as kernels
 from .posing import Posed
+from .refinement import check_steps
 from .streams import on_torch_stream
 
 # Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
@@ -154,12 +155,19 @@ def register(
         ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN or infinity.
     """
     options = options or RegistrationOptions()
+    check_steps(options.iterations, options.learning_rate)
     like = model.rest_vertices
     if posed.joints.dtype != torch.float32 or like.dtype != torch.float32 or posed.joints.device != like.device:
         raise ValueError(
             f"posed: {posed.joints.dtype} on {posed.joints.device}; expected float32 on {like.device}, as the model"
         )
-    check_finite(joints=posed.joints, rotations=posed.rotations, semi_axes=posed.semi_axes)
+    batch = len(posed.joints)
+    sizes = {"joints": (21, 3), "rotations": (20, 3, 3), "centres": (20, 3), "axes": (20, 3, 3), "semi_axes": (20, 3)}
+    for name, size in sizes.items():
+        check_tensor(name, getattr(posed, name), (batch, *size), dtypes=(torch.float32,), like=("joints", posed.joints))
+    check_finite(**vars(posed))
+    if not (posed.semi_axes > 0).all():
+        raise ValueError(f"semi_axes: {float(posed.semi_axes.min())}; expected positive lengths")
     posed = Posed(*(tensor.detach().contiguous() for tensor in vars(posed).values()))
     shape = shape_from_lengths(model, posed) if start is None else start.shape.detach().clone()
     pose, translation = pose_from_ellipbody(model, posed, shape)

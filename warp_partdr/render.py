@@ -15,7 +15,7 @@ from typing import Any, Literal
 import torch
 import warp as wp
 
-from .checks import FLOATS, check_finite, check_image_size, check_tensor
+from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole, contiguous
 from .kernels import part_gradient, rasterize
 from .kernels.side_stream import launch_side_by_side
 from .kernels.threads import launch_in_slices
@@ -94,8 +94,7 @@ def rasterize_parts(
     """
     check_gradient_options(occlusion, max_distance, depth_weight)
     near = _check(vertices, mesh, image_size, perspective, near, edges, validate)
-    if not 0 <= num_maps <= MAX_LABEL:
-        raise ValueError(f"num_maps: {num_maps}; expected 0 to {MAX_LABEL}")
+    check_whole("num_maps", num_maps, 0, MAX_LABEL)
     height, width = image_size
     if num_maps == 0:
         with torch.no_grad():
@@ -155,10 +154,11 @@ def label_loss(
     Raises:
         ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
     """
+    check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
     check_gradient_options(occlusion, max_distance, depth_weight)
     near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
-    weights = weight_table(label_weights, vertices.device)
+    weights = weight_table(label_weights, vertices.device, validate)
     if validate and not torch.compiler.is_compiling():
         strange = (target > mesh.num_labels) & (target != IGNORE_LABEL)
         if strange.any():
@@ -204,19 +204,21 @@ def check_gradient_options(occlusion: str, max_distance: float, depth_weight: fl
         raise ValueError(f"depth_weight: {depth_weight}; expected a finite number from 0")
 
 
-def weight_table(label_weights: torch.Tensor | None, device: torch.device) -> torch.Tensor:
+def weight_table(label_weights: torch.Tensor | None, device: torch.device, validate: bool = False) -> torch.Tensor:
     """Weight of every byte that a label may be, shape (256,): 1 where none is given, 0 for background and ignored.
 
     Not to be written to: even weights are the same tensor in every call.
 
     Raises:
-        ValueError: If ``label_weights`` is no vector of at most 256 numbers.
+        ValueError: If ``label_weights`` is no vector of at most 256 numbers, or ``validate`` and one is not finite.
     """
     if label_weights is None:
         return _even_weights(device) if torch.compiler.is_compiling() else _kept_even_weights(device)
     check_tensor("label_weights", label_weights, (None,), dtypes=FLOATS)
     if label_weights.shape[0] > 256:
         raise ValueError(f"label_weights: {label_weights.shape[0]} of them; expected at most 256")
+    if validate and not torch.compiler.is_compiling():
+        check_finite(label_weights=label_weights)
     weights = _even_weights(device)
     weights[1 : label_weights.shape[0]] = label_weights[1:].to(weights)
     weights[IGNORE_LABEL] = 0.0
@@ -248,20 +250,18 @@ def _check(
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
-    check_image_size(image_size)
+    check_image_size(image_size, vertices.shape[0])
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
     if validate and not torch.compiler.is_compiling():
         check_finite(vertices=vertices)
     if mesh.num_vertices > vertices.shape[1]:
         raise ValueError(f"vertices: {vertices.shape[1]} a body; expected {mesh.num_vertices} or more, as the mesh")
-    if near is None:
-        return DEFAULT_NEAR if perspective else -math.inf
-    return float(near)
+    return check_near(near, perspective, DEFAULT_NEAR)
 
 
 def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
-    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)
+    return wp.from_torch(contiguous(tensor.detach()), dtype=kind, requires_grad=False)
 
 
 def _launch(work: Callable[[slice], None], like: torch.Tensor) -> None:
