@@ -128,7 +128,8 @@ def _compare_numbers(report: Report, people: People, setting: Setting) -> None:
         begin = time.perf_counter()
         found[numbers] = _refine_in_torch(setting, people, start, kind)
         seconds[numbers] = (time.perf_counter() - begin) / (len(people) * setting.iterations)
-    found[BFLOAT16], seconds[BFLOAT16] = _cast(found[FLOAT32], torch.bfloat16), seconds[FLOAT32]
+    stored = {name: tensor.bfloat16().float() for name, tensor in found[FLOAT32].tensors().items()}
+    found[BFLOAT16], seconds[BFLOAT16] = BodyParameters(**stored), seconds[FLOAT32]
     reference = gather(found[FLOAT32].posed())
     for numbers, bodies in found.items():
         bodies = _cast(bodies, torch.float32)
