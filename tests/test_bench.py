@@ -14,7 +14,7 @@ import warp as wp
 from PIL import Image
 from rich.console import Console
 
-from warp_partdr import cli
+from warp_partdr import bench_command
 from warp_partdr.bench import kernels, peers
 from warp_partdr.bench.chart import draw_chart
 from warp_partdr.bench.kernels import run_kernels
@@ -57,6 +57,7 @@ from warp_partdr.bench.scene import Scene
 from warp_partdr.bench.start import Start
 from warp_partdr.bench.timing import Timing, capture, repeat, time_calls, time_graph
 from warp_partdr.ellipsoids import draw_ellipsoids
+from warp_partdr.errors import InputError
 from warp_partdr.mesh import ellipbody_mesh
 
 SIZE = 32
@@ -383,7 +384,7 @@ def test_command_leaves_json_and_picture(
     report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(kernels, "run_kernels", lambda plan, progress: report)
-    cli.bench_kernels(device=device, quick=True, out=tmp_path / "new")
+    bench_command.bench_kernels(device=device, quick=True, out=tmp_path / "new")
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
         f"bench-kernels-{device}.json",
         f"bench-kernels-{device}.png",
@@ -404,8 +405,8 @@ def test_command_leaves_json_and_picture(
 
 def test_out_that_is_a_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(cli.InputError, match="--out"):
-        cli.bench_kernels(device="cpu", quick=True, out=tmp_path / "file")
+    with pytest.raises(InputError, match="--out"):
+        bench_command.bench_kernels(device="cpu", quick=True, out=tmp_path / "file")
 
 
 def test_chart_marks_every_batch(tmp_path: Path) -> None:

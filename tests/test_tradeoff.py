@@ -14,7 +14,7 @@ from ellipsoid_reference import Scene, draw
 from PIL import Image
 from rich.console import Console
 
-from warp_partdr import cli
+from warp_partdr import bench_command
 from warp_partdr.bench.plan import COVERAGE, EXACT, PARTDR
 from warp_partdr.bench.timing import Timing
 from warp_partdr.bench.tradeoff import run_tradeoff
@@ -26,6 +26,7 @@ from warp_partdr.bench.tradeoff_report import FLOAT32, FLOAT64, Report, findings
 from warp_partdr.bench.tradeoff_tables import NOTES, TABLE_WIDTH, print_report
 from warp_partdr.bench.tradeoff_truth import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
 from warp_partdr.energy import REFERENCE_SIZE, resize_nearest
+from warp_partdr.errors import InputError
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.refinement import SHAPE_RATE
 
@@ -209,15 +210,15 @@ def test_command_leaves_json_and_picture(
     report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("warp_partdr.bench.tradeoff.run_tradeoff", lambda plan, progress: report)
-    cli.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
+    bench_command.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
     names = [f"bench-tradeoff-{device}.{kind}" for kind in ("json", "png")]
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
     with Image.open(tmp_path / "new" / names[1]) as picture:
         assert picture.width > 1200
     assert "an iteration" in capsys.readouterr().out
     (tmp_path / "file").write_text("")
-    with pytest.raises(cli.InputError, match="--out"):
-        cli.bench_tradeoff(device=device, quick=True, out=tmp_path / "file")
+    with pytest.raises(InputError, match="--out"):
+        bench_command.bench_tradeoff(device=device, quick=True, out=tmp_path / "file")
 
 
 def test_quick_plan_is_smaller() -> None:

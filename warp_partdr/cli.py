@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .bench_command import bench
 from .body.label_sets import LABEL_SETS
 from .body.skeletons import SKELETONS
 from .devices import choose_device
@@ -44,7 +45,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-bench = typer.Typer(help="How fast this machine is.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
 app.add_typer(evaluate, name="evaluate")
 app.command("register", help=REGISTER_HELP)(register_body)
@@ -204,141 +204,6 @@ def fit(
     except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
     typer.echo(said)
-
-
-_BENCH_KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches and picture sizes.
-
-Example: `partdr bench kernels --device cpu --quick`
-
-A table on the screen; the same figures as bench-kernels-DEVICE.json and .png in FOLDER, with machine and versions.
-DRTK, nvdiffrast, PyTorch3D and Embree (embreex) draw the same mesh where they are installed.
-"""
-
-
-@bench.command("kernels", help=_BENCH_KERNELS_HELP)
-def bench_kernels(
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
-    quick: Annotated[bool, typer.Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
-) -> None:
-    """Time kernels; see ``_BENCH_KERNELS_HELP``."""
-    import torch
-    import warp as wp
-    from rich.console import Console
-
-    wp.config.log_level = wp.LOG_WARNING
-    from .bench.chart import draw_chart
-    from .bench.kernels import run_kernels
-    from .bench.plan import make_plan
-    from .bench.report import TABLE_WIDTH, print_report, save_json
-    from .progress import FitProgress
-
-    _make_folder(out)
-    where = choose_device(device)
-    if where == "cpu":
-        torch.set_num_threads(1)  # as ``fit`` does
-    with FitProgress() as progress:
-        report = run_kernels(make_plan(where, quick=quick), progress)
-    files = [out / f"bench-kernels-{where.replace(':', '')}.{kind}" for kind in ("json", "png")]
-    save_json(report, files[0])
-    draw_chart(report).save(files[1])
-    print_report(report, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
-    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
-
-
-_BENCH_SAVINGS_HELP = """Time what it saves to model only what a scene requires, one row a saving.
-
-Example: `partdr bench savings --device cpu`
-
-A table on the screen; the same figures as bench-savings-DEVICE.json in FOLDER, with machine and versions. On the CPU,
-on one core. Takes about 40 s; what is left out when, docs/savings.md says.
-"""
-
-
-@bench.command("savings", help=_BENCH_SAVINGS_HELP)
-def bench_savings(
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
-    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
-) -> None:
-    """Time savings; see ``_BENCH_SAVINGS_HELP``."""
-    import torch
-    import warp as wp
-    from rich.console import Console
-
-    wp.config.log_level = wp.LOG_WARNING
-    from .bench.machine import about
-    from .bench.report import TABLE_WIDTH
-    from .bench.savings import print_savings, run_savings, save_savings
-    from .kernels.threads import set_num_threads
-    from .progress import FitProgress
-
-    _make_folder(out)
-    where = choose_device(device)
-    if where == "cpu":
-        torch.set_num_threads(1)
-        set_num_threads(1)
-    with FitProgress() as progress:
-        rows = run_savings(where, progress=progress)
-    file, machine = out / f"bench-savings-{where.replace(':', '')}.json", about(where)
-    save_savings(rows, machine, file)
-    print_savings(rows, machine, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
-    typer.echo(f"{file} holds the same figures")
-
-
-_BENCH_TRADEOFF_HELP = """Measure what accuracy costs: mesh E0 to E3 and exact ellipsoids, gradients, picture sizes.
-
-Example: `partdr bench tradeoff --device cpu --quick`
-
-People of known truth, EllipBodies and Annys, are refined from starts a stated way off: time an iteration against part
-F1, joint error and error of the gradient; then iterations, float64, and whole fits at each quality. Tables on the
-screen; the same figures as bench-tradeoff-DEVICE.json, and a chart, .png, in FOLDER, with machine and versions. Twenty
-minutes on two cores that do nothing else; --quick one. docs/accuracy.md says what was found.
-"""
-
-
-@bench.command("tradeoff", help=_BENCH_TRADEOFF_HELP)
-def bench_tradeoff(
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
-    quick: Annotated[bool, typer.Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")] = Path("out"),
-) -> None:
-    """Measure the trade; see ``_BENCH_TRADEOFF_HELP``."""
-    import torch
-    import warp as wp
-    from rich.console import Console
-
-    wp.config.log_level = wp.LOG_WARNING
-    from .bench.tradeoff import run_tradeoff
-    from .bench.tradeoff_chart import draw_chart
-    from .bench.tradeoff_plan import make_plan
-    from .bench.tradeoff_report import save_json
-    from .bench.tradeoff_tables import TABLE_WIDTH, print_report
-    from .progress import FitProgress
-
-    _make_folder(out)
-    where = choose_device(device)
-    if where == "cpu":
-        torch.set_num_threads(1)
-    with FitProgress() as progress:
-        report = run_tradeoff(make_plan(where, quick=quick), progress)
-    files = [out / f"bench-tradeoff-{where.replace(':', '')}.{kind}" for kind in ("json", "png")]
-    save_json(report, files[0])
-    draw_chart(report).save(files[1])
-    print_report(report, Console(width=max(Console().width, TABLE_WIDTH), highlight=False))
-    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
 
 
 def _load_kernels(device: str, options: FitOptions, *, labels: bool) -> None:
