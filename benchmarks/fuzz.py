@@ -50,7 +50,7 @@ from warp_partdr.body_file import BodyFile, load_body
 from warp_partdr.cameras import Camera, Crop, Perspective, WeakPerspective
 from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.energy import Energy, Observation
-from warp_partdr.fitting import FitOptions, Stage, fit_body
+from warp_partdr.fitting import FitOptions, fit_body
 from warp_partdr.fused import minimise
 from warp_partdr.keypoint_files import read_keypoints
 from warp_partdr.keypoints import Keypoints2D
@@ -60,6 +60,7 @@ from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels, read_label_set, read_parts, read_photo
 from warp_partdr.pose_prior import PosePrior
 from warp_partdr.posing import pose
+from warp_partdr.quality import Stage
 from warp_partdr.refinement import refine
 from warp_partdr.registration import RegistrationOptions, register
 from warp_partdr.render import label_loss, rasterize_parts

@@ -33,18 +33,12 @@ from warp_partdr.body.template import (
 )
 from warp_partdr.body_file import load_body
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.detailed import detailed_mesh
-from warp_partdr.mesh import PartMesh, ellipbody_mesh
-from warp_partdr.palette import PART_COLOURS
+from warp_partdr.pictures import blend, shade_body, shade_detailed
 from warp_partdr.posing import Posed, pose
 from warp_partdr.registration import Registered, register, vertex_parts
-from warp_partdr.render import rasterize_parts
 
 SIZE = (560, 400)  # (H, W) of a picture
-SAMPLES = 2  # a pixel, along each side
 SCALE = 270.0  # [px/m]
-SKIN = np.array([214.0, 178.0, 158.0])
-LIGHT = np.array([0.4, -0.5, -0.8]) / np.linalg.norm([0.4, -0.5, -0.8])
 STEPS = 5  # from one body to another
 
 
@@ -121,30 +115,6 @@ def read_body(path: Path) -> Body:
     return Body(*(torch.from_numpy(getattr(fitted, name))[None] for name in Body.__dataclass_fields__))
 
 
-def draw(mesh: PartMesh, vertices: torch.Tensor, feet: float, *, coloured: bool) -> np.ndarray:
-    """A body standing on the picture's lower border, shape (H, W, 3), uint8.
-
-    Args:
-        mesh: Its faces.
-        vertices: Camera frame [m], shape (1, V, 3).
-        feet: The lowest point's y [m].
-        coloured: By part; else in one colour.
-    """
-    height, width = (side * SAMPLES for side in SIZE)
-    scale = SCALE * SAMPLES
-    camera = WeakPerspective(torch.tensor([scale]), torch.tensor([[width / 2, height - 10.0 - feet * scale]]))
-    image = rasterize_parts(camera.project(vertices), mesh, (height, width))
-    points, faces = vertices[0].double().numpy(), mesh.faces.numpy()
-    corners = points[faces]
-    of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    of_faces /= np.linalg.norm(of_faces, axis=1, keepdims=True) + 1e-12
-    brightness = 0.4 + 0.6 * np.clip(of_faces @ LIGHT, 0, 1)
-    labels = image.labels[0].numpy()
-    colours = PART_COLOURS[labels] if coloured else np.broadcast_to(SKIN, (*labels.shape, 3))
-    shown = np.where(labels[..., None] > 0, colours * brightness[image.face_index[0].numpy()][..., None], 255.0)
-    return shown.reshape(SIZE[0], SAMPLES, SIZE[1], SAMPLES, 3).mean((1, 3)).astype(np.uint8)
-
-
 def register_all(bodies: list[Body]) -> list[Registered]:
     """The first body, then the others as edits of it."""
     model = anny()
@@ -200,16 +170,14 @@ def following(bodies: list[Body], registered: list[Registered]) -> list[tuple[di
 
 def picture(names: list[str], bodies: list[Body], registered: list[Registered]) -> Image.Image:
     """Ellipsoids above, the registered model below, one column a body."""
-    mesh, spheres = detailed_mesh(registered[0].model), ellipbody_mesh(3)
     height, width = SIZE
+    white = np.full((*SIZE, 3), 255, dtype=np.uint8)
     shown = Image.new("RGB", (width * len(bodies), 2 * height + 16), "white")
     for column, (name, body, result) in enumerate(zip(names, bodies, registered, strict=True)):
         feet = float(result.detailed.vertices[..., 1].max())
-        drawn = (
-            draw(spheres, body.posed().vertices(3), feet, coloured=True),
-            draw(mesh, result.detailed.vertices, feet, coloured=False),
-        )
-        shown.paste(Image.fromarray(np.concatenate(drawn)), (column * width, 16))
+        standing = WeakPerspective(torch.tensor([SCALE]), torch.tensor([[width / 2, height - 5.0 - feet * SCALE]]))
+        drawn = shade_body(body.posed(), standing, SIZE), shade_detailed(result.detailed, result.model, standing, SIZE)
+        shown.paste(Image.fromarray(np.concatenate([blend(white, rgba, 1.0) for rgba in drawn])), (column * width, 16))
         ImageDraw.Draw(shown).text((column * width + width // 2 - 30, 2), name, fill="black")
     return shown
 

@@ -16,13 +16,13 @@ import pytest
 from PIL import Image
 from test_detailed import save_npz
 
-from warp_partdr import cli, fitting, output, progress, registration
+from warp_partdr import cli, fitting, output, progress, quality, registration
 from warp_partdr.body.label_sets import LABEL_SETS
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import SKELETONS, convert
 from warp_partdr.body_file import load_body
 from warp_partdr.errors import InputError
-from warp_partdr.fitting import FitOptions, Stage
+from warp_partdr.quality import Stage
 from warp_partdr.registration import RegistrationOptions, RegistrationWeights
 
 EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
@@ -49,7 +49,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
-    monkeypatch.setattr(fitting, "FitOptions", partial(FitOptions, stages=QUICK))
+    monkeypatch.setitem(quality.STAGES, "balanced", QUICK)
     monkeypatch.setattr(registration, "RegistrationOptions", partial(RegistrationOptions, iterations=2))
 
     def call(line: str, **environment: str) -> tuple[int, str, str]:
@@ -408,8 +408,8 @@ def test_a_real_process_prints_one_line_too(files: Path) -> None:
 def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     """Neither Warp's greeting, nor what it compiles, nor that it looked for a CUDA driver."""
     code = (
-        "from functools import partial\nfrom warp_partdr import cli, fitting\n"
-        "fitting.FitOptions = partial(fitting.FitOptions, stages=[fitting.Stage('labels', 2, 4, 0.02, 64)])\ncli.main()"
+        "from warp_partdr import cli, quality\n"
+        "quality.STAGES['balanced'] = (quality.Stage('labels', 2, 4, 0.02, 64),)\ncli.main()"
     )
     line = [*GOOD.split(), "--device", "cpu"]
     done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)

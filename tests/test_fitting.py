@@ -13,13 +13,14 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.ellipsoids import draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation, Weights
 from warp_partdr.errors import InputError
-from warp_partdr.fitting import FitOptions, Stage, distinct, fit_body
+from warp_partdr.fitting import FitOptions, distinct, fit_body
 from warp_partdr.hypotheses import hypothesize
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pose_prior import PosePrior
+from warp_partdr.quality import Stage
 from warp_partdr.refinement import SIZES, refine
 from warp_partdr.render import rasterize_parts
 

@@ -21,12 +21,13 @@ from warp_partdr.body_file import load_body
 from warp_partdr.detailed import detailed_mesh
 from warp_partdr.errors import InputError
 from warp_partdr.export import ellipbody_scene
-from warp_partdr.fitting import FitOptions, FitResult, Stage, fit_body
+from warp_partdr.fitting import FitOptions, FitResult, fit_body
 from warp_partdr.inputs import Keypoints2D, read_keypoints, read_parts, read_photo
 from warp_partdr.palette import PART_COLOURS, group_colours
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pictures import loss_chart, panels
+from warp_partdr.quality import Stage
 from warp_partdr.registration import Registered, RegistrationOptions, register
 from warp_partdr.render import rasterize_parts
 

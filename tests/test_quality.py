@@ -17,12 +17,12 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.cameras import Camera, Perspective
 from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation
-from warp_partdr.fitting import FitOptions, FitResult, Stage, fit_body
+from warp_partdr.fitting import FitOptions, FitResult, fit_body
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.posing import Posed
-from warp_partdr.quality import STAGES
+from warp_partdr.quality import STAGES, Stage
 from warp_partdr.render import rasterize_parts
 from warp_partdr.subdivisions import coarsest_subdivisions, silhouette_error
 

@@ -19,13 +19,14 @@ from warp_partdr.body.template import PART_NAMES
 from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.energy import Energy, LandmarkGather, Observation
 from warp_partdr.explain import explain, print_choices
-from warp_partdr.fitting import FitOptions, Stage, fit_body
+from warp_partdr.fitting import FitOptions, fit_body
 from warp_partdr.fused import FusedRefinement, minimise
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 from warp_partdr.pose_prior import PosePrior
+from warp_partdr.quality import Stage
 from warp_partdr.refinement import refine
 from warp_partdr.render import label_loss, rasterize_parts
 

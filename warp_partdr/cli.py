@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,9 +174,9 @@ def fit(
         # cores: 20 s instead of 1.6 s).
         torch.set_num_threads(1)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
-    options = FitOptions(seed=seed, renderer=renderer.value, trust_background=trust_background)
-    if quality.value != "balanced":  # which is the default
-        options = replace(options, stages=STAGES[quality.value])
+    options = FitOptions(
+        stages=STAGES[quality.value], seed=seed, renderer=renderer.value, trust_background=trust_background
+    )
     if labels_first:
         options = options.labels_first()
     if not outline:

@@ -11,9 +11,10 @@ import numpy as np
 from .body.labels import BACKGROUND, IGNORE
 from .body.template import PART_NAMES
 from .energy import REFERENCE_SIZE, Observation
-from .fitting import FitOptions, Stage, observe, stages_of
+from .fitting import FitOptions, observe, stages_of
 from .keypoints import Keypoints2D
 from .part_files import PartLabels
+from .quality import Stage
 
 if TYPE_CHECKING:
     from rich.console import Console

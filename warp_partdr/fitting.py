@@ -25,8 +25,7 @@ from .part_files import PartLabels
 from .person import crop_nearest, person_crop, select_person
 from .pose_prior import PosePrior
 from .posing import Posed
-from .quality import OUTLINE, STAGES, Quality
-from .quality import Stage as Stage
+from .quality import OUTLINE, STAGES, Quality, Stage
 from .refinement import refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
