@@ -71,12 +71,9 @@ def resident() -> float:
 
 
 def memory(device: str) -> float:
-    """Resident memory, and on CUDA what its allocators hold [MB]."""
-    on_device = 0.0
-    if device != "cpu":
-        free, total = torch.cuda.mem_get_info()
-        on_device = (total - free) / 1e6
-    return resident() + on_device
+    """Resident memory, and on CUDA what this process's allocators hold there [MB]."""
+    on_device = 0 if device == "cpu" else torch.cuda.memory_reserved() + wp.get_mempool_used_mem_current(device)
+    return resident() + on_device / 1e6
 
 
 @dataclass(frozen=True)
@@ -145,6 +142,8 @@ def everything(device: str, seed: int) -> list[torch.Tensor]:
 def side_by_side(device: str, threads: int, rounds: int) -> int:
     """How many results of threads differ from those of one thread; on CUDA every thread has a stream of its own."""
     want = [everything(device, seed) for seed in range(threads)]
+    if device != "cpu":
+        torch.cuda.synchronize()
 
     def work(seed: int) -> int:
         different = 0
@@ -152,9 +151,7 @@ def side_by_side(device: str, threads: int, rounds: int) -> int:
         for _ in range(rounds):
             with torch.cuda.stream(stream):
                 have = everything(device, seed)
-                if stream is not None:
-                    stream.synchronize()
-            different += not all(torch.equal(a, b) for a, b in zip(have, want[seed], strict=True))
+                different += not all(torch.equal(a, b) for a, b in zip(have, want[seed], strict=True))
         return different
 
     with ThreadPoolExecutor(threads) as pool:

@@ -6,6 +6,9 @@ from functools import lru_cache
 
 import warp as wp
 
+make_stream: Callable[[wp.Device], wp.Stream | None] = wp.Stream
+"""For a branch; to be set by who captures, whose streams may have to be of another kind."""
+
 
 def launch_side_by_side(first: Callable[[], None], second: Callable[[], None], device: wp.Device) -> None:
     """Call both, which launch kernels on Warp's current stream.
@@ -17,7 +20,7 @@ def launch_side_by_side(first: Callable[[], None], second: Callable[[], None], d
         first()
         second()
         return
-    side = _side_stream(device.alias, threading.get_ident())
+    side = _side_stream(device, threading.get_ident())
     try:
         with wp.ScopedStream(side):  # it waits for what was launched so far
             second()
@@ -27,6 +30,6 @@ def launch_side_by_side(first: Callable[[], None], second: Callable[[], None], d
 
 
 @lru_cache(maxsize=32)
-def _side_stream(device: str, thread: int) -> wp.Stream:
+def _side_stream(device: wp.Device, thread: int) -> wp.Stream | None:
     """One for each thread: a stream that takes part in a capture is closed to others."""
-    return wp.Stream(device)
+    return make_stream(device)

@@ -1,7 +1,9 @@
-"""Captures on the CPU device hold nothing that another thread launched meanwhile."""
+"""Captures hold nothing that another thread launched meanwhile, and are not spoilt by it."""
 
 from __future__ import annotations
 
+import math
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -72,3 +74,24 @@ def test_scratch_of_a_side_stream_is_torchs(device):
         have = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
     side.synchronize()
     assert torch.equal(have, want)
+
+
+def test_others_may_use_the_default_stream_during_a_capture(device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    keypoints, parts = seen_by(walker())
+    options = FitOptions()
+    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
+    done = threading.Event()
+
+    def disturb():
+        while not done.is_set():
+            torch.ones(8, device=device).sum().item()
+
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(disturb)
+        try:
+            assert math.isfinite(fit_body(keypoints, parts, options=options, device=device).finalists[0])
+        finally:
+            done.set()
+        other.result(timeout=10)

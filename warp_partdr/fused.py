@@ -35,7 +35,7 @@ from .kernels.threads import run_slices, split_batch
 from .parameters import ROW, BodyParameters
 from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
 from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, check_steps, rate_share, refine
-from .streams import capture_apart, on_torch_stream
+from .streams import capture_apart, capture_stream, on_torch_stream
 
 TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
 
@@ -268,8 +268,7 @@ class FusedRefinement:
     def _capture(self, launch: Callable[[], None]) -> wp.Graph:
         """What ``launch`` launches."""
         device = wp.device_from_torch(self._device)
-        # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
-        stream = None if device.is_cpu else wp.Stream(device)
+        stream = capture_stream(device)
         with capture_apart(self._device), wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
             launch()
         return capture.graph

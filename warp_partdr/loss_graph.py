@@ -18,7 +18,7 @@ import torch
 import warp as wp
 
 from .kernels.threads import get_num_threads, launch_in_slices, run_slices, split_batch
-from .streams import capture_apart, on_torch_stream
+from .streams import capture_apart, capture_stream, on_torch_stream
 
 Shapes = tuple[torch.Size, ...]
 
@@ -224,8 +224,7 @@ class LossGraph:
 def _capture(launch: Callable[[], None], device: torch.device) -> wp.Graph:
     with on_torch_stream(device) as where:
         warp_device = wp.get_device(where)
-        # A stream of its own on CUDA: torch's may be the default one, which can't be captured.
-        stream = None if warp_device.is_cpu else wp.Stream(warp_device)
+        stream = capture_stream(warp_device)
         with wp.ScopedStream(stream), wp.ScopedCapture(warp_device, stream) as capture:
             launch()
     return capture.graph

@@ -10,6 +10,8 @@ from contextlib import contextmanager, nullcontext
 import torch
 import warp as wp
 
+from .kernels import side_stream
+
 
 class _Gate:
     """Warp records every CPU launch of the process into a capture in progress, whichever thread launches it.
@@ -60,6 +62,18 @@ def capture_apart(device: torch.device) -> Iterator[None]:
             yield
     else:
         yield
+
+
+def capture_stream(device: wp.Device) -> wp.Stream | None:
+    """A stream to capture a graph on; none on the CPU.
+
+    Not torch's current one, which may be the default one, which can't be captured; and of torch's making, for those of
+    Warp's wait for the default one, so that whatever another thread puts there meanwhile would spoil the capture.
+    """
+    return None if device.is_cpu else wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
+
+
+side_stream.make_stream = capture_stream
 
 
 @contextmanager
