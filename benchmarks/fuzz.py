@@ -430,20 +430,20 @@ def try_rotations(chance: Chance) -> Any:
 
 
 @lru_cache
-def person() -> tuple[Keypoints2D, np.ndarray]:
-    """Perfect keypoints and labels of the mean body, 96 x 80 px."""
+def person(device: str) -> tuple[Keypoints2D, np.ndarray]:
+    """Perfect keypoints and labels of the mean body, 96 x 80 px, drawn on a device."""
     from warp_partdr.energy import LandmarkGather
 
-    body = BodyParameters.mean(1)
-    seen = replace(body.camera(80), translation=torch.tensor([[40.0, 45.0]]))
+    body = BodyParameters.mean(1, device=device)
+    seen = replace(body.camera(80), translation=torch.tensor([[40.0, 45.0]], device=device))
     names = warp_partdr.skeleton("coco17").landmarks
-    points = seen.project(LandmarkGather(names, "cpu")(body.posed()))[0, :, :2].numpy()
-    labels = draw_ellipsoids(body.posed(), seen, (96, 80)).labels[0].numpy()
+    points = seen.project(LandmarkGather(names, device)(body.posed()))[0, :, :2].cpu().numpy()
+    labels = draw_ellipsoids(body.posed(), seen, (96, 80)).labels[0].cpu().numpy()
     return Keypoints2D("coco17", points.astype(np.float32), np.ones(17, dtype=np.float32)), labels
 
 
 def keypoints_of(chance: Chance) -> Keypoints2D:
-    known, _ = person()
+    known, _ = person(chance.device)
     points = known.points + chance.rng.normal(0, 2, known.points.shape).astype(np.float32)
     return Keypoints2D(
         chance.one(["lsp14", "nobody"]) if chance.spoils() else "coco17",
@@ -454,7 +454,11 @@ def keypoints_of(chance: Chance) -> Keypoints2D:
 
 def try_fit_body(chance: Chance) -> Any:
     stages = (Stage("lift", 6, 2, 0.1), Stage("keypoints", 4, 2, 0.05), Stage("labels", 2, 2, 0.03, 32))
-    labels = chance.rng.permutation(person()[1].reshape(-1)).reshape(96, 80) if chance.spoils() else person()[1]
+    labels = (
+        chance.rng.permutation(person(chance.device)[1].reshape(-1)).reshape(96, 80)
+        if chance.spoils()
+        else person(chance.device)[1]
+    )
     parts = PartLabels(label_set("ellipbody20"), chance.array(labels)) if chance.rng.random() < 0.7 else None
     if chance.spoils():
         stages = tuple(
@@ -466,7 +470,7 @@ def try_fit_body(chance: Chance) -> Any:
             )
             for stage in stages
         )
-    options = FitOptions(stages=stages, renderer=chance.one(["exact", "mesh"]))
+    options = FitOptions(stages=stages, renderer=chance.one(["exact", "mesh"]), start=chance.one(["network", "search"]))
     others = [keypoints_of(chance)] if chance.rng.random() < 0.2 else []
     result = fit_body(keypoints_of(chance), parts, others=others, options=options, device=chance.device)
     return result.parameters, result.energy, result.posed, result.camera
@@ -557,7 +561,7 @@ def try_body_file(chance: Chance) -> Any:
 
 
 def try_keypoint_file(chance: Chance) -> Any:
-    rows = [[*map(float, point), 0.9] for point in person()[0].points]
+    rows = [[*map(float, point), 0.9] for point in person(chance.device)[0].points]
     flat = [number for row in rows for number in row]
     data = chance.one(
         [
@@ -581,14 +585,14 @@ def try_keypoint_file(chance: Chance) -> Any:
 def try_part_file(chance: Chance) -> Any:
     from PIL import Image
 
-    labels = chance.array(person()[1])
+    labels = chance.array(person(chance.device)[1])
     if chance.rng.random() < 0.5:
-        image = Image.fromarray(person()[1])
+        image = Image.fromarray(person(chance.device)[1])
         kind = chance.one(["png", "jpeg", "gif"]) if chance.spoils() else "png"
         path = chance.file("parts.png", saved(lambda file: image.save(file, kind)))
     else:
         if chance.rng.random() < 0.3:
-            maps = np.moveaxis(np.eye(21, dtype=np.float32)[person()[1][::8, ::8]], -1, 0)
+            maps = np.moveaxis(np.eye(21, dtype=np.float32)[person(chance.device)[1][::8, ::8]], -1, 0)
             labels = chance.array(maps)
         pickled = chance.spoils()
         data = saved(lambda file: np.save(file, np.array([{}]) if pickled else labels, allow_pickle=True))

@@ -32,7 +32,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from anny_people import contact_sheet, held_out_poses
 from anny_person import Person
 from measure_mean_body import Silhouettes, fit_thicknesses
-from mocap import Clip
 
 from warp_partdr.body.anny import anny, anny_shape
 from warp_partdr.body.detailed import Detailed, DetailedModel
@@ -52,6 +51,7 @@ from warp_partdr.registration import (
     skin_vertices,
 )
 from warp_partdr.render import rasterize_parts
+from warp_partdr.training.mocap import Clip
 
 # Adults and older children, thin to heavy.
 PHENOTYPES: dict[str, tuple[float, float]] = {
@@ -208,7 +208,7 @@ def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Im
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mocap", type=Path, help="folder that scripts/mocap.py reads")
+    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/training/mocap.py reads")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--count", type=int, default=30, help="how many people")
     parser.add_argument("--seed", type=int, default=0)

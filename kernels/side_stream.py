@@ -20,7 +20,7 @@ def launch_side_by_side(first: Callable[[], None], second: Callable[[], None], d
         first()
         second()
         return
-    side = _side_stream(device, threading.get_ident())
+    side = _side_stream(device.alias, threading.get_ident())
     try:
         with wp.ScopedStream(side):  # it waits for what was launched so far
             second()
@@ -30,6 +30,6 @@ def launch_side_by_side(first: Callable[[], None], second: Callable[[], None], d
 
 
 @lru_cache(maxsize=32)
-def _side_stream(device: wp.Device, thread: int) -> wp.Stream | None:
+def _side_stream(device: str, thread: int) -> wp.Stream | None:
     """One for each thread: a stream that takes part in a capture is closed to others."""
-    return make_stream(device)
+    return make_stream(wp.get_device(device))

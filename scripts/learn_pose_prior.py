@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import mocap
 import numpy as np
 import torch
 from rich.console import Console
@@ -23,6 +22,7 @@ from rich.table import Table
 
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
 from warp_partdr.pose_prior import FREE_PARTS, PosePrior, mirror_features
+from warp_partdr.training import mocap
 
 ORDER, SIGN = mirror_features()
 
@@ -80,15 +80,6 @@ def features_of(clip: mocap.Clip) -> np.ndarray:
 def mirror(features: np.ndarray) -> np.ndarray:
     """Features of the mirrored poses."""
     return features[..., ORDER] * SIGN
-
-
-def without_errors(clip: mocap.Clip) -> mocap.Clip:
-    """The frames in which no ankle or wrist is turned around, as markers that were swapped do."""
-    angles = np.linalg.norm(clip.rotation_vectors(), axis=-1)
-    allowed = np.full(NUM_PARTS, 2.9)
-    for part, name in enumerate(PART_NAMES):
-        allowed[part] = {"foot": 1.3, "hand": 2.5}.get(_kind(name), 2.9)
-    return clip[(angles < allowed).all(axis=1)]
 
 
 def activity(name: str) -> str:
@@ -325,7 +316,7 @@ def main() -> None:
     console = Console()
     random = np.random.default_rng(options.seed)
 
-    clips = [without_errors(clip) for clip in mocap.load_clips(options.mocap)]
+    clips = [mocap.without_errors(clip) for clip in mocap.load_clips(options.mocap)]
     learned = [clip for clip in clips if not mocap.is_held_out(clip)]
     all_frames = mocap.concatenate(learned, "learned")
     labels = np.concatenate([np.full(len(clip), activity(clip.name), dtype=object) for clip in learned])

@@ -49,7 +49,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
-    monkeypatch.setitem(quality.STAGES, "balanced", QUICK)
+    monkeypatch.setitem(quality.STAGES["network"], "balanced", QUICK)
     monkeypatch.setattr(registration, "RegistrationOptions", partial(RegistrationOptions, iterations=2))
 
     def call(line: str, **environment: str) -> tuple[int, str, str]:
@@ -409,7 +409,7 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     """Neither Warp's greeting, nor what it compiles, nor that it looked for a CUDA driver."""
     code = (
         "from warp_partdr import cli, quality\n"
-        "quality.STAGES['balanced'] = (quality.Stage('labels', 2, 4, 0.02, 64),)\ncli.main()"
+        "quality.STAGES['network']['balanced'] = (quality.Stage('labels', 2, 4, 0.02, 64),)\ncli.main()"
     )
     line = [*GOOD.split(), "--device", "cpu"]
     done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)

@@ -46,11 +46,13 @@ def walker(device="cpu") -> BodyParameters:
 
 def seen_by(body: BodyParameters, fmt: str = "coco17") -> tuple[Keypoints2D, PartLabels]:
     """Perfect keypoints and 20-part labels of a body in a picture of ``SIZE``."""
-    posed = body.posed()
-    camera = replace(body.camera(160), translation=body.camera(160).translation + torch.tensor([0.0, 20.0]))
+    posed, device = body.posed(), body.shift.device
+    down = torch.tensor([0.0, 20.0], device=device)
+    camera = replace(body.camera(160), translation=body.camera(160).translation + down)
     names = skeleton(fmt).landmarks
-    points = camera.project(LandmarkGather(names, "cpu")(posed))[0, :, :2].numpy()
-    labels = rasterize_parts(camera.project(posed.vertices(2)), ellipbody_mesh(2), SIZE).labels[0].numpy()
+    points = camera.project(LandmarkGather(names, device)(posed))[0, :, :2].cpu().numpy()
+    mesh = ellipbody_mesh(2, device=device)
+    labels = rasterize_parts(camera.project(posed.vertices(2)), mesh, SIZE).labels[0].cpu().numpy()
     keypoints = Keypoints2D(fmt, points.astype(np.float32), np.ones(len(points), dtype=np.float32))
     return keypoints, PartLabels(label_set("ellipbody20"), labels)
 

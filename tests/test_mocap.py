@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -11,11 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-import mocap
-
 from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES
+from warp_partdr.training import mocap
 
 LIMBS = ("upper_leg", "lower_leg", "upper_arm", "forearm", "hand")
 

@@ -91,7 +91,7 @@ def test_all_files_are_there_and_no_others(folder: Path) -> None:
 
 def test_body_file_poses_to_the_fitted_joints(folder: Path, result: FitResult) -> None:
     body = load_body(folder / "body.npz")
-    written = output.body_file(result, (512, 384))
+    written = output.body_file(result.parameters, result.camera, (512, 384))
     for name in written.__dataclass_fields__:
         assert getattr(body, name).tobytes() == np.asarray(getattr(written, name)).tobytes(), name
     assert body.image_size.tolist() == [512, 384]

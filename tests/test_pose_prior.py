@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import resources
 from pathlib import Path
 
@@ -10,13 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-import mocap
-
 from warp_partdr.body.template import PART_NAMES, template
 from warp_partdr.errors import InputError
 from warp_partdr.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior, mirror_features, up_direction
+from warp_partdr.training import mocap
 
 UP = torch.tensor([[0.0, 1.0, 0.0]])
 

@@ -22,7 +22,7 @@ from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.posing import Posed
-from warp_partdr.quality import STAGES, Stage
+from warp_partdr.quality import STAGES, Stage, Start
 from warp_partdr.render import rasterize_parts
 from warp_partdr.subdivisions import coarsest_subdivisions, silhouette_error
 
@@ -164,14 +164,15 @@ def test_balanced_is_the_default(device: str) -> None:
 def test_quality_chooses_the_stages_and_options_override_it(device: str) -> None:
     keypoints, _ = person(device)
     fast = fit_body(keypoints, quality="fast", device=device)
-    assert fast.stages == tuple(stage for stage in STAGES["fast"] if stage.size == 0)
+    assert fast.stages == tuple(stage for stage in STAGES["network"]["fast"] if stage.size == 0)
     own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
     assert fit_body(keypoints, quality="fast", options=own, device=device).stages == own.stages
-    assert FitOptions.at("accurate").without_outline().stages == STAGES["accurate"][:-1]
+    assert FitOptions.at("accurate").without_outline().stages == STAGES["network"]["accurate"][:-1]
 
 
 def test_command_takes_a_quality_and_flags_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [each.value for each in cli.QualityName] == list(STAGES)
+    assert [each.value for each in cli.QualityName] == list(STAGES["network"])
+    assert [each.value for each in cli.StartName] == list(STAGES)
     (tmp_path / "points.json").write_text(json.dumps(person("cpu")[0].points.tolist()))
     given: list[FitOptions] = []
 
@@ -190,7 +191,11 @@ def test_command_takes_a_quality_and_flags_override_it(tmp_path: Path, monkeypat
                 device="cpu",
                 **flags,
             )
-    assert [options.stages for options in given] == [STAGES["balanced"], STAGES["fast"], STAGES["accurate"][:-1]]
+    assert [options.stages for options in given] == [
+        STAGES["network"]["balanced"],
+        STAGES["network"]["fast"],
+        STAGES["network"]["accurate"][:-1],
+    ]
 
 
 def test_unknown_quality_is_said(device: str) -> None:
@@ -199,10 +204,11 @@ def test_unknown_quality_is_said(device: str) -> None:
         fit_body(keypoints, quality="best", device=device)  # type: ignore[arg-type]
 
 
-def test_qualities_are_in_order_of_work() -> None:
+@pytest.mark.parametrize("start", STAGES)
+def test_qualities_are_in_order_of_work(start: Start) -> None:
     """Pixels drawn: bodies times iterations times the area of the picture."""
     work = {
         quality: sum(stage.bodies * stage.iterations * stage.size**2 for stage in stages)
-        for quality, stages in STAGES.items()
+        for quality, stages in STAGES[start].items()
     }
     assert 4 * work["fast"] < work["balanced"] < work["accurate"]

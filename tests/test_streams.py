@@ -79,7 +79,7 @@ def test_scratch_of_a_side_stream_is_torchs(device):
 def test_others_may_use_the_default_stream_during_a_capture(device):
     if device == "cpu":
         pytest.skip("the CPU has no streams")
-    keypoints, parts = seen_by(walker())
+    keypoints, parts = seen_by(walker(device))
     options = FitOptions()
     options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
     done = threading.Event()

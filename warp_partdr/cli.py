@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +16,9 @@ from .body.skeletons import SKELETONS
 from .devices import choose_device
 from .errors import InputError
 from .evaluate_command import evaluate
+from .predict_command import PREDICT_HELP, predict
 from .register_command import MODEL_HELP, REGISTER_HELP, clothe, read_model, register_body
+from .train_command import TRAIN_HELP, train
 
 if TYPE_CHECKING:
     from .fitting import FitOptions
@@ -26,6 +29,13 @@ class Renderer(StrEnum):
 
     exact = "exact"
     mesh = "mesh"
+
+
+class StartName(StrEnum):
+    """Where a fit starts; ``quality.STAGES`` has the same names."""
+
+    network = "network"
+    search = "search"
 
 
 class QualityName(StrEnum):
@@ -47,6 +57,8 @@ app = typer.Typer(
 app.add_typer(bench, name="bench")
 app.add_typer(evaluate, name="evaluate")
 app.command("register", help=REGISTER_HELP)(register_body)
+app.command("train", help=TRAIN_HELP)(train)
+app.command("predict", help=PREDICT_HELP)(predict)
 
 NO_MODEL = "none"
 
@@ -108,6 +120,19 @@ def fit(
         str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
     ] = "auto",
     quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP)] = QualityName.balanced,
+    start: Annotated[
+        StartName,
+        typer.Option(
+            help="network: what the label network says, beside a few hypotheses of the search, for what it has never "
+            "seen; search: many hypotheses alone."
+        ),
+    ] = StartName.network,
+    network: Annotated[
+        Path | None,
+        typer.Option(
+            help="A label network of `partdr train` instead of the packaged one.", metavar="FILE.safetensors"
+        ),
+    ] = None,
     outline: Annotated[
         bool,
         typer.Option(
@@ -157,7 +182,6 @@ def fit(
     from .kernels.threads import set_num_threads
     from .output import DETAILED_FILES, RESULT_FILES, check_folder, check_inputs, image_size, save_fit
     from .progress import FitProgress
-    from .quality import STAGES
 
     if labels_first and not outline:
         raise InputError("--labels-first: with --no-outline; expected one of the two")
@@ -167,15 +191,21 @@ def fit(
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
     check_folder(out)
-    check_inputs(out, (photo, keypoints, parts, Path(labels), Path(model)), (*RESULT_FILES, *DETAILED_FILES))
+    check_inputs(out, (photo, keypoints, parts, network, Path(labels), Path(model)), (*RESULT_FILES, *DETAILED_FILES))
     where = choose_device(device)
     if where == "cpu":
         # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
         # cores: 20 s instead of 1.6 s).
         torch.set_num_threads(1)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
-    options = FitOptions(
-        stages=STAGES[quality.value], seed=seed, renderer=renderer.value, trust_background=trust_background
+    if network is not None and start is StartName.search:
+        raise InputError(f"--network: {network}, with --start search, which has none; expected one of the two")
+    options = replace(
+        FitOptions.at(quality.value, start.value),
+        seed=seed,
+        renderer=renderer.value,
+        trust_background=trust_background,
+        network=None if network is None else str(network),
     )
     if labels_first:
         options = options.labels_first()
@@ -227,7 +257,7 @@ def _load_kernels(device: str, options: FitOptions, *, labels: bool) -> None:
 def _summarise(report: dict[str, Any], out: Path) -> None:
     share = report["keypoints"]["mean_distance_share_of_person_height"]
     lines = [
-        f"{report['hypotheses']} hypotheses, {report['seconds_total']:.1f} s",
+        f"{report['hypotheses']} hypotheses, the {report['start']}'s won, {report['seconds_total']:.1f} s",
         f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
         + (f" ({100 * share:.1f} % of the person's height)" if share else ""),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,13 +21,15 @@ from .hypotheses import LiftEnergy, hypothesize
 from .keypoints import Keypoints2D
 from .mesh import ellipbody_mesh
 from .missing_labels import ignore_missing_limbs
-from .parameters import BodyParameters
+from .network.checkpoint import load_label_network, packaged_network
+from .network.predict import predict_bodies
+from .parameters import BodyParameters, concatenate
 from .part_files import PartLabels
 from .person import crop_nearest, person_crop, select_person
 from .pose_prior import PosePrior
 from .posing import Posed
-from .quality import OUTLINE, STAGES, Quality, Stage
-from .refinement import refine
+from .quality import LIFT, OUTLINE, STAGES, Quality, Stage, Start
+from .refinement import Refined, refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
@@ -45,7 +48,8 @@ class FitOptions:
     """How a fit goes.
 
     Attributes:
-        stages: In order; the first one lifts the hypotheses into 3D.
+        stages: In order; the first one lifts the search's hypotheses into 3D. With a network's start, stages without
+            one named "lift" go on from the network's body alone, and none at all leave it as it is.
         weights: Of the energy's terms, where a stage has none of its own.
         renderer: "exact" ellipsoids, or their "mesh", with PartDR's gradient.
         subdivisions: Level of the mesh, 0 to 3; "auto": in each stage the coarsest that is within ``tolerance`` of the
@@ -54,9 +58,11 @@ class FitOptions:
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
         depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
         seed: Of the random choice of hypotheses, where there are too many.
+        start: "network": the label network's body beside the search's hypotheses; "search": these alone.
+        network: File of a label network of `partdr train`; None takes the packaged one.
     """
 
-    stages: tuple[Stage, ...] = STAGES["balanced"]
+    stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
     weights: Weights = field(default_factory=Weights)
     renderer: Renderer = "exact"
     subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
@@ -64,17 +70,25 @@ class FitOptions:
     trust_background: bool = False
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     seed: int = 0
+    start: Start = "network"
+    network: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.start not in STAGES:
+            raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
 
     @classmethod
-    def at(cls, quality: Quality) -> FitOptions:
+    def at(cls, quality: Quality, start: Start = "network") -> FitOptions:
         """Those of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
 
         Raises:
-            ValueError: If there is no such quality.
+            ValueError: If there is no such quality or start.
         """
-        if quality not in STAGES:
-            raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES)}")
-        return cls(stages=STAGES[quality])
+        if start not in STAGES:
+            raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
+        if quality not in STAGES[start]:
+            raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
+        return cls(stages=STAGES[start][quality], start=start)
 
     def labels_first(self) -> FitOptions:
         """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
@@ -98,10 +112,11 @@ class FitResult:
         observation: What was fitted, in the crop.
         stages: The rounds it took.
         energy: Weighted terms of the energy at the end, by name.
-        history: Energy of the winner's lineage before each iteration, one row a stage.
+        history: Energy of the winner's lineage before each iteration, one row a stage; NaN where it took no part.
         stage_seconds: Wall time of each stage.
         hypotheses: How many starts there were.
         finalists: Energies at the end of the last stage that compared several bodies, best first.
+        start: Where the winner comes from, "network" or "search".
     """
 
     parameters: BodyParameters
@@ -113,6 +128,7 @@ class FitResult:
     stage_seconds: dict[str, float]
     hypotheses: int
     finalists: list[float]
+    start: Start
 
     @property
     def camera(self) -> WeakPerspective:
@@ -186,21 +202,15 @@ def fit_body(
     seen, crop = observe(keypoints, parts, others=others, trust_background=trust, device=device)
     prior = PosePrior().to(device)
     stages = stages_of(options, parts)
-    bodies, targets, known = hypothesize(seen, stages[0].bodies, seed=options.seed)
-    bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-    hypotheses = bodies.batch_size
-    energies = torch.zeros(hypotheses, device=seen.points.device)
+    searching = options.start == "search" or any(stage.name == LIFT for stage in stages)
+    pool = None if options.start == "search" else _Pool.of_network(seen, options.network)
+    hypotheses = 0 if pool is None else 1
     terms: dict[str, torch.Tensor] = {}
     seconds: dict[str, float] = {}
-    lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
     finalists: list[float] = []
     done, total = 0, sum(stage.iterations for stage in stages)
     for index, stage in enumerate(stages):
         started = time.perf_counter()
-        if index > 0:
-            kept = distinct(bodies, energies, stage.bodies)
-            bodies = bodies.select(kept)
-            lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
         weights = stage.weights or options.weights
         if stage.size == 0:
             weights = replace(weights, seg=0.0)
@@ -221,40 +231,88 @@ def fit_body(
             if progress is not None:
                 progress(name, before + iteration, total)
 
-        if index == 0:
-            refined = refine(
-                bodies,
-                LiftEnergy(energy, targets, known),
-                iterations=stage.iterations,
-                learning_rate=stage.learning_rate,
-                on_iteration=step,
-            )
+        pace = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "on_iteration": step}
+        if searching and index == 0:
+            bodies, targets, known = hypothesize(seen, stage.bodies, seed=options.seed)
+            bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+            hypotheses += bodies.batch_size
+            refined = refine(bodies, LiftEnergy(energy, targets, known), **pace)
+            pool = _Pool.of_search(refined, pool)
         else:
-            refined = minimise(
-                bodies,
-                energy,
-                iterations=stage.iterations,
-                learning_rate=stage.learning_rate,
-                on_iteration=step,
-            )
-        bodies, energies, terms = refined.parameters, refined.energy, refined.terms
-        lineage.append(refined.history.cpu().numpy())
-        if len(energies) > 1:
-            finalists = energies.sort().values.tolist()
+            assert pool is not None
+            pool = pool.keep(stage.bodies)
+            refined = minimise(pool.bodies, energy, **pace)
+            pool = pool.refined(refined)
+        terms = refined.terms
+        if len(pool.energies) > 1:
+            finalists = pool.energies.sort().values.tolist()
         done += stage.iterations
         seconds[stage.name] = time.perf_counter() - started
-    winner = int(energies.argmin())
+    assert pool is not None
+    winner = int(pool.energies.argmin())
     return FitResult(
-        parameters=bodies.select(torch.tensor([winner], device=energies.device)),
+        parameters=pool.bodies.select(torch.tensor([winner], device=pool.energies.device)),
         crop=crop,
         observation=seen,
         stages=stages,
         energy={name: float(term[winner]) for name, term in terms.items()},
-        history=[rows[:, winner] for rows in lineage],
+        history=[rows[:, winner] for rows in pool.lineage],
         stage_seconds=seconds,
         hypotheses=hypotheses,
         finalists=finalists,
+        start="network" if pool.from_network[winner] else "search",
     )
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """B bodies that are compared.
+
+    Attributes:
+        bodies: Themselves.
+        energies: What decides which are kept, shape (B,).
+        lineage: Energies of theirs and of their ancestors, one array (iterations, B) a stage.
+        from_network: Which of them the network said, shape (B,), bool.
+    """
+
+    bodies: BodyParameters
+    energies: torch.Tensor
+    lineage: list[np.ndarray]
+    from_network: np.ndarray
+
+    @classmethod
+    def of_network(cls, seen: Observation, path: str | None) -> _Pool:
+        """The network's body, first of all whatever it is compared with."""
+        device = seen.points.device
+        network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
+        body = predict_bodies([seen], network)
+        return cls(body, torch.full((1,), -math.inf, device=device), [], np.ones(1, dtype=bool))
+
+    @classmethod
+    def of_search(cls, refined: Refined, first: _Pool | None) -> _Pool:
+        """The search's hypotheses after their first stage, in which the network's body before them takes no part."""
+        history = refined.history.cpu().numpy()
+        found = cls(refined.parameters, refined.energy, [history], np.zeros(len(refined.energy), dtype=bool))
+        if first is None:
+            return found
+        return cls(
+            concatenate((first.bodies, found.bodies)),
+            torch.cat([first.energies, found.energies]),
+            [np.column_stack([np.full(len(history), np.nan), history])],
+            np.concatenate([first.from_network, found.from_network]),
+        )
+
+    def keep(self, count: int) -> _Pool:
+        """The ``distinct`` best."""
+        kept = distinct(self.bodies, self.energies, count)
+        places = kept.cpu().numpy()
+        lineage = [rows[:, places] for rows in self.lineage]
+        return _Pool(self.bodies.select(kept), self.energies[kept], lineage, self.from_network[places])
+
+    def refined(self, refined: Refined) -> _Pool:
+        """The same bodies after a stage."""
+        lineage = [*self.lineage, refined.history.cpu().numpy()]
+        return _Pool(refined.parameters, refined.energy, lineage, self.from_network)
 
 
 def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
@@ -264,7 +322,7 @@ def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...
         ValueError: If none is left.
     """
     stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
-    if not stages:
+    if not stages and options.start == "search":
         raise ValueError("options.stages: none without labels; expected at least one of size 0")
     return stages
 

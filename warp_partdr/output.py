@@ -29,6 +29,7 @@ from .export import ellipbody_scene
 from .fitting import FitResult
 from .keypoints import Keypoints2D, person_height
 from .palette import group_colours
+from .parameters import BodyParameters
 from .part_files import PartLabels
 from .person import select_person
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
@@ -134,7 +135,7 @@ def save_fit(
         comparison = panels(target, shown, group_colours(part_groups))
     overlay = draw_overlay(result, keypoints, size, photo)
     with replacing(Path(folder)) as temporary:
-        body_file(result, size).save(temporary / "body.npz")
+        body_file(result.parameters, result.camera, size).save(temporary / "body.npz")
         _write_json(temporary / "body.json", describe_body(result))
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
@@ -223,11 +224,11 @@ def _over(canvas: Image, rgba: np.ndarray, opacity: float) -> Image:
     return Image.fromarray(blend(np.asarray(canvas), rgba, opacity))
 
 
-def body_file(result: FitResult, size: tuple[int, int]) -> BodyFile:
-    """The fitted body as ``body.npz`` holds it."""
+def body_file(parameters: BodyParameters, camera: WeakPerspective, size: tuple[int, int]) -> BodyFile:
+    """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it."""
     from .body.rotations import rotation_from_axis_angle
 
-    parameters, camera = result.parameters.detach(), result.camera
+    parameters = parameters.detach()
     numbers = {
         "global_orient": parameters.global_orient()[0],
         "translation": parameters.lengths.new_zeros(3),
@@ -242,7 +243,7 @@ def body_file(result: FitResult, size: tuple[int, int]) -> BodyFile:
 
 def describe_body(result: FitResult) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
-    measured = body_file(result, (1, 1)).body("cpu").measure()
+    measured = body_file(result.parameters, result.camera, (1, 1)).body("cpu").measure()
     joints = result.posed.joints[0].detach().cpu().numpy()
     pixels = result.camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
     return {
@@ -274,6 +275,7 @@ def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
         "energy_total": round(sum(result.energy.values()), 4),
         "energy_of_finalists": [round(value, 4) for value in result.finalists],
         "hypotheses": result.hypotheses,
+        "start": result.start,
         "keypoints": {
             "confident": int(sure.sum()),
             "mean_distance_px": round(distance, 3),

@@ -204,7 +204,7 @@ def loss_chart(result: FitResult) -> Image:
     draw = ImageDraw.Draw(chart)
     font, small = ImageFont.load_default(14 * smooth), ImageFont.load_default(12 * smooth)
 
-    values = np.concatenate(result.history)
+    values = np.concatenate([*result.history, np.zeros(0)])
     powers = np.log10(values[values > 0]) if (values > 0).any() else np.zeros(1)
     high = powers.max() + 0.05
     low = max(powers.min() - 0.05, high - 4)  # no stage falls by more decades
@@ -232,7 +232,7 @@ def loss_chart(result: FitResult) -> Image:
             draw.text((left - 6 * smooth, y), f"{tick:g}", "black", small, anchor="rm")
     first = 0
     for energies in result.history:
-        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies)]
+        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies) if not np.isnan(energy)]
         draw.line(points, fill=(20, 70, 140), width=2 * smooth, joint="curve")
         first += len(energies)
     draw.rectangle([left, top, right, bottom], outline=(120, 120, 120), width=smooth)

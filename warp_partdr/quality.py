@@ -12,6 +12,7 @@ from .energy import Weights
 from .refinement import check_steps
 
 Quality = Literal["fast", "balanced", "accurate"]
+Start = Literal["network", "search"]
 
 
 @dataclass(frozen=True)
@@ -44,22 +45,24 @@ class Stage:
         check_steps(self.iterations, self.learning_rate)
 
 
+LIFT = "lift"  # the stage that lifts the search's hypotheses into 3D
+
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
 # disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
 # with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
 OUTLINE = "outline"
 OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
 
-STAGES: dict[Quality, tuple[Stage, ...]] = {
+_SEARCH: dict[Quality, tuple[Stage, ...]] = {
     "fast": (
-        Stage("lift", 64, 20, 0.15),
+        Stage(LIFT, 64, 20, 0.15),
         Stage("keypoints", 64, 15, 0.05),
         Stage("labels, coarse", 8, 25, 0.03, 64, gradient="edges"),
         Stage("labels, fine", 2, 25, 0.02, 128, gradient="edges"),
         Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
     ),
     "balanced": (
-        Stage("lift", 256, 30, 0.1),
+        Stage(LIFT, 256, 30, 0.1),
         Stage("keypoints", 256, 20, 0.04),
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
@@ -67,7 +70,7 @@ STAGES: dict[Quality, tuple[Stage, ...]] = {
         Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
     ),
     "accurate": (
-        Stage("lift", 256, 30, 0.1),
+        Stage(LIFT, 256, 30, 0.1),
         Stage("keypoints", 256, 40, 0.04),
         Stage("labels, coarse", 64, 50, 0.03, 64, gradient="edges"),
         Stage("labels, middle", 24, 50, 0.02, 128, gradient="edges"),
@@ -75,3 +78,29 @@ STAGES: dict[Quality, tuple[Stage, ...]] = {
         Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), gradient="edges"),
     ),
 }
+
+# Beside the network's body, few hypotheses of the search will do: they are for what the network has never seen.
+_NETWORK: dict[Quality, tuple[Stage, ...]] = {
+    "fast": (
+        Stage("labels, coarse", 1, 25, 0.03, 64, gradient="edges"),
+        Stage("labels, fine", 1, 25, 0.02, 128, gradient="edges"),
+        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
+    ),
+    "balanced": (
+        Stage(LIFT, 24, 30, 0.1),
+        Stage("keypoints", 25, 20, 0.04),
+        Stage("labels, coarse", 6, 25, 0.03, 64),
+        Stage("labels, middle", 4, 25, 0.02, 128),
+        Stage("labels, fine", 2, 50, 0.01, 256),
+        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
+    ),
+    "accurate": (
+        Stage(LIFT, 64, 30, 0.1),
+        Stage("keypoints", 65, 40, 0.04),
+        Stage("labels, coarse", 16, 50, 0.03, 64, gradient="edges"),
+        Stage("labels, middle", 8, 50, 0.02, 128, gradient="edges"),
+        Stage("labels, fine", 4, 100, 0.01, 256, gradient="edges"),
+        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), gradient="edges"),
+    ),
+}
+STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}

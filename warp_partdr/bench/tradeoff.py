@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import get_args
 
 import torch
 
@@ -15,7 +16,7 @@ from ..fitting import FitOptions
 from ..parameters import BodyParameters
 from ..partbench.samples import partbench
 from ..pose_prior import PosePrior
-from ..quality import STAGES
+from ..quality import Quality
 from ..refinement import refine
 from .machine import about
 from .tradeoff_fits import own_part_f1, refine_all, score, time_iteration
@@ -160,7 +161,7 @@ def _quality_jobs(plan: Plan, report: Report) -> _Jobs:
     """Whole fits, one person at a time, so that none is slowed by another."""
 
     def work(level: str) -> None:
-        methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in STAGES}
+        methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in get_args(Quality)}
         found = evaluate(partbench(plan.fits, (level,)), methods, device=plan.device)
         report.qualities[level] = next(iter(found.pooled().values()))
 

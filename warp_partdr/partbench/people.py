@@ -42,7 +42,7 @@ _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, a
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
 _FACE_COVER = 0.04  # [m]: how much nearer than a point of the face a surface must be to hide it
-_MEAN_STATURE = 1.63  # [m], of the template's mean body
+MEAN_STATURE = 1.63  # [m], of the template's mean body
 
 COCO = skeleton("coco17")
 _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
@@ -117,7 +117,7 @@ def make_person(index: int) -> Person:
         kind=pose.kind,
         parts=parts,
         keypoints=pixels,
-        hidden=_is_hidden(points, pixels, depth, stature / _MEAN_STATURE),
+        hidden=_is_hidden(points, pixels, depth, stature / MEAN_STATURE),
         height=stature * float(camera.intrinsics[0, 0]) / distance,
         joints=landmarks(skeleton(MPJPE_SKELETON).landmarks),
         vertices=vertices + offset,
@@ -190,6 +190,17 @@ def _draw(
     return votes.argmax(0).astype(np.uint8), depth[0, ::_SAMPLES, ::_SAMPLES].numpy()
 
 
+def cover_of(landmarks: tuple[str, ...]) -> np.ndarray:
+    """How much nearer than a landmark of a mean adult a surface must be to hide it [m], shape (L,)."""
+    thicknesses = template().mean_thicknesses
+    return np.array(
+        [
+            thicknesses[SHAPE_INDICES[JOINT_NAMES.index(name) - 1][1]] if name in JOINT_NAMES else _FACE_COVER
+            for name in landmarks
+        ]
+    )
+
+
 def _is_hidden(points: np.ndarray, pixels: np.ndarray, depth: np.ndarray, size: float) -> np.ndarray:
     """Which COCO-17 keypoints lie behind something other than their own surroundings, shape (17,), bool.
 
@@ -201,12 +212,5 @@ def _is_hidden(points: np.ndarray, pixels: np.ndarray, depth: np.ndarray, size: 
         depth: Of what is seen [m], inf = background, shape (H, W).
         size: Of the person, 1 = mean adult.
     """
-    thicknesses = template().mean_thicknesses
-    cover = np.array(
-        [
-            thicknesses[SHAPE_INDICES[JOINT_NAMES.index(name) - 1][1]] if name in JOINT_NAMES else _FACE_COVER
-            for name in COCO.landmarks
-        ]
-    )
     u, v = (np.clip(pixels[:, i].astype(int), 0, depth.shape[1 - i] - 1) for i in range(2))
-    return depth[v, u] < points[:, 2] - size * cover
+    return depth[v, u] < points[:, 2] - size * cover_of(COCO.landmarks)

@@ -21,9 +21,9 @@ from ..posing import Posed, pose
 
 # Random vectors of 57 dimensions lie farther from the mean than frames of motion capture do (a median of 31 nats, those
 # frames have 12): with this share of the deviations they are as likely. Nine frames of ten have at most so many nats.
-_SPREAD = 0.7
-_LIKELY = 22.0
-_OVER_LIMITS = 0.02  # [rad^2], a few degrees
+SPREAD = 0.7
+LIKELY = 22.0
+OVER_LIMITS = 0.02  # [rad^2], a few degrees
 _JITTER = 0.12  # [rad], of every joint of a pose put together
 _LEAN = 0.08  # [rad], of its pelvis
 
@@ -129,16 +129,16 @@ def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
     """
     while True:
         drawn = _from_prior(rng) if kind == "prior" else _from_recipe(kind, rng)
-        if drawn is not None and _is_clear(drawn):
+        if drawn is not None and is_clear(posed_ellipbody(drawn.rotations, np.eye(3))):
             return drawn
 
 
 def _from_prior(rng: np.random.Generator) -> Pose | None:
     """One draw of the mixture; None if it is beyond the joint limits or less likely than most poses."""
-    prior, mixture = _prior()
+    prior, mixture = pose_mixture()
     component = rng.choice(len(mixture["weights"]), p=mixture["weights"] / mixture["weights"].sum())
     deviation = np.linalg.solve(mixture["whitening"][component], rng.standard_normal(len(mixture["means"][0])))
-    features = mixture["means"][component] + _SPREAD * deviation
+    features = mixture["means"][component] + SPREAD * deviation
     if rng.random() < 0.5:
         order, sign = mirror_features()
         features = features[order] * sign
@@ -146,13 +146,13 @@ def _from_prior(rng: np.random.Generator) -> Pose | None:
     rotations[list(FREE_PARTS)] = features[:-3].reshape(-1, 3)
     up = features[-3:] / np.linalg.norm(features[-3:])
     vectors = torch.from_numpy(rotations)[None]
-    if prior.joint_limits(vectors) > _OVER_LIMITS or prior(vectors, torch.from_numpy(up)[None]) > _LIKELY:
+    if prior.joint_limits(vectors) > OVER_LIMITS or prior(vectors, torch.from_numpy(up)[None]) > LIKELY:
         return None
     return Pose("prior", rotations, up, rng.uniform(-np.pi, np.pi))
 
 
 @lru_cache(maxsize=1)
-def _prior() -> tuple[PosePrior, dict[str, np.ndarray]]:
+def pose_mixture() -> tuple[PosePrior, dict[str, np.ndarray]]:
     """The packaged prior, and the Gaussians in its file: each stands for its mirror image too."""
     path = resources.files(__package__.rpartition(".")[0]).joinpath("assets/pose_prior.npz")
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -194,18 +194,18 @@ def posed_ellipbody(rotations: np.ndarray, global_orient: np.ndarray) -> Posed:
     )
 
 
+_PARTS = range(NUM_PARTS)
 _LIMBS = [k for k, name in enumerate(PART_NAMES) if name.endswith(("forearm", "hand", "lower_leg", "foot"))]
 _ALONG = np.linspace(-0.8, 1.0, 7)  # places on a bone, of its half length
+_APART = np.array([[part not in (limb, PARENTS[limb]) and PARENTS[part] != limb for part in _PARTS] for limb in _LIMBS])
 
 
-def _is_clear(drawn: Pose) -> bool:
-    """Whether no limb's bone passes through a part that it doesn't hang on."""
-    posed = posed_ellipbody(drawn.rotations, np.eye(3))
-    centres, axes, semi_axes = (values[0].numpy() for values in (posed.centres, posed.axes, posed.semi_axes))
-    for limb in _LIMBS:
-        others = [k for k in range(NUM_PARTS) if k != limb and PARENTS[limb] != k and PARENTS[k] != limb]
-        bone = centres[limb] + _ALONG[:, None] * semi_axes[limb, 0] * axes[limb, :, 0]
-        offsets = np.einsum("pki,kij->pkj", bone[:, None] - centres[others], axes[others]) / semi_axes[others]
-        if (np.linalg.norm(offsets, axis=-1) < 1.0).any():
-            return False
-    return True
+def is_clear(posed: Posed) -> torch.Tensor:
+    """Whether no limb's bone passes through a part that it doesn't hang on, shape (B,), bool."""
+    along, apart = (torch.from_numpy(values).to(posed.centres.device) for values in (_ALONG, _APART))
+    bones = posed.semi_axes[:, _LIMBS, :1] * posed.axes[:, _LIMBS, :, 0]
+    points = posed.centres[:, _LIMBS, None] + along.to(bones)[:, None] * bones[:, :, None]  # (B, limbs, places, 3)
+    offsets = points.flatten(1, 2)[:, None] - posed.centres[:, :, None]
+    offsets = offsets @ posed.axes / posed.semi_axes[:, :, None]  # in the parts' own axes
+    inside = offsets.square().sum(-1).unflatten(2, (len(_LIMBS), -1)).amin(-1) < 1.0  # (B, parts, limbs)
+    return ~(inside & apart.T).flatten(1).any(1)

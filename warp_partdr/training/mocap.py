@@ -1,4 +1,4 @@
-"""Read motion capture and turn it into EllipBody poses, for ``learn_pose_prior.py`` and for benchmarks.
+"""Read motion capture and turn it into EllipBody poses, to train networks and priors on and for benchmarks.
 
 Three sources, all under one folder: ``cmu_expmap.npz`` + ``.json`` (CMU clips as exponential maps), ``cmu_asfamc/``
 (CMU clips as ASF and gzipped AMC) and ``deepmimic/`` (humanoid quaternion text). CMU's data was obtained from
@@ -27,9 +27,9 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_partdr.body.template import LOCKED_PARTS, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from ..body.template import LOCKED_PARTS, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
 
-# Clips that no prior may learn from: the expmap data set's own test split, and some clips of each other source.
+# Clips that nothing may learn from: the expmap data set's own test split, and some clips of each other source.
 HELD_OUT_PREFIX = "expmap.test."
 HELD_OUT = (
     "asf.01_05",
@@ -146,8 +146,17 @@ def load_clips(folder: Path | str) -> list[Clip]:
 
 
 def is_held_out(clip: Clip) -> bool:
-    """Whether the prior must not learn from this clip."""
+    """Whether no prior and no network may learn from this clip."""
     return clip.name.startswith(HELD_OUT_PREFIX) or clip.name in HELD_OUT
+
+
+def without_errors(clip: Clip) -> Clip:
+    """The frames in which no ankle or wrist is turned around, as markers that were swapped do."""
+    angles = np.linalg.norm(clip.rotation_vectors(), axis=-1)
+    allowed = np.full(NUM_PARTS, 2.9)
+    for part, name in enumerate(PART_NAMES):
+        allowed[part] = {"foot": 1.3, "hand": 2.5}.get(name.partition("_")[2], 2.9)
+    return clip[(angles < allowed).all(axis=1)]
 
 
 def held_out_frames(folder: Path | str, count: int) -> Clip:

@@ -1,0 +1,5 @@
+"""``python -m warp_partdr``: the command ``partdr``, for launchers that take a module."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,215 @@
+"""EllipBodyNet: from a picture to EllipBody, its camera, 2D keypoints and part segmentation (paper, section 3.4).
+
+The backbone is any of ``transformers.AutoBackbone`` whose last feature map is (B, C, h, w). The regressor sees that map
+pooled, the keypoints that the heat maps say, and the segmentation's probabilities, pooled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+
+from ..body.template import NUM_PARTS
+from ..checks import check_tensor
+from ..errors import InputError
+from .heads import DeconvolutionHead, soft_argmax
+from .landmarks import LANDMARKS
+from .predicted import Predicted
+from .regressor import Regressor, RegressorConfig
+
+if TYPE_CHECKING:
+    from transformers import PreTrainedConfig
+
+RESNET50 = "microsoft/resnet-50"
+_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, as backbones were trained
+
+
+@dataclass(frozen=True)
+class EllipBodyNetConfig:
+    """What an EllipBodyNet is made of.
+
+    Attributes:
+        backbone: Name on the Hugging Face hub, or a local folder with its config.json.
+        architecture: The backbone's configuration as transformers writes it, with its ``model_type``; empty: what
+            ``backbone`` has, which needs a connection (or its cache) for any name but ResNet-50's.
+        pretrained: Start from the backbone's own weights instead of random ones.
+        size: Side of the pictures [px].
+        head_width: Channels of the two heads' deconvolutions.
+        part_cells: Side of the grid that part probabilities are pooled to for the regressor.
+        regressor: Of what follows.
+    """
+
+    backbone: str = RESNET50
+    architecture: dict[str, Any] = field(default_factory=dict)
+    pretrained: bool = False
+    size: int = 256
+    head_width: int = 256
+    part_cells: int = 8
+    regressor: RegressorConfig = field(default_factory=RegressorConfig)
+
+
+@dataclass(frozen=True)
+class PicturePrediction:
+    """What EllipBodyNet says of B pictures.
+
+    Attributes:
+        bodies: EllipBody and its camera.
+        heatmaps: Logits of the keypoints ``LANDMARKS``, shape (B, 24, h, w).
+        keypoints: Their crop coordinates and confidence, shape (B, 24, 3).
+        parts: Logits of background and the 20 parts, shape (B, 21, h, w).
+    """
+
+    bodies: Predicted
+    heatmaps: torch.Tensor
+    keypoints: torch.Tensor
+    parts: torch.Tensor
+
+    def part_labels(self, size: int) -> torch.Tensor:
+        """The likeliest part of each pixel at ``size`` pixels a side, 0 = background, shape (B, size, size), uint8."""
+        logits = nn.functional.interpolate(self.parts.float(), size=(size, size), mode="bilinear", antialias=False)
+        return logits.argmax(1).to(torch.uint8)
+
+
+class EllipBodyNet(nn.Module):
+    """Pictures to bodies, keypoints and parts.
+
+    Args:
+        config: The sizes and the backbone.
+
+    Attributes:
+        config: The same with the backbone's architecture filled in, and not ``pretrained``: from it the network is
+            made again without a connection, and a checkpoint brings the weights.
+
+    Raises:
+        InputError: If there is no such backbone, it can't be fetched, or it makes no (B, C, h, w) feature maps.
+    """
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
+    def __init__(self, config: EllipBodyNetConfig) -> None:
+        super().__init__()
+        self.backbone, architecture = _make_backbone(config)
+        self.config = replace(config, architecture=architecture, pretrained=False)
+        channels = _feature_channels(self.backbone, config)
+        self.keypoint_head = DeconvolutionHead(channels, len(LANDMARKS), config.head_width)
+        self.part_head = DeconvolutionHead(channels, NUM_PARTS + 1, config.head_width)
+        features = channels + 3 * len(LANDMARKS) + (NUM_PARTS + 1) * config.part_cells**2
+        self.regressor = Regressor(features, config.regressor)
+        self.register_buffer("mean", torch.tensor(_MEAN).view(3, 1, 1), persistent=False)
+        self.register_buffer("deviation", torch.tensor(_DEVIATION).view(3, 1, 1), persistent=False)
+
+    def forward(self, pictures: torch.Tensor) -> PicturePrediction:
+        """Bodies, keypoints and parts of one person a picture.
+
+        Args:
+            pictures: Square crops around the people, RGB, uint8 or floats from 0 to 1, shape (B, 3, size, size).
+
+        Raises:
+            ValueError: If the shape or dtype is another.
+        """
+        side = self.config.size
+        dtypes = (torch.uint8, torch.float32, torch.float16, torch.bfloat16)
+        check_tensor("pictures", pictures, (None, 3, side, side), dtypes=dtypes)
+        colours = pictures.float() / 255 if pictures.dtype == torch.uint8 else pictures.float()
+        features = self.backbone((colours - self.mean) / self.deviation).feature_maps[-1]
+        heatmaps, parts = self.keypoint_head(features), self.part_head(features)
+        keypoints = soft_argmax(heatmaps)
+        shares = nn.functional.adaptive_avg_pool2d(parts.float().softmax(1), self.config.part_cells)
+        seen = [features.mean((2, 3)).float(), keypoints.flatten(1), shares.flatten(1)]
+        bodies = self.regressor(torch.cat(seen, dim=1))
+        return PicturePrediction(bodies, heatmaps, keypoints, parts)
+
+
+def _make_backbone(config: EllipBodyNetConfig) -> tuple[nn.Module, dict[str, Any]]:
+    """The backbone, which gives its last feature map, and its architecture as JSON has it."""
+    try:
+        from transformers import AutoBackbone
+    except ImportError as error:
+        raise InputError("EllipBodyNet needs transformers (pip install warp-partdr[train])") from error
+    architecture = _architecture(config)
+    try:
+        backbone = AutoBackbone.from_config(architecture)
+        if config.pretrained:  # by its own class: AutoBackbone asks the hub first, also about a folder
+            backbone = type(backbone).from_pretrained(_place(config), config=architecture)
+    except Exception as error:  # of many kinds: of the connection, the files, and each model's own
+        reason = _no_files("weights") if config.pretrained else " ".join(str(error).split())[:200]
+        raise InputError(f"backbone: {config.backbone!r} ({architecture.model_type}): {reason}") from error
+    return backbone, _stored(architecture)
+
+
+def _architecture(config: EllipBodyNetConfig) -> PreTrainedConfig:
+    """The backbone's configuration, asked for its last feature map alone."""
+    from transformers import AutoConfig, ResNetConfig
+
+    if config.architecture:
+        values = dict(config.architecture)
+        try:
+            found = AutoConfig.for_model(values.pop("model_type"), **values)
+        except Exception as error:  # of many kinds: each model checks its own values
+            reason = " ".join(str(error).split())[:200]
+            raise InputError(
+                f"architecture: {reason}; expected a backbone's configuration with its model_type, such as resnet"
+            ) from error
+    elif config.backbone == RESNET50:
+        found = ResNetConfig()
+    else:
+        place = _place(config)
+        if place.startswith((".", "/")) and not Path(place).is_dir():
+            raise InputError(f"backbone: {config.backbone}: no such folder; expected one with a config.json")
+        try:
+            found = AutoConfig.from_pretrained(place)
+        except Exception as error:  # as above
+            raise InputError(f"backbone: {config.backbone!r}: {_no_files('config.json')}") from error
+    if not hasattr(found, "stage_names"):
+        raise InputError(
+            f"backbone: {config.backbone!r} is a {found.model_type}, which gives no feature maps; expected a backbone "
+            "that transformers.AutoBackbone knows, such as resnet, convnext, swin or dinov2"
+        )
+    found.out_indices = [len(found.stage_names) - 1]
+    return found
+
+
+def _place(config: EllipBodyNetConfig) -> str:
+    return str(Path(config.backbone).expanduser())
+
+
+def _no_files(what: str) -> str:
+    return (
+        f"no {what} found; expected a name on huggingface.co and a connection, or a local folder: download it once "
+        "where there is a connection (hf download NAME --local-dir FOLDER) and give the folder, or set pretrained to "
+        "false for random weights"
+    )
+
+
+def _stored(architecture: PreTrainedConfig) -> dict[str, Any]:
+    """What tells this architecture from the default one of its kind, without the path that it came from."""
+    differing = architecture.to_diff_dict()
+    kept = {name: value for name, value in differing.items() if not name.startswith(("_", "transformers_version"))}
+    unneeded = ("architectures", "dtype", "torch_dtype", "id2label", "label2id", "stage_names", "out_features")
+    return {name: value for name, value in kept.items() if name not in unneeded} | {
+        "model_type": architecture.model_type
+    }
+
+
+def _feature_channels(backbone: nn.Module, config: EllipBodyNetConfig) -> int:
+    """C of the last feature map, by trying."""
+    was_training = backbone.training
+    backbone.eval()
+    try:
+        with torch.no_grad():
+            maps = backbone(torch.zeros(1, 3, config.size, config.size)).feature_maps
+    except (RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"size: {config.size} px does not suit the backbone {config.backbone!r}: {reason}") from error
+    finally:
+        backbone.train(was_training)
+    if maps[-1].ndim != 4:
+        raise InputError(
+            f"backbone: {config.backbone!r}: feature map of shape {tuple(maps[-1].shape)}; expected (B, C, h, w)"
+        )
+    return int(maps[-1].shape[1])

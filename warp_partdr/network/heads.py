@@ -1,0 +1,65 @@
+"""The heads beside EllipBodyNet's regressor: keypoints as heat maps, and part segmentation (paper, section 3.4).
+
+Both are three deconvolutions and a 1x1 convolution (Xiao et al., 2018: simple baselines), eight times finer than the
+backbone's last feature map: 64x64 for a picture of 256x256.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+_DECONVOLUTIONS = 3
+_SURE_SPREAD = 0.1  # [half-sides of the crop], 13 px of 256: a heat map spread so wide is of confidence 0.6
+
+
+class DeconvolutionHead(nn.Module):
+    """Feature maps (B, C, h, w) to ``outputs`` maps (B, outputs, 8h, 8w).
+
+    Args:
+        channels: C of the feature maps.
+        outputs: How many maps.
+        width: Channels in between.
+    """
+
+    def __init__(self, channels: int, outputs: int, width: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for before in (channels, *[width] * (_DECONVOLUTIONS - 1)):
+            layers += [
+                nn.ConvTranspose2d(before, width, 4, stride=2, padding=1, bias=False),
+                nn.BatchNorm2d(width),
+                nn.ReLU(),
+            ]
+        self.layers = nn.Sequential(*layers, nn.Conv2d(width, outputs, 1))
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Logits."""
+        maps: torch.Tensor = self.layers(features)
+        return maps
+
+
+def soft_argmax(heatmaps: torch.Tensor) -> torch.Tensor:
+    """Where heat maps have their mean, and how sure that is: the less, the wider they spread.
+
+    Args:
+        heatmaps: Logits, shape (B, L, h, w); a softmax makes probabilities of each map.
+
+    Returns:
+        Crop coordinates (-1 to 1) and confidence (0 to 1), shape (B, L, 3), float32.
+    """
+    height, width = heatmaps.shape[-2:]
+    probabilities = heatmaps.float().flatten(2).softmax(-1).unflatten(2, (height, width))
+    moments = []
+    for size, share in ((width, probabilities.sum(2)), (height, probabilities.sum(3))):
+        places = cell_centres(size, share.device)
+        mean = (share * places).sum(-1)  # no matrix product, which autocast would round
+        moments.append((mean, (share * places.square()).sum(-1) - mean.square()))
+    (x, x_variance), (y, y_variance) = moments
+    confidence = (-(x_variance + y_variance).clamp_min(0.0) / (2 * _SURE_SPREAD**2)).exp()
+    return torch.stack([x, y, confidence], dim=-1)
+
+
+def cell_centres(size: int, device: torch.device) -> torch.Tensor:
+    """Crop coordinates of the middles of ``size`` cells, shape (size,)."""
+    return (torch.arange(size, device=device) + 0.5) * (2 / size) - 1

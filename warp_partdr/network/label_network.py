@@ -1,0 +1,172 @@
+"""From part labels and keypoints, no colour, to a body: a small convolutional encoder before the regressor.
+
+What it sees doesn't hang on who made it: a pixel is the share that each of the 20 parts may have in its label, of any
+label set, or background, or unknown; keypoints are those of ``LANDMARKS``, as far as they were found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import nn
+
+from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.template import NUM_PARTS
+from .landmarks import LANDMARKS
+from .predicted import Predicted
+from .regressor import Regressor, RegressorConfig
+
+NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
+_UNKNOWN = NUM_CHANNELS - 1
+_HEATMAP_STRIDE = 4  # of the labels' pixels
+_SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being 2
+
+
+@dataclass(frozen=True)
+class LabelNetworkConfig:
+    """How large a label network is.
+
+    Attributes:
+        size: Side of the label images [px], a multiple of 32.
+        channels: Of the encoder's five stages, each at half the size of the one before.
+        places: Channels that the last stage's places are described with.
+        keypoint_features: How many numbers the keypoints' coordinates become.
+        regressor: Of what follows.
+    """
+
+    size: int = 128
+    channels: tuple[int, ...] = (32, 96, 144, 224, 256)
+    places: int = 48
+    keypoint_features: int = 256
+    regressor: RegressorConfig = field(default_factory=RegressorConfig)
+
+
+def label_table(labels: LabelSet) -> torch.Tensor:
+    """What each group id says: shares of the parts, background and unknown, shape (256, 22), rows sum to 1."""
+    table = np.zeros((256, NUM_CHANNELS), dtype=np.float32)
+    table[:, _UNKNOWN] = 1.0  # ids that the set does not have, and 255
+    for group in range(1, labels.num_groups + 1):
+        table[group] = 0.0
+        members = np.nonzero(labels.part_groups[1:] == group)[0]
+        table[group, members] = 1.0 / len(members)
+    table[BACKGROUND] = 0.0
+    table[BACKGROUND, NUM_PARTS] = 1.0
+    return torch.from_numpy(table)
+
+
+def label_tables(sets: Sequence[LabelSet]) -> torch.Tensor:
+    """Tables of several sets, shape (N, 256, 22)."""
+    return torch.stack([label_table(labels) for labels in sets])
+
+
+def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+    """What label images say, pixel by pixel.
+
+    Args:
+        groups: Group ids, shape (B, S, S), uint8.
+        tables: Of N label sets, shape (N, 256, 22).
+        which: The set of each image, shape (B,), int64.
+
+    Returns:
+        Shape (B, 22, S, S), channels last in memory, the dtype of ``tables``.
+    """
+    rows = groups.int() + which.int()[:, None, None] * 256
+    return tables.flatten(0, 1)[rows].permute(0, 3, 1, 2)
+
+
+def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
+    """The same of probabilities.
+
+    Args:
+        maps: Of the groups 1 to G, shape (B, G, S, S).
+        known: What is missing to 1 is unknown, shape (B, S, S).
+        table: Of the label set, shape (256, 22).
+    """
+    known = known[:, None]
+    background = (known - maps.sum(1, keepdim=True)).clamp_min(0.0)
+    shares = torch.cat([background, maps, 1.0 - known], dim=1)
+    rows = table[[*range(maps.shape[1] + 1), IGNORE]]
+    return torch.einsum("bghw,gc->bchw", shares, rows)
+
+
+class LabelNetwork(nn.Module):
+    """Label shares and keypoints to bodies.
+
+    Args:
+        config: The sizes.
+    """
+
+    def __init__(self, config: LabelNetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        stem, *rest, last = config.channels
+        self.stem = nn.Sequential(
+            nn.Conv2d(NUM_CHANNELS, stem, 5, stride=2, padding=2, bias=False), nn.BatchNorm2d(stem), nn.ReLU()
+        )
+        self.coarse = _Block(stem, rest[0], stride=2)
+        self.stages = nn.Sequential(
+            _Block(rest[0] + len(LANDMARKS), rest[0]),
+            *[
+                block
+                for before, after in pairwise(rest)
+                for block in (_Block(before, after, stride=2), _Block(after, after))
+            ],
+            _Block(rest[-1], last, stride=2),
+            nn.Conv2d(last, config.places, 1),
+            nn.Flatten(),
+        )
+        keypoints = config.keypoint_features
+        self.keypoints = nn.Sequential(
+            nn.Linear(3 * len(LANDMARKS), 2 * keypoints), nn.ReLU(), nn.Linear(2 * keypoints, keypoints), nn.ReLU()
+        )
+        side = config.size // 2 ** len(config.channels)
+        self.regressor = Regressor(config.places * side**2 + keypoints, config.regressor)
+
+    def forward(self, shares: torch.Tensor, keypoints: torch.Tensor) -> Predicted:
+        """Bodies.
+
+        Args:
+            shares: What the labels say (``label_shares``, ``map_shares``), shape (B, 22, S, S).
+            keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
+        """
+        heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
+        coarse = self.coarse(self.stem(shares))
+        seen = self.stages(torch.cat([coarse, heatmaps.to(coarse.dtype)], dim=1))
+        predicted: Predicted = self.regressor(torch.cat([seen, self.keypoints(keypoints.flatten(1)).to(seen)], dim=1))
+        return predicted
+
+
+def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
+    """A spot as bright as its confidence for each keypoint, shape (B, L, size, size).
+
+    Args:
+        keypoints: Crop coordinates and confidence, shape (B, L, 3).
+        size: Side of the maps [px].
+    """
+    centres = (torch.arange(size, device=keypoints.device) + 0.5) * (2 / size) - 1
+    spots = (-0.5 * ((centres - keypoints[..., :2, None]) / _SPREAD).square()).exp()
+    return keypoints[..., 2, None, None] * spots[..., 1, :, None] * spots[..., 0, None, :]
+
+
+class _Block(nn.Module):
+    """Two convolutions with a way past them (He et al., 2016)."""
+
+    def __init__(self, before: int, after: int, stride: int = 1) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            nn.Conv2d(before, after, 3, stride=stride, padding=1, bias=False),
+            nn.BatchNorm2d(after),
+            nn.ReLU(),
+            nn.Conv2d(after, after, 3, padding=1, bias=False),
+            nn.BatchNorm2d(after),
+        )
+        self.past: nn.Module = nn.Identity()
+        if stride > 1 or before != after:
+            self.past = nn.Sequential(nn.Conv2d(before, after, 1, stride=stride, bias=False), nn.BatchNorm2d(after))
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        return torch.relu(self.body(values) + self.past(values))

@@ -1,0 +1,44 @@
+"""Bodies from observations in one pass of the label network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from ..energy import Observation, resize_nearest
+from ..parameters import BodyParameters
+from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, map_shares
+from .landmarks import network_keypoints
+
+
+def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """What a label network sees of one person: shares (22, size, size) and keypoints (24, 3)."""
+    keypoints = network_keypoints(seen.landmarks, seen.points, seen.confidence)
+    device = keypoints.device
+    if seen.label_set is None or seen.labels is None:
+        shares = torch.zeros(NUM_CHANNELS, size, size, device=device)
+        shares[-1] = 1.0
+        return shares, keypoints
+    table = label_table(seen.label_set).to(device)
+    if seen.maps is not None and seen.known is not None:
+        maps, known = resize_nearest(seen.maps, size), resize_nearest(seen.known, size)
+        return map_shares(maps[None], known[None], table)[0], keypoints
+    labels = resize_nearest(seen.labels, size)
+    return label_shares(labels[None], table[None], torch.zeros(1, dtype=torch.int64, device=device))[0], keypoints
+
+
+@torch.no_grad()
+def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -> BodyParameters:
+    """Bodies that a network sees in observations, without refinement.
+
+    Args:
+        observations: N people, on the network's device; ``observe`` makes them.
+        network: In evaluation mode.
+
+    Returns:
+        N bodies in their crops.
+    """
+    inputs = [network_inputs(seen, network.config.size) for seen in observations]
+    shares, keypoints = (torch.stack(values) for values in zip(*inputs, strict=True))
+    return network(shares.contiguous(memory_format=torch.channels_last), keypoints).parameters()

@@ -1,0 +1,54 @@
+"""What networks say of bodies: the numbers of EllipBody and of its camera, rotations as matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
+from ..cameras import WeakPerspective
+from ..parameters import BodyParameters
+from ..posing import Posed, pose
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """B bodies, each in a square crop of side 2, as ``BodyParameters`` has them.
+
+    Attributes:
+        orientation: Global orientation, camera frame, shape (B, 3, 3).
+        rotations: Local rotations; those of the hips are the identity, shape (B, 20, 3, 3).
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
+        log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
+        shift: Where the pelvis is in the crop, shape (B, 2).
+    """
+
+    orientation: torch.Tensor
+    rotations: torch.Tensor
+    lengths: torch.Tensor
+    thicknesses: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+
+    def posed(self) -> Posed:
+        """The bodies in the camera frame, pelvis at the origin [m], differentiable."""
+        pelvis = self.lengths.new_zeros(len(self.lengths), 3)
+        return pose(self.orientation, pelvis, self.rotations, self.lengths, self.thicknesses, validate=False)
+
+    def camera(self, size: int) -> WeakPerspective:
+        """The cameras for a crop of ``size`` pixels a side."""
+        half = size / 2
+        return WeakPerspective(self.log_scale.exp() * half, (self.shift + 1) * half)
+
+    def parameters(self) -> BodyParameters:
+        """The same numbers for a fit, detached."""
+        return BodyParameters(
+            orientation=rotation_to_6d(self.orientation),
+            rotations=rotation_to_axis_angle(self.rotations),
+            lengths=self.lengths,
+            thicknesses=self.thicknesses,
+            log_scale=self.log_scale,
+            shift=self.shift,
+        ).detach()

@@ -1,0 +1,133 @@
+"""The regressor that all networks end with: from features to EllipBody and its camera (paper, section 3.4).
+
+A multilayer perceptron of residual blocks sees the features and the last estimate, and adds to that what is missing;
+so it goes on from the mean body a few times (iterated error feedback, as HMR does). Rotations are two columns made
+orthonormal by Gram-Schmidt; sizes are factors of the mean body's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
+from ..body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES, template
+from ..parameters import BodyParameters
+from ..pose_prior import FREE_PARTS, PosePrior
+from .predicted import Predicted
+
+CAMERA = "camera"  # name of the head that a schedule may freeze
+_MAX_LOG_SIZE = 1.0  # sizes stay within e of the mean body's
+_HEADS: dict[str, int] = {
+    "orientation": 6,
+    "rotations": 6 * len(FREE_PARTS),
+    "lengths": len(LENGTH_NAMES),
+    "thicknesses": len(THICKNESS_NAMES),
+    CAMERA: 3,  # log_scale, shift
+}
+
+
+@dataclass(frozen=True)
+class RegressorConfig:
+    """How large a regressor is; the paper's numbers.
+
+    Attributes:
+        width: Of the layers.
+        blocks: Residual blocks of two layers each.
+        iterations: How often the estimate is corrected.
+        dropout: Share of activations that training drops.
+    """
+
+    width: int = 1024
+    blocks: int = 2
+    iterations: int = 3
+    dropout: float = 0.1
+
+
+class Regressor(nn.Module):
+    """Features to bodies.
+
+    Args:
+        features: Their number F.
+        config: The sizes.
+    """
+
+    mean: torch.Tensor
+
+    def __init__(self, features: int, config: RegressorConfig) -> None:
+        super().__init__()
+        self.first = _Layer(features + sum(_HEADS.values()), config)
+        self.blocks = nn.ModuleList(
+            nn.ModuleList([_Layer(config.width, config), _Layer(config.width, config)]) for _ in range(config.blocks)
+        )
+        self.heads = nn.ModuleDict({name: nn.Linear(config.width, size) for name, size in _HEADS.items()})
+        for head in self.heads.values():  # the first estimates lie about the mean
+            assert isinstance(head, nn.Linear)
+            nn.init.normal_(head.weight, std=1e-3)
+            nn.init.zeros_(head.bias)
+        self.iterations = config.iterations
+        self.register_buffer("mean", _mean_estimate(), persistent=False)
+
+    def forward(self, features: torch.Tensor) -> Predicted:
+        """Bodies.
+
+        Args:
+            features: Shape (B, F).
+        """
+        estimate = self.mean.expand(len(features), -1)
+        for iteration in range(self.iterations):
+            hidden = self.first(torch.cat([features, estimate.to(features.dtype)], dim=1), iteration)
+            for block in self.blocks:
+                assert isinstance(block, nn.ModuleList)
+                step = hidden
+                for layer in block:
+                    step = layer(step, iteration)
+                hidden = hidden + step
+            correction = torch.cat([self.heads[name](hidden) for name in _HEADS], dim=1)
+            estimate = estimate + correction.float()
+        return _bodies(estimate)
+
+
+class _Layer(nn.Module):
+    """Linear, batch normalisation, ReLU, dropout; each iteration's activations have statistics of their own."""
+
+    def __init__(self, size: int, config: RegressorConfig) -> None:
+        super().__init__()
+        self.linear = nn.Linear(size, config.width, bias=False)
+        self.norms = nn.ModuleList(nn.BatchNorm1d(config.width) for _ in range(config.iterations))
+        self.dropout = nn.Dropout(config.dropout)
+
+    def forward(self, values: torch.Tensor, iteration: int) -> torch.Tensor:
+        activated: torch.Tensor = self.dropout(torch.relu(self.norms[iteration](self.linear(values))))
+        return activated
+
+
+def _mean_estimate() -> torch.Tensor:
+    """The mean adult in the mean pose, facing the camera, in the order of the heads; sizes as logarithms of factors."""
+    mean = BodyParameters.mean(1)
+    turns = rotation_to_6d(rotation_from_axis_angle(PosePrior().mean_pose[list(FREE_PARTS)]))
+    sizes = torch.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
+    return torch.cat([mean.orientation[0], turns.flatten(), sizes, torch.zeros(3)])
+
+
+def _bodies(estimate: torch.Tensor) -> Predicted:
+    orientation, turns, lengths, thicknesses, camera = estimate.split(list(_HEADS.values()), dim=1)
+    free = rotation_from_6d(turns.unflatten(1, (-1, 6)))
+    # The locked hips come first.
+    locked = torch.eye(3, dtype=free.dtype, device=free.device).expand(len(free), NUM_PARTS - len(FREE_PARTS), 3, 3)
+    constants = template()
+
+    def sizes(logarithms: torch.Tensor, mean: object) -> torch.Tensor:
+        bounded = _MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)
+        return bounded.exp() * torch.as_tensor(mean, dtype=bounded.dtype, device=bounded.device)
+
+    return Predicted(
+        orientation=rotation_from_6d(orientation),
+        rotations=torch.cat([locked, free], dim=1),
+        lengths=sizes(lengths, constants.mean_lengths),
+        thicknesses=sizes(thicknesses, constants.mean_thicknesses),
+        log_scale=camera[:, 0],
+        shift=camera[:, 1:],
+    )

@@ -1,0 +1,83 @@
+"""The command ``partdr predict``: bodies of a folder's people in one pass of the label network, without refinement."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .errors import InputError
+
+PREDICT_HELP = """Say at once where bodies are: 2D keypoints and part labels in, pose and measurements out, without
+refinement. For many people; `partdr fit` starts with the same and goes on.
+
+Example: `partdr predict pictures --labels cdcl14 --out bodies`
+
+FOLDER holds N.jpg or N.png, N.keypoints.json and, for all or none, N.parts.png; the largest person of each picture is
+taken. Without --labels, labels.json in the folder says what the part labels are.
+
+**Results** in --out: N.npz for each picture, as body.npz of `partdr fit` (`partdr register` clothes it).
+"""
+
+
+def predict(
+    folder: Annotated[Path, typer.Argument(help="Pictures, keypoints and part labels.", metavar="FOLDER")],
+    labels: Annotated[
+        str | None,
+        typer.Option(help="What the part labels mean: a label set's name, or your own JSON.", metavar="NAME"),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
+    network: Annotated[
+        Path | None,
+        typer.Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
+    ] = None,
+    batch: Annotated[int, typer.Option(help="People at a time.", metavar="N")] = 64,
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+) -> None:
+    """Predict bodies; see ``PREDICT_HELP``."""
+    from .datasets import read_folder
+    from .part_files import read_label_set
+
+    if batch < 1:
+        raise InputError(f"--batch: {batch}; expected 1 or more")
+    samples = list(read_folder(folder, None if labels is None else read_label_set(labels)))
+
+    import torch
+
+    from .devices import choose_device
+    from .energy import REFERENCE_SIZE
+    from .fitting import observe
+    from .network.checkpoint import load_label_network
+    from .network.predict import predict_bodies
+    from .output import body_file, check_folder, image_size, replacing
+    from .progress import FitProgress
+
+    check_folder(out)
+    where = choose_device(device)
+    model = load_label_network(network, device=where)
+    reading = predicting = 0.0
+    with FitProgress() as progress, replacing(out) as temporary:
+        for first in range(0, len(samples), batch):
+            some = samples[first : first + batch]
+            started = time.perf_counter()
+            seen = [observe(sample.keypoints, sample.parts, others=sample.others, device=where) for sample in some]
+            read = time.perf_counter()
+            bodies = predict_bodies([observation for observation, _ in seen], model)
+            bodies.shift.sum().item()  # waits for the device
+            reading, predicting = reading + read - started, predicting + time.perf_counter() - read
+            for i, (sample, (_, crop)) in enumerate(zip(some, seen, strict=True)):
+                body = bodies.select(torch.tensor([i], device=where))
+                camera = body.camera(REFERENCE_SIZE).in_full(crop)
+                size = image_size(sample.keypoints, sample.parts, None)
+                body_file(body, camera, size).save(temporary / f"{sample.name}.npz")
+            progress("predicting", first + len(some), len(samples))
+    people = f"{len(samples)} people" if len(samples) > 1 else "1 person"
+    typer.echo(
+        f"{people}: {len(samples) / predicting:.0f} a second through the network, "
+        f"{len(samples) / (reading + predicting):.0f} a second with cropping; batches of {batch}, {where}"
+    )
+    typer.echo(f"{out} holds a body of each: N.npz")

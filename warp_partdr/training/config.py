@@ -1,0 +1,215 @@
+"""Every number of a training run in one dataclass, from a TOML file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import InputError
+from .sections import read_section
+from .task import find_task
+
+_FREE = {"free": True}  # may differ when a run is resumed
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a run.
+
+    Attributes:
+        until: Share of the run at which it ends; of the last phase 1.
+        learning_rate: At its peak; None takes the run's.
+        frozen: Parameters whose names begin so don't change.
+        without: Loss terms left out.
+    """
+
+    until: float = 1.0
+    learning_rate: float | None = None
+    frozen: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """A training run.
+
+    Attributes:
+        task: What is trained: label-network, ellipbodynet, or "module:Class" of one's own (``task.Task``).
+        steps: Steps of the optimizer in all; or
+        epochs: How often every sample is seen, where the task counts its samples.
+        minutes: Wall-clock limit of the run with all its resumed parts: whichever of it and ``steps`` is nearer drives
+            the schedule and ends the run.
+        batch_size: Samples of a batch, per process.
+        accumulation: Batches whose gradients are averaged into one step.
+        learning_rate: At the peak; it rises linearly in the first ``warm_up`` steps, then follows ``schedule``.
+        warm_up: Steps.
+        schedule: "cosine" falls to ``floor`` over the run, "constant" stays.
+        floor: Share of the learning rate at the end of the cosine.
+        weight_decay: Of AdamW, for weights of matrices and convolutions; none for biases and normalisation.
+        betas: Of AdamW.
+        clip: Largest norm of the gradient; larger ones are scaled down; inf leaves all as they are.
+        ema: Decay of the running mean of the weights, which is what is validated and released; it starts lower, as
+            (1 + step) / (10 + step).
+        precision: "bf16": the model runs in autocast to bfloat16; "no": in float32.
+        tf32: On CUDA, float32 products of matrices in the step may be rounded to TF32.
+        log_every: Steps between lines of the log.
+        validate_every: Steps between validations, with a picture; 0: at the end alone.
+        checkpoint_every: Steps between checkpoints; there is one at the end, too.
+        keep: Checkpoints kept, the newest.
+        seed: Of weights and batches; each process adds its rank.
+        out: Folder for all that is written.
+        weights: Of the loss terms; those left out keep the task's defaults.
+        phases: In order; each has its own learning rate, frozen parameters and loss terms.
+        model: Sizes of the network, a dataclass of the task's.
+        data: Of the samples, a dataclass of the task's.
+    """
+
+    task: str
+    steps: int | None = field(default=None, metadata=_FREE)
+    epochs: float | None = field(default=None, metadata=_FREE)
+    minutes: float | None = field(default=None, metadata=_FREE)
+    batch_size: int = 128
+    accumulation: int = 1
+    learning_rate: float = field(default=1e-3, metadata=_FREE)
+    warm_up: int = 0
+    schedule: Literal["cosine", "constant"] = "cosine"
+    floor: float = 0.0
+    weight_decay: float = 0.0
+    betas: tuple[float, float] = (0.9, 0.999)
+    clip: float = field(default=1.0, metadata=_FREE)
+    ema: float = 0.999
+    precision: Literal["no", "bf16"] = "no"
+    tf32: bool = True
+    log_every: int = field(default=50, metadata=_FREE)
+    validate_every: int = field(default=1000, metadata=_FREE)
+    checkpoint_every: int = field(default=1000, metadata=_FREE)
+    keep: int = field(default=3, metadata=_FREE)
+    seed: int = 0
+    out: Path = field(default=Path("out/train"), metadata=_FREE)
+    weights: dict[str, float] = field(default_factory=dict)
+    phases: tuple[Phase, ...] = (Phase(),)
+    model: Any = None
+    data: Any = None
+
+    def __post_init__(self) -> None:
+        if (self.steps is None) == (self.epochs is None):
+            raise InputError(f"steps: {self.steps}, epochs: {self.epochs}; expected one of them")
+        for name in ("steps", "batch_size", "accumulation", "log_every", "checkpoint_every", "keep"):
+            _check(name, getattr(self, name), lambda value: value >= 1, "1 or more")
+        for name in ("epochs", "minutes", "learning_rate"):
+            _check(name, getattr(self, name), lambda value: 0 < value < float("inf"), "a positive number")
+        _check("clip", self.clip, lambda value: value > 0, "a positive number")
+        for name in ("warm_up", "weight_decay", "seed", "validate_every"):
+            _check(name, getattr(self, name), lambda value: 0 <= value < float("inf"), "0 or more")
+        _check("floor", self.floor, lambda value: 0 <= value <= 1, "a number from 0 to 1")
+        for name, decay in (("ema", self.ema), ("betas[0]", self.betas[0]), ("betas[1]", self.betas[1])):
+            _check(name, decay, lambda value: 0 <= value < 1, "a number from 0 to below 1")
+        ends = [phase.until for phase in self.phases]
+        if not ends or ends != sorted(set(ends)) or ends[0] <= 0 or ends[-1] != 1:
+            raise InputError(f"phases: until {ends}; expected rising shares of the run, the last one 1")
+        for index, phase in enumerate(self.phases):
+            _check(f"phases[{index}].learning_rate", phase.learning_rate, lambda value: value > 0, "a positive number")
+
+    def to_json(self) -> dict[str, Any]:
+        """All numbers, also the defaults, as JSON gives them back."""
+        values: dict[str, Any] = json.loads(json.dumps(asdict(self), default=str))
+        return values
+
+    def changes(self, before: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+        """What differs from an earlier config, as lines.
+
+        Args:
+            before: Its ``to_json``.
+
+        Returns:
+            What a run must keep when it is resumed, and what may change.
+        """
+        free = {each.name for each in fields(self) if each.metadata.get("free")}
+        lines: tuple[list[str], list[str]] = [], []
+        for name, value in self.to_json().items():
+            if before.get(name) != value:
+                lines[name in free].append(f"{name} was {before.get(name)}, is {value}")
+        return lines
+
+
+def packaged_configs() -> list[str]:
+    """Names of the configs that come with the package."""
+    return sorted(path.name.removesuffix(".toml") for path in _packaged().iterdir() if path.name.endswith(".toml"))
+
+
+def read_config(source: str | Path, overrides: Sequence[str] = ()) -> TrainingConfig:
+    """A config from a TOML file or by a packaged name.
+
+    Args:
+        source: A ``.toml`` file, or one of ``packaged_configs()``.
+        overrides: ``key=value``, the value as in TOML, a text without quotes too; ``data.key`` reaches into a table.
+
+    Raises:
+        InputError: If there is no such file, it is no TOML, or a key is unknown or has a wrong value.
+    """
+    name = str(source)
+    place = Path(name) if name.endswith(".toml") else _packaged().joinpath(f"{name}.toml")
+    try:
+        values = tomllib.loads(place.read_text(encoding="utf-8"))
+    except OSError as error:
+        expected = f"a .toml file, or one of {', '.join(packaged_configs())}"
+        raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error
+    except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are such
+        raise InputError(f"{name}: {error}; expected TOML") from error
+    for override in overrides:
+        _set(values, override)
+    return make_config(values)
+
+
+def make_config(values: Mapping[str, Any]) -> TrainingConfig:
+    """A config from what TOML or JSON gave; the task's own tables are read by its dataclasses.
+
+    Raises:
+        InputError: If a key is unknown, missing, or has a wrong value.
+    """
+    config = read_section(TrainingConfig, values)
+    task = find_task(config.task)
+    if unknown := config.weights.keys() - task.WEIGHTS.keys():
+        raise InputError(f"weights.{min(unknown)}: unknown; expected one of {', '.join(task.WEIGHTS)}")
+    for index, phase in enumerate(config.phases):
+        if missing := set(phase.without) - task.WEIGHTS.keys():
+            raise InputError(f"phases[{index}].without: {min(missing)}; expected some of {', '.join(task.WEIGHTS)}")
+    return replace(
+        config,
+        weights={**task.WEIGHTS, **config.weights},
+        model=read_section(task.MODEL, values.get("model", {}), "model"),
+        data=read_section(task.DATA, values.get("data", {}), "data"),
+    )
+
+
+def _set(values: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    *tables, last = key.strip().split(".")
+    if not equals or not last:
+        raise InputError(f"--set: {override}; expected key=value")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    for name in tables:
+        table = values.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise InputError(f"--set: {override}: {name} is no table; expected one of the config's keys")
+        values = table
+    if not tables and last in ("steps", "epochs"):  # one takes the other's place
+        values.pop("epochs" if last == "steps" else "steps", None)
+    values[last] = value
+
+
+def _check(name: str, value: float | None, fits: Any, expected: str) -> None:
+    if value is not None and not fits(value):
+        raise InputError(f"{name}: {value}; expected {expected}")
+
+
+def _packaged() -> Any:
+    return resources.files(__package__).joinpath("configs")

@@ -1,0 +1,190 @@
+"""Training of the label network: people made on the fly, spoilt as predictors spoil them, and their truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import torch
+
+from ..body.labels import label_set
+from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.template import JOINT_NAMES, NUM_PARTS
+from ..ellipsoids import draw_ellipsoids
+from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
+from ..network.checkpoint import save_label_network
+from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
+from ..network.predicted import Predicted
+from ..palette import group_colours
+from .losses import Truth, body_losses
+from .noise import TRAINING_LABEL_SETS
+from .people import People, PeopleMaker
+from .poses import PoseBank
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from .config import Phase, TrainingConfig
+
+_VALIDATION_SEED = 7  # the same people in every run
+_BATCH = 256  # of validation
+_SHOWN = 12  # people on the contact sheet
+_PARTS = "ellipbody20"
+_LSP = [JOINT_NAMES.index(name) for name in skeleton(MPJPE_SKELETON).landmarks]
+_HIPS = [skeleton(MPJPE_SKELETON).landmarks.index(f"{side}_hip") for side in ("left", "right")]
+
+
+@dataclass(frozen=True)
+class LabelData:
+    """Where people come from.
+
+    Attributes:
+        poses: Folder of motion capture, or a pose bank made of one (.npz); "" takes the packaged prior alone.
+        validation: How many held-out people errors are measured on.
+    """
+
+    poses: str = ""
+    validation: int = 1024
+
+
+class LabelTask:
+    """The ``Task`` of the label network."""
+
+    MODEL: ClassVar[type[Any]] = LabelNetworkConfig
+    DATA: ClassVar[type[Any]] = LabelData
+    WEIGHTS: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {"joints": 20.0, "rotations": 1.0, "proj": 10.0, "seg": 4.0, "lengths": 0.5, "thicknesses": 0.5}
+    )
+    epoch: int | None = None
+
+    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
+        self._config = config
+        self._device = device
+        self._left_out: frozenset[str] = frozenset()
+        # As the first layer takes them, so that nothing is converted.
+        kind = torch.bfloat16 if config.precision == "bf16" and device.type == "cuda" else torch.float32
+        self._tables = label_tables([label_set(name) for name in TRAINING_LABEL_SETS]).to(device, kind)
+        # Processes differ in their seeds; those of one process follow one another.
+        self._maker = self._make_maker(config.seed * processes + rank, held_out=False)
+
+    def _make_maker(self, seed: int, *, held_out: bool) -> PeopleMaker:
+        source = self._config.data.poses
+        poses = PoseBank.read(source, held_out=held_out) if source else PoseBank.of_prior(seed=seed)
+        return PeopleMaker(poses, size=self._config.model.size, device=self._device, seed=seed, held_out=held_out)
+
+    def model(self) -> torch.nn.Module:
+        """A new network."""
+        return LabelNetwork(self._config.model).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def begin(self, phase: Phase) -> None:
+        """Leave out some terms from now on."""
+        self._left_out = frozenset(phase.without)
+
+    def batch(self, device: torch.device) -> People:
+        """New people."""
+        return self._maker(self._config.batch_size)
+
+    def samples(self, batch: People) -> int:
+        """How many people."""
+        return len(batch.groups)
+
+    def loss(self, model: torch.nn.Module, batch: People) -> dict[str, torch.Tensor]:
+        """The weighted terms of ``body_losses``, and their sum."""
+        terms = body_losses(self._predict(model, batch), _truth(batch))
+        weighted = {
+            name: self._config.weights[name] * term for name, term in terms.items() if name not in self._left_out
+        }
+        return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
+
+    def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
+        """Errors on held-out bodies in held-out poses."""
+        joints, counts = [], []
+        for people in self._held_out:
+            predicted = self._predict(model, people)
+            points = (predicted.posed().joints[:, _LSP], people.joints[:, _LSP])
+            joints.append(torch.stack([mpjpe(*points, centre_on=_HIPS), pa_mpjpe(*points)]))
+            counts.append(confusion(_draw(predicted, people), people.parts, NUM_PARTS + 1).sum(0))
+        errors = torch.cat(joints, dim=1).mean(1) * 1000
+        matrix = pooled(counts)
+        return {
+            "MPJPE [mm]": float(errors[0]),
+            "PA-MPJPE [mm]": float(errors[1]),
+            "part F1": float(part_f1(matrix)),
+            "foreground F1": float(part_f1(foreground_counts(matrix))),
+        }
+
+    def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
+        """Rows of what is seen, the truth, and the prediction."""
+        from PIL import Image
+
+        people = _first(self._held_out[0], _SHOWN)
+        drawn = _draw(self._predict(model, people), people)
+        names = list(TRAINING_LABEL_SETS)
+        sets = [names[which] for which in people.label_sets[:_SHOWN].tolist()]
+        rows = ((people.groups, sets), (people.parts, [_PARTS] * _SHOWN), (drawn, [_PARTS] * _SHOWN))
+        return Image.fromarray(np.concatenate([_coloured(images, names) for images, names in rows]))
+
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+        """Write the network."""
+        save_label_network(path, weights, self._config.model, about, half=half)
+
+    def skipped(self) -> Sequence[str]:
+        """Nobody: people are made."""
+        return ()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Of what makes people."""
+        return self._maker.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self._maker.load_state_dict(state)
+
+    def _predict(self, model: torch.nn.Module, people: People) -> Predicted:
+        shares = label_shares(people.groups, self._tables, people.label_sets)
+        if not model.training:  # validated without autocast
+            shares = shares.float()
+        predicted: Predicted = model(shares, people.keypoints)
+        return predicted
+
+    @cached_property
+    def _held_out(self) -> list[People]:
+        maker = self._make_maker(_VALIDATION_SEED, held_out=True)
+        count = self._config.data.validation
+        return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
+
+
+def _draw(predicted: Predicted, people: People) -> torch.Tensor:
+    """Part labels of predicted bodies, as large as the true ones."""
+    size = people.parts.shape[-1]
+    return draw_ellipsoids(predicted.posed(), predicted.camera(size), (size, size), validate=False).labels
+
+
+def _coloured(images: torch.Tensor, sets: Sequence[str]) -> np.ndarray:
+    """Group ids (N, S, S), each of its label set, side by side, RGB."""
+    ids = images[: len(sets)].cpu().numpy()
+    tables = [group_colours(label_set(name).part_groups) for name in sets]
+    return np.concatenate([table[image] for table, image in zip(tables, ids, strict=True)], axis=1)
+
+
+def _truth(people: People) -> Truth:
+    everywhere = torch.ones_like(people.points[..., 0])
+    return Truth(
+        points=people.points,
+        points_weight=everywhere,
+        parts=people.parts,
+        joints=people.joints,
+        orientation=people.orientation,
+        rotations=people.rotations,
+        lengths=people.lengths,
+        has_3d=everywhere[:, 0],
+    )
+
+
+def _first(people: People, count: int) -> People:
+    return People(**{field.name: getattr(people, field.name)[:count] for field in fields(people)})

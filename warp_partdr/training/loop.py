@@ -1,0 +1,391 @@
+"""The training loop, the same on one processor, many GPUs or many machines (``accelerate``)."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..errors import InputError
+from .checkpoints import (
+    Checkpoint,
+    list_checkpoints,
+    load_checkpoint,
+    load_optimizer,
+    optimizer_tensors,
+    process_state,
+    restore_process,
+    save_checkpoint,
+)
+from .config import Phase, TrainingConfig
+from .ema import RunningMean
+from .guards import memory_errors, rounded_products, signals
+from .logs import RunLog
+from .schedule import learning_rate, phase_at
+from .task import find_task
+from .watch import FiniteWatch
+
+MODEL_FILE = "model.safetensors"
+REPORT_FILE = "report.json"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """How a run ended.
+
+    Attributes:
+        step: Steps done in all.
+        stopped: The signal that stopped it, None if it is complete.
+        report: What report.json holds; of a run that was stopped, its errors are those of the last validation. Empty
+            in all processes but the first.
+    """
+
+    step: int
+    stopped: int | None
+    report: dict[str, Any]
+
+
+def train(config: TrainingConfig, *, resume: bool = False, device: str = "auto", half: bool = False) -> Trained:
+    """Train, and write checkpoints, logs, pictures, the trained network and a report to ``config.out``.
+
+    Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.
+
+    Args:
+        config: All numbers.
+        resume: Go on from the newest checkpoint in ``config.out``, where there is one.
+        device: "auto", "cpu" or "cuda".
+        half: Write the trained network in float16.
+
+    Raises:
+        InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
+            config; if a loss is NaN; if the GPU's memory is too small.
+    """
+    with memory_errors(config), _accelerated(config, device) as accelerator:
+        return _Run(config, accelerator, resume=resume).go(half)
+
+
+@contextmanager
+def _accelerated(config: TrainingConfig, device: str) -> Iterator[Any]:
+    """Accelerate's accelerator for one run; afterwards it forgets precision and device, so that others may follow."""
+    try:
+        from accelerate import Accelerator, DistributedDataParallelKwargs
+        from accelerate.state import AcceleratorState, GradientState
+    except ImportError as error:
+        raise InputError(f"{error}; expected what training needs: pip install warp-partdr[train]") from error
+    accelerator = Accelerator(
+        cpu=device == "cpu",
+        mixed_precision=config.precision,
+        gradient_accumulation_steps=config.accumulation,
+        kwargs_handlers=[DistributedDataParallelKwargs(gradient_as_bucket_view=True)],
+    )
+    try:
+        yield accelerator
+    finally:
+        accelerator.end_training()
+        AcceleratorState._reset_state(reset_partial_state=True)
+        GradientState._reset_state()
+
+
+class _Run:
+    def __init__(self, config: TrainingConfig, accelerator: Any, *, resume: bool) -> None:
+        from accelerate.utils import set_seed
+
+        from ..output import check_folder
+
+        self.config = config
+        self.checkpoints = config.out / "checkpoints"
+        found = list_checkpoints(self.checkpoints)
+        if found and not resume:
+            raise InputError(f"{config.out}: holds a run; expected --resume to go on with it, or another --out")
+        check_folder(config.out)
+        config.out.mkdir(parents=True, exist_ok=True)
+
+        self.accelerator = accelerator
+        self.device: torch.device = accelerator.device
+        self.processes = self.accelerator.num_processes
+        rank = self.accelerator.process_index
+
+        task = find_task(config.task)
+        self.task = task(config, rank=rank, processes=self.processes, device=self.device)
+        self.steps = _count_steps(config, self.task.epoch, self.processes)
+        set_seed(config.seed)
+        self.bare = self.task.model().to(self.device)
+        set_seed(config.seed, device_specific=True)
+        self.mean = RunningMean(self.bare, config.ema)
+        said: list[str] = []
+        if self.processes > 1:
+            if self.device.type == "cuda":
+                self.bare = torch.nn.SyncBatchNorm.convert_sync_batchnorm(self.bare)
+            elif any(isinstance(module, torch.nn.modules.batchnorm._BatchNorm) for module in self.bare.modules()):
+                said.append(
+                    "batch normalisation: on the CPU its statistics are those of one process' part of the batch"
+                )
+        self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
+        _check_frozen(config, self.names.values())
+        self.optimizer = torch.optim.AdamW(
+            _groups(self.bare, config.weight_decay),
+            lr=config.learning_rate,
+            betas=config.betas,
+            fused=self.device.type == "cuda",
+        )
+        self.model, self.stepper = self.accelerator.prepare(self.bare, self.optimizer)
+
+        self.step = 0
+        self.seconds = 0.0  # of earlier parts of the run
+        self.share = 0.0  # how much of the run is over, the larger of steps and time
+        self.samples = 0  # of this process in this part of the run
+        self.sums: dict[str, torch.Tensor] = {}  # of the terms since the last line of the log
+        self.summed = 0
+        self.phase: Phase | None = None
+        self.errors: dict[str, float] = {}
+        self.validated = self.saved = 0  # steps
+        self.told: int | None = None  # the signal that this process was sent
+        self.stopped: int | None = None  # the same, once all processes know of it
+        self.aside = 0.0  # seconds of this part that went into validation and checkpoints
+        self.began = time.monotonic()
+        suffix = f"-rank-{rank}" if self.processes > 1 else ""
+        self.watch = FiniteWatch(config.out / f"nan-batch{suffix}.safetensors")
+        if found:
+            said += self._resume(found[-1], rank)
+        self.log = RunLog(config.out, self.step, self.steps, silent=not self.accelerator.is_main_process)
+        if resume:
+            said.append(f"goes on from step {self.step}" if found else f"no checkpoint in {config.out}: begins anew")
+        for line in said:
+            self.log.say(line)
+
+    def go(self, half: bool) -> Trained:
+        first = self.step
+        self.began = time.monotonic()
+        logged = 0.0, 0
+        with signals(self._tell), self.log:
+            self._agree()
+            while self.step < self.steps and self.share < 1 and self.stopped is None:
+                self._train_step()
+                if self.step % self.config.log_every == 0:
+                    self._agree()
+                    logged = self._say(*logged)
+                elif self.processes == 1:
+                    self._agree()
+                self.log.advance(self.share, self.elapsed)
+                if self.config.validate_every and self.step % self.config.validate_every == 0:
+                    self._validate()
+                if self.step % self.config.checkpoint_every == 0:
+                    self._save()
+            if self.stopped is None and self.validated < self.step:
+                self._validate()
+            if self.saved < self.step:
+                self._save()
+            report = self._report(first)
+            if self.stopped is None and report:
+                self._export(report, half)
+        self.accelerator.wait_for_everyone()
+        return Trained(self.step, self.stopped, report)
+
+    @property
+    def elapsed(self) -> float:
+        return self.seconds + time.monotonic() - self.began
+
+    def _tell(self, number: int) -> None:
+        self.told = number
+
+    def _agree(self) -> None:
+        """Let all processes know how much is over, and whether one of them was told to stop."""
+        limit = self.config.minutes
+        timed = self.elapsed / (60 * limit) if limit else 0.0
+        self.stopped = self.told
+        if self.processes > 1:
+            mine = torch.tensor([timed, self.told or 0.0], device=self.device)
+            told = self.accelerator.gather(mine[None])
+            timed, number = told.amax(0).tolist()
+            self.stopped = int(number) or None
+        self.share = max(self.step / self.steps, timed)
+
+    def _train_step(self) -> None:
+        phase = phase_at(self.config, self.share)
+        if phase != self.phase:
+            self.task.begin(phase)
+            self.phase = phase
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.config, phase, self.step, self.share)
+        self.model.train()
+        totals, batches = [], []
+        for _ in range(self.config.accumulation):
+            with self.accelerator.accumulate(self.model):
+                batch = self.task.batch(self.device)
+                with rounded_products(self.config.tf32 and self.device.type == "cuda"):
+                    terms = self.task.loss(self.model, batch)
+                    self.accelerator.backward(terms["total"])
+                terms = {name: term.detach() for name, term in terms.items()}
+                if self.accelerator.sync_gradients:
+                    terms["gradient"] = self._clip(phase)
+                self.stepper.step()
+                self.stepper.zero_grad()
+            for name, term in terms.items():
+                weight = 1 if name == "gradient" else 1 / self.config.accumulation
+                self.sums[name] = self.sums.get(name, 0) + term.float() * weight
+            self.samples += self.task.samples(batch)
+            totals.append(terms["total"].float())
+            batches.append(batch)
+        self.step += 1
+        self.summed += 1
+        self.mean.update(self.bare, self.step)
+        self.share = max(self.step / self.steps, self.share)
+        self.watch.see(self.step, [*totals, terms["gradient"]], batches)
+
+    def _clip(self, phase: Phase) -> torch.Tensor:
+        if phase.frozen:
+            for parameter, name in self.names.items():
+                if name.startswith(phase.frozen):
+                    parameter.grad = None  # AdamW leaves it alone, and the norm doesn't count it
+        return torch.nn.utils.clip_grad_norm_(self.bare.parameters(), self.config.clip)
+
+    def _say(self, since: float, samples: int) -> tuple[float, int]:
+        """Write the losses' means since the last time; waits for the device."""
+        means = torch.stack([*self.sums.values()]) / self.summed
+        if self.processes > 1:
+            means = self.accelerator.reduce(means, "mean")
+        terms = dict(zip(self.sums, means.tolist(), strict=True))
+        working = time.monotonic() - self.began - self.aside
+        rate = self.optimizer.param_groups[0]["lr"]
+        gradient = terms.pop("gradient")
+        speed = (self.samples - samples) * self.processes / (working - since)
+        self.log.losses(self.step, terms, {"learning_rate": rate, "gradient": gradient, "samples/s": speed})
+        self.sums, self.summed = {}, 0
+        return working, self.samples
+
+    def _validate(self) -> None:
+        self.validated = self.step
+        if not self.accelerator.is_main_process:
+            return
+        devices = [self.device] if self.device.type == "cuda" else []
+        with self._set_aside(), torch.no_grad(), torch.random.fork_rng(devices):
+            self.errors = self.task.validate(self.mean.module, self.device)
+            self.log.errors(self.step, self.errors, self.task.pictures(self.mean.module, self.device))
+
+    @contextmanager
+    def _set_aside(self) -> Iterator[None]:
+        """What isn't training: its time doesn't count as such."""
+        self.watch.settle()
+        began = time.monotonic()
+        yield
+        self.aside += time.monotonic() - began
+
+    def _save(self) -> None:
+        from accelerate.utils import gather_object
+
+        self.saved = self.step
+        with self._set_aside():
+            ranks = gather_object([process_state({"task": self.task.state_dict(), "sums": self.sums}, self.device)])
+            if not self.accelerator.is_main_process:
+                return
+            tensors = {
+                "model": _copies(self.bare),
+                "mean": _copies(self.mean.module),
+                "optimizer": optimizer_tensors(self.optimizer, self.names),
+            }
+            about = {
+                "seconds": self.elapsed,
+                "summed": self.summed,
+                "errors": self.errors,
+                "validated": self.validated,
+                "config": self.config.to_json(),
+            }
+            save_checkpoint(self.checkpoints, self.step, Checkpoint(tensors, about, ranks), self.config.keep)
+
+    def _resume(self, place: Path, rank: int) -> list[str]:
+        """Take over a checkpoint; says what of the config has changed."""
+        checkpoint = load_checkpoint(place)
+        about = checkpoint.about
+        wrong, changed = self.config.changes(about["config"])
+        if wrong:
+            raise InputError(f"{place}: {wrong[0]}; expected the same")
+        if len(checkpoint.ranks) != self.processes:
+            raise InputError(f"{place}: of {len(checkpoint.ranks)} processes; expected as many, not {self.processes}")
+        try:
+            self.bare.load_state_dict(checkpoint.tensors["model"])
+            self.mean.module.load_state_dict(checkpoint.tensors["mean"])
+            load_optimizer(self.optimizer, self.names, checkpoint.tensors["optimizer"])
+        except (RuntimeError, ValueError, KeyError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise InputError(f"{place}: {reason}; expected a checkpoint of this network") from error
+        self.step, self.seconds = about["step"], about["seconds"]
+        self.summed, self.errors, self.validated = about["summed"], about["errors"], about["validated"]
+        self.saved = self.step
+        own = restore_process(checkpoint.ranks[rank], self.device)
+        self.task.load_state_dict(own["task"])
+        self.sums = {name: value.to(self.device) for name, value in own["sums"].items()}
+        return changed
+
+    def _report(self, first: int) -> dict[str, Any]:
+        from accelerate.utils import gather_object
+
+        from ..bench.machine import about
+
+        working = max(time.monotonic() - self.began - self.aside, 1e-9)
+        skipped = gather_object(list(self.task.skipped()))
+        if not self.accelerator.is_main_process:
+            return {}
+        on_cuda = self.device.type == "cuda"
+        return {
+            "errors": self.errors,
+            "steps": self.step,
+            "seconds": round(self.elapsed, 1),
+            "processes": self.processes,
+            "samples_per_step": self.config.batch_size * self.config.accumulation * self.processes,
+            "samples_per_second": round(self.samples * self.processes / working, 1),
+            "resumed_at": first,
+            "skipped": sorted(set(skipped)),
+            "commit": _commit(),
+            **about(self.device.type),
+            **({"gpu_memory_gib": round(torch.cuda.max_memory_allocated() / 2**30, 2)} if on_cuda else {}),
+            "config": self.config.to_json(),
+        }
+
+    def _export(self, report: dict[str, Any], half: bool) -> None:
+        self.task.save(self.config.out / MODEL_FILE, self.mean.module.state_dict(), report, half=half)
+        (self.config.out / REPORT_FILE).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def _count_steps(config: TrainingConfig, epoch: int | None, processes: int) -> int:
+    if config.epochs is None:
+        assert config.steps is not None  # the config has one of them
+        return config.steps
+    if epoch is None:
+        raise InputError(f"epochs: {config.epochs}; expected steps: this task's samples never end")
+    return max(1, round(config.epochs * epoch / (config.batch_size * config.accumulation * processes)))
+
+
+def _groups(model: torch.nn.Module, decay: float) -> list[dict[str, Any]]:
+    """Weights that decay, and biases and normalisation, which don't."""
+    weights = [parameter for parameter in model.parameters() if parameter.ndim > 1]
+    others = [parameter for parameter in model.parameters() if parameter.ndim <= 1]
+    groups = [{"params": weights, "weight_decay": decay}, {"params": others, "weight_decay": 0.0}]
+    return [group for group in groups if group["params"]]
+
+
+def _check_frozen(config: TrainingConfig, names: Collection[str]) -> None:
+    for index, phase in enumerate(config.phases):
+        for prefix in phase.frozen:
+            if not any(name.startswith(prefix) for name in names):
+                raise InputError(f"phases[{index}].frozen: {prefix}; expected the beginning of a parameter's name")
+
+
+def _copies(model: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {name: value.detach().cpu().clone() for name, value in model.state_dict().items()}
+
+
+def _commit() -> str | None:
+    """Commit of the package's source, with "-dirty" where files differ from it; None outside a git tree."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

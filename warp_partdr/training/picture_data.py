@@ -1,0 +1,294 @@
+"""What EllipBodyNet is trained on: people of the data sets' readers, each cut out of its picture and augmented."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from ..body.labels import IGNORE, LabelSet
+from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.template import NUM_PARTS
+from ..datasets import Sample, read_folder, read_human36m, read_lsp, read_pw3d
+from ..errors import InputError
+from ..fitting import CROP_MARGIN, LARGEST_PLACE
+from ..network.landmarks import LANDMARKS, network_keypoints
+from ..part_files import check_sizes, read_label_set, read_photo
+from ..person import Box, person_crop
+from .augment import Augmentation, Similarity
+from .shaded_people import shaded_people
+
+JOINTS = skeleton(MPJPE_SKELETON).landmarks  # that L_3D compares
+_AS_IT_IS = Similarity()
+_LSP_TRAINING = 1000  # pictures of 2000, the first ones
+_SMALLEST = 8.0  # [px], side of a crop; less shows nobody
+
+
+@dataclass(frozen=True)
+class Source:
+    """A data set and where it is.
+
+    Attributes:
+        kind: "human36m", "lsp" (also UP-3D's annotation arrays), "pw3d", "folder", or "shaded": free pictures of Anny
+            people.
+        path: What the reader of ``warp_partdr.datasets`` takes; of "shaded", nothing.
+        pictures: Folder that annotation arrays name pictures in.
+        parts: Folder of part labels, for "lsp".
+        labels: Their label set.
+        keypoints: Folder of 2D keypoints, for "human36m" and "pw3d".
+        count: Of "shaded": how many people.
+        seed: Of "shaded": who they are.
+        first_phase: Phase of the training, from 0, from which on it is used.
+        validation: Its errors are measured; nothing is learnt from it.
+    """
+
+    kind: str
+    path: str = ""
+    pictures: str | None = None
+    parts: str | None = None
+    labels: str | None = None
+    keypoints: str | None = None
+    count: int = 256
+    seed: int = 1
+    first_phase: int = 0
+    validation: bool = False
+
+    def read(self, device: torch.device | str = "cpu") -> list[Sample]:
+        """Its people.
+
+        Raises:
+            InputError: If there is no such kind, a file is missing or wrong, or there is nobody.
+        """
+        labels = None if self.labels is None else read_label_set(self.labels)
+        readers: dict[str, Callable[[], Iterable[Sample]]] = {
+            "human36m": partial(read_human36m, self.path, pictures=self.pictures, keypoints=self.keypoints),
+            "lsp": partial(self._read_lsp, labels),
+            "pw3d": partial(read_pw3d, self.path, pictures=self.pictures, keypoints=self.keypoints),
+            "folder": partial(read_folder, self.path, labels),
+            "shaded": partial(shaded_people, self.count, seed=self.seed, device=device),
+        }
+        if self.kind not in readers:
+            raise InputError(f"kind: {self.kind!r}; expected one of {', '.join(readers)}")
+        found = list(readers[self.kind]())
+        if not found:
+            raise InputError(f"{self.path}: nobody in it; expected people to learn from")
+        return found
+
+    def _read_lsp(self, labels: LabelSet | None) -> Iterable[Sample]:
+        """Of the data set's own folder the test pictures, or those for training; of annotation arrays everybody."""
+        people = read_lsp(self.path, parts=self.parts, labels=labels, pictures=self.pictures, test_only=self.validation)
+        return islice(people, _LSP_TRAINING) if Path(self.path).is_dir() and not self.validation else people
+
+
+@dataclass(frozen=True)
+class Examples:
+    """B people as the network and its losses see them, in square crops of side 2.
+
+    Attributes:
+        pictures: RGB, shape (B, 3, S, S), uint8.
+        groups: Group ids, 255 where nothing is known, shape (B, S, S), uint8.
+        part_groups: Group id of each part label in the person's label set, shape (B, 21), uint8; stays on the host.
+        keypoints: ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3).
+        joints: ``JOINTS``, camera frame [m], 0 where unknown; where the origin is does not matter, shape (B, 14, 3).
+        has_joints: 1 where a joint is known, shape (B, 14).
+    """
+
+    pictures: torch.Tensor
+    groups: torch.Tensor
+    part_groups: torch.Tensor
+    keypoints: torch.Tensor
+    joints: torch.Tensor
+    has_joints: torch.Tensor
+
+    def to(self, device: torch.device | str) -> Examples:
+        """The same on another device."""
+        moved = {each.name: getattr(self, each.name).to(device, non_blocking=True) for each in fields(self)}
+        return Examples(**{**moved, "part_groups": self.part_groups})
+
+    @classmethod
+    def cat(cls, examples: Sequence[Examples]) -> Examples:
+        """All in one batch."""
+        return cls(**{each.name: torch.cat([getattr(one, each.name) for one in examples]) for each in fields(cls)})
+
+
+def make_example(
+    sample: Sample, size: int, augmentation: Augmentation | None = None, rng: np.random.Generator | None = None
+) -> Examples:
+    """One person's crop.
+
+    Args:
+        sample: With a picture.
+        size: Side of the crop [px].
+        augmentation: What may change; None: nothing.
+        rng: Source of chance, needed with ``augmentation``.
+
+    Returns:
+        B = 1.
+
+    Raises:
+        InputError: If the picture is missing or can't be read, or nobody is to be seen in it.
+    """
+    if sample.picture is None:
+        raise InputError(f"{sample.name}: no picture; expected the file that the annotations name")
+    picture = sample.picture if isinstance(sample.picture, np.ndarray) else read_photo(sample.picture)
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise InputError(f"{sample.name}: picture: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3)")
+    check_sizes(picture=picture.shape[:2], labels=None if sample.target is None else sample.target.shape)
+    box = _square_box(sample)
+    similarity = _AS_IT_IS
+    if augmentation is not None:
+        assert rng is not None
+        similarity = augmentation.draw(rng)
+        picture = augmentation.recolour(picture, rng)
+
+    half, middle = (box[2] - box[0]) / 2, (np.array(box[:2]) + box[2:]) / 2
+    found = sample.keypoints
+    known = network_keypoints(
+        found.format.landmarks,
+        torch.from_numpy((found.points - middle) / half).float(),
+        torch.from_numpy(found.confidence).float(),
+    )
+    keypoints = similarity.points(known.numpy(), LANDMARKS)
+    keypoints[keypoints[:, 2] == 0] = 0
+    joints = similarity.joints(_joints(sample), JOINTS)
+    has_joints = np.isfinite(joints).all(1)
+    crop, part_groups = np.full((size, size), IGNORE, dtype=np.uint8), np.zeros(NUM_PARTS + 1, dtype=np.uint8)
+    if sample.target is not None and sample.parts is not None:
+        labels = sample.parts.label_set
+        crop, part_groups = similarity.labels(sample.target, labels, box, size), labels.part_groups
+    arrays = {
+        "pictures": similarity.picture(picture, box, size).transpose(2, 0, 1),
+        "groups": crop,
+        "part_groups": part_groups,
+        "keypoints": keypoints,
+        "joints": np.where(has_joints[:, None], joints, 0).astype(np.float32),
+        "has_joints": has_joints.astype(np.float32),
+    }
+    return Examples(**{name: torch.from_numpy(np.array(values, order="C"))[None] for name, values in arrays.items()})
+
+
+def _square_box(sample: Sample) -> Box:
+    """Around labels and keypoints, as a fit crops them."""
+    empty = np.zeros((1, 1), dtype=np.uint8)
+    if not sample.keypoints.visible.any():
+        raise InputError(f"{sample.name}: no keypoint is visible; expected one at least")
+    x0, y0, x1, y1 = person_crop(sample.keypoints, empty if sample.target is None else sample.target, CROP_MARGIN)
+    half = max(x1 - x0, y1 - y0) / 2
+    if not _SMALLEST <= 2 * half <= LARGEST_PLACE:
+        raise InputError(f"{sample.name}: a crop of {2 * half:g} px; expected {_SMALLEST:g} or more")
+    u, v = (x0 + x1) / 2, (y0 + y1) / 2
+    return u - half, v - half, u + half, v + half
+
+
+def _joints(sample: Sample) -> np.ndarray:
+    """``JOINTS`` [m], NaN where unknown, shape (14, 3)."""
+    joints = np.full((len(JOINTS), 3), np.nan)
+    if sample.joints is not None:
+        for row, name in enumerate(JOINTS):
+            if name in sample.joint_names:
+                joints[row] = sample.joints[sample.joint_names.index(name)]
+    return joints
+
+
+class _People(Dataset):
+    """Augmented examples by (epoch, index); what went wrong, instead of one that can't be read."""
+
+    def __init__(self, samples: Sequence[Sample], size: int, augmentation: Augmentation, seed: int) -> None:
+        self._samples, self._size, self._augmentation, self._seed = samples, size, augmentation, seed
+
+    def __getitem__(self, place: tuple[int, int]) -> Examples | str:
+        epoch, index = place
+        sample = self._samples[index]
+        try:
+            rng = np.random.default_rng([self._seed, epoch, index])  # the same whoever makes it, also on resuming
+            return make_example(sample, self._size, self._augmentation, rng)
+        except InputError as error:
+            return f"{sample.source} {sample.name}: {error}"
+
+
+class _Order(Sampler):
+    """(epoch, index) of one process without end: every sample once an epoch, in random order."""
+
+    def __init__(self, count: int, seed: int, *, rank: int, processes: int, consumed: int) -> None:
+        self._count, self._seed, self._rank, self._processes = count, seed, rank, processes
+        self._consumed = consumed  # by this process
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        epoch, order = -1, np.zeros(0, dtype=np.int64)
+        for place in count(self._consumed * self._processes + self._rank, self._processes):
+            if place // self._count != epoch:
+                epoch = place // self._count
+                order = np.random.default_rng([self._seed, epoch]).permutation(self._count)
+            yield epoch, int(order[place % self._count])
+
+
+def _collate(found: list[Examples | str]) -> tuple[list[Examples], list[str]]:
+    return [one for one in found if isinstance(one, Examples)], [one for one in found if isinstance(one, str)]
+
+
+class Feed:
+    """Batches without end, made by worker processes.
+
+    Args:
+        samples: The people.
+        size: Side of the crops [px].
+        augmentation: What may change.
+        batch_size: B; where a sample can't be read, another one of the batch takes its place.
+        workers: Processes that read; 0 reads here.
+        seed: Of order and augmentation; all processes of a run have the same.
+        rank: Of this process,
+        processes: of so many.
+        consumed: How many samples this process has had before.
+
+    Attributes:
+        consumed: How many it has had by now.
+        skipped: What could not be read, and why.
+    """
+
+    def __init__(
+        self,
+        samples: Sequence[Sample],
+        *,
+        size: int,
+        augmentation: Augmentation,
+        batch_size: int,
+        workers: int = 0,
+        seed: int = 0,
+        rank: int = 0,
+        processes: int = 1,
+        consumed: int = 0,
+    ) -> None:
+        self.consumed, self.skipped = consumed, dict[str, None]()
+        self._batch_size, self._count = batch_size, len(samples)
+        loader = DataLoader(
+            _People(samples, size, augmentation, seed),
+            batch_size=batch_size,
+            sampler=_Order(len(samples), seed, rank=rank, processes=processes, consumed=consumed),
+            num_workers=workers,
+            collate_fn=_collate,
+            generator=torch.Generator(),  # or a loader draws from the global one, which a resumed run must not
+        )
+        self._batches: Iterator[tuple[list[Examples], list[str]]] = iter(loader)
+
+    def __next__(self) -> Examples:
+        """The next batch, on the host.
+
+        Raises:
+            InputError: If none of the samples can be read.
+        """
+        empty = 0
+        while True:
+            read, failed = next(self._batches)
+            self.consumed += self._batch_size
+            self.skipped.update(dict.fromkeys(failed))
+            if read:
+                return Examples.cat([read[k % len(read)] for k in range(self._batch_size)])
+            empty += self._batch_size
+            if empty >= self._count:
+                raise InputError(f"none of {self._count} samples can be read; the first: {failed[0]}")

@@ -1,0 +1,227 @@
+"""Training of EllipBodyNet from pictures, as the paper does it (its "Implementation Details")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import torch
+
+from ..body.labels import IGNORE
+from ..datasets import Sample
+from ..ellipsoid_passes import Gradient
+from ..ellipsoids import draw_ellipsoids
+from ..energy import REFERENCE_SIZE
+from ..errors import InputError
+from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
+from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
+from ..network.picture_checkpoint import save_ellipbodynet
+from ..palette import PART_COLOURS
+from .augment import Augmentation
+from .picture_data import JOINTS, Examples, Feed, Source, make_example
+from .picture_losses import HIPS, body_terms, head_terms, label_sets, landmarks, seg_term
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from .config import Phase, TrainingConfig
+
+_BATCH = 64  # of validation
+_SHOWN = 8  # people on the contact sheet
+
+
+@dataclass(frozen=True)
+class PictureData:
+    """What is learnt from, and how.
+
+    Attributes:
+        sources: The data sets.
+        augmentation: How much their people are changed.
+        workers: Processes that read pictures; 0 reads in the training's own.
+        render_size: Side of the crops that L_seg is drawn at [px].
+        gradient: Of L_seg: "partdr", the paper's, or "edges" or "coverage".
+    """
+
+    sources: tuple[Source, ...] = ()
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    workers: int = 8
+    render_size: int = REFERENCE_SIZE
+    gradient: Gradient = "partdr"
+
+
+class PictureTask:
+    """The ``Task`` of EllipBodyNet."""
+
+    MODEL: ClassVar[type[Any]] = EllipBodyNetConfig
+    DATA: ClassVar[type[Any]] = PictureData
+    WEIGHTS: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {
+            "joints": 1.0,
+            "proj": 1.0,
+            "seg": 1e-2,
+            "lengths": 1e-3,
+            "thicknesses": 1e-3,
+            "heatmaps": 100.0,
+            "parts": 200.0,
+        }
+    )
+
+    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
+        self._config, self._rank, self._processes, self._device = config, rank, processes, device
+        data = config.data
+        # Each with the phase from which on it is used.
+        self._samples = [
+            (source.first_phase, sample)
+            for source in data.sources
+            if not source.validation
+            for sample in source.read(device)
+        ]
+        if not any(first == 0 for first, _ in self._samples):
+            raise InputError("data.sources: none to begin with; expected one at least, with first_phase 0")
+        self.epoch: int | None = len(self._samples)
+        self._saved_config: EllipBodyNetConfig = config.model
+        self._left_out: frozenset[str] = frozenset()
+        self._active: list[Sample] = []
+        self._feed: Feed | None = None
+        self._consumed = 0
+        self._skipped: dict[str, None] = {}
+
+    def model(self) -> torch.nn.Module:
+        """A new network."""
+        network = EllipBodyNet(self._config.model)
+        self._saved_config = network.config
+        return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def begin(self, phase: Phase) -> None:
+        """Leave out some terms from now on, and take in what data sets the phase adds."""
+        self._left_out = frozenset(phase.without)
+        index = self._config.phases.index(phase)
+        self._active = [sample for first, sample in self._samples if first <= index]
+        self._feed = None
+
+    def batch(self, device: torch.device) -> Examples:
+        """The next people."""
+        if self._feed is None:
+            data = self._config.data
+            self._feed = Feed(
+                self._active,
+                size=self._config.model.size,
+                augmentation=data.augmentation,
+                batch_size=self._config.batch_size,
+                workers=data.workers,
+                seed=self._config.seed,
+                rank=self._rank,
+                processes=self._processes,
+                consumed=self._consumed,
+            )
+        examples = next(self._feed)
+        self._consumed = self._feed.consumed
+        self._skipped.update(self._feed.skipped)
+        return examples.to(device)
+
+    def samples(self, batch: Examples) -> int:
+        """How many people."""
+        return len(batch.pictures)
+
+    def loss(self, model: torch.nn.Module, batch: Examples) -> dict[str, torch.Tensor]:
+        """The weighted terms and their sum."""
+        prediction: PicturePrediction = model(batch.pictures)
+        terms = {**body_terms(prediction, batch), **head_terms(prediction, batch)}
+        if "seg" not in self._left_out:
+            data = self._config.data
+            terms["seg"] = seg_term(prediction, batch, size=data.render_size, gradient=data.gradient)
+        weighted = {
+            name: self._config.weights[name] * term for name, term in terms.items() if name not in self._left_out
+        }
+        return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
+
+    def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
+        """Errors on the sources that are for validation; none without such."""
+        joints, places = [], []
+        # Of each label set, confusion counts.
+        body, head = dict[tuple[int, ...], list[np.ndarray]](), dict[tuple[int, ...], list[np.ndarray]]()
+        for host in self._held_out:
+            examples = host.to(device)
+            prediction = model(examples.pictures)
+            whole = examples.has_joints[:, HIPS].all(1)
+            if whole.any():
+                bodies = landmarks(prediction.bodies.posed(), JOINTS)[whole]
+                points, valid = (bodies, examples.joints[whole]), examples.has_joints[whole] > 0
+                joints.append(
+                    torch.stack([mpjpe(*points, centre_on=HIPS, valid=valid), pa_mpjpe(*points, valid=valid)])
+                )
+            apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
+            places.append(apart[examples.keypoints[..., 2] > 0])
+            size = examples.groups.shape[-1]
+            drawn, segmented = _draw(prediction, size), prediction.part_labels(size)
+            for part_groups, chosen in label_sets(examples):
+                table = torch.tensor([0, *part_groups], dtype=torch.uint8, device=device)
+                classes = 1 + max(group for group in part_groups if group != IGNORE)
+                for counts, labels in ((body, drawn), (head, segmented)):
+                    shown = table[labels[chosen].long()]
+                    found = confusion(shown, examples.groups[chosen], classes).sum(0)
+                    counts.setdefault(part_groups, []).append(found)
+        errors: dict[str, float] = {}
+        if joints:
+            means = torch.cat(joints, dim=1).mean(1) * 1000
+            errors |= {"MPJPE [mm]": float(means[0]), "PA-MPJPE [mm]": float(means[1])}
+        if places:
+            errors["keypoints [px of 256]"] = float(torch.cat(places).mean())
+        if body:
+            errors["part F1"], errors["segmentation F1"] = (
+                float(np.mean([part_f1(pooled(matrices)) for matrices in counts.values()])) for counts in (body, head)
+            )
+        return errors
+
+    def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
+        """Rows of pictures, the bodies over them, and the segmentation."""
+        from PIL import Image
+
+        if not self._held_out:
+            return None
+        shown = self._held_out[0].pictures[:_SHOWN].to(device)
+        prediction = model(shown)
+        size = shown.shape[-1]
+        photos = shown.permute(0, 2, 3, 1).cpu().numpy()
+        drawn, segmented = (labels.cpu().numpy() for labels in (_draw(prediction, size), prediction.part_labels(size)))
+        over = np.where(drawn[..., None] > 0, PART_COLOURS[drawn] // 4 * 3 + photos // 4, photos)
+        rows = (photos, over, PART_COLOURS[segmented])
+        return Image.fromarray(np.concatenate([np.concatenate(list(row), axis=1) for row in rows]))
+
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+        """Write the network."""
+        save_ellipbodynet(path, weights, self._saved_config, about, half=half)
+
+    def skipped(self) -> Sequence[str]:
+        """Whom nothing could be learnt from, and why."""
+        return list(self._skipped)
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many people it has had."""
+        return {"consumed": self._consumed}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self._consumed, self._feed = state["consumed"], None
+
+    @cached_property
+    def _held_out(self) -> list[Examples]:
+        found: list[Examples] = []
+        for source in self._config.data.sources:
+            for sample in source.read(self._device) if source.validation else ():
+                try:
+                    found.append(make_example(sample, self._config.model.size))
+                except InputError as error:
+                    self._skipped[f"{sample.source} {sample.name}: {error}"] = None
+        return [Examples.cat(found[first : first + _BATCH]) for first in range(0, len(found), _BATCH)]
+
+
+def _draw(prediction: PicturePrediction, size: int) -> torch.Tensor:
+    """Part labels of the bodies, shape (B, size, size)."""
+    bodies = prediction.bodies
+    return draw_ellipsoids(bodies.posed(), bodies.camera(size), (size, size), validate=False).labels

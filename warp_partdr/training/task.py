@@ -1,0 +1,108 @@
+"""What is trained: the protocol between the training loop and its tasks, and the tasks by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import torch
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from .config import Phase, TrainingConfig
+
+# Name: module of this package and class in it.
+TASKS = {"label-network": ".label_task:LabelTask", "ellipbodynet": ".picture_task:PictureTask"}
+
+
+class Task(Protocol):
+    """Model, batches, loss and errors of what is trained.
+
+    A task draws random numbers from generators of its own, made of ``config.seed`` and ``rank``, so that each process
+    has other batches, and ``state_dict`` holds them.
+
+    Attributes:
+        MODEL: Dataclass of the config's table ``[model]``; ``config.model`` is one.
+        DATA: Dataclass of the config's table ``[data]``; ``config.data`` is one.
+        WEIGHTS: The loss terms' weights by default; ``config.weights`` has the same names.
+        epoch: Samples in an epoch, over all processes; None where samples never end.
+    """
+
+    MODEL: ClassVar[type[Any]]
+    DATA: ClassVar[type[Any]]
+    WEIGHTS: ClassVar[Mapping[str, float]]
+    epoch: int | None
+
+    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None: ...
+
+    def model(self) -> torch.nn.Module:
+        """A new network with random weights, drawn from torch's global generator, on any device."""
+
+    def begin(self, phase: Phase) -> None:
+        """A phase begins: ``loss`` leaves out the terms ``phase.without`` from now on. Also called on resuming."""
+
+    def batch(self, device: torch.device) -> Any:
+        """The next training batch of ``config.batch_size`` samples: tensors in a dataclass, dict, tuple or list."""
+
+    def samples(self, batch: Any) -> int:
+        """How many samples a batch holds."""
+
+    def loss(self, model: torch.nn.Module, batch: Any) -> dict[str, torch.Tensor]:
+        """The terms, each with its weight, and "total", their sum: means over the batch, shape (), left on the device.
+
+        ``model`` may be wrapped for several processes; it is called once, as ``model(...)``. Under bf16 its forward
+        runs in autocast, so what it returns is to be made float32 before it is used in geometry.
+        """
+
+    def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
+        """Errors on fixed held-out samples, by name with unit ("PA-MPJPE [mm]").
+
+        ``model`` is in evaluation mode, and no gradient is recorded; the state of the batches stays as it is.
+        """
+
+    def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
+        """A contact sheet of some of these samples."""
+
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+        """Write a trained network (safetensors), with its sizes, for those who use it.
+
+        Args:
+            path: The file.
+            weights: ``state_dict`` of such a model as ``model`` returns.
+            about: Of its training, JSON.
+            half: In float16.
+        """
+
+    def skipped(self) -> Sequence[str]:
+        """Samples that could not be read: name and reason, each once."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What makes the next batches what they are: tensors and JSON, in dicts with names as keys."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from such a state."""
+
+
+def find_task(name: str) -> type[Task]:
+    """The class of a task.
+
+    Args:
+        name: One of ``TASKS``, or "module:Class" of one's own.
+
+    Raises:
+        InputError: If there is no such task.
+    """
+    module, _, attribute = TASKS.get(name, name).partition(":")
+    expected = f"expected {', '.join(TASKS)} or module:Class"
+    if not attribute:
+        raise InputError(f"task: {name}; {expected}")
+    try:
+        task: type[Task] = getattr(import_module(module, __package__), attribute)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"task: {name}: {error}; {expected}") from error
+    return task
