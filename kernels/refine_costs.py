@@ -78,12 +78,13 @@ def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
         excess = wp.max(v - upper, wp.vec3(0.0)) - wp.max(lower - v, wp.vec3(0.0))
     cost[LIMITS] = weights.limits * wp.dot(excess, excess)
     state.gradient.rotations[b, k] = 2.0 * weights.limits * excess
+    row = b % problem.rules.usual_lengths.shape[0]
     if k < state.bodies.lengths.shape[1]:
-        deviation = (state.bodies.lengths[b, k] - problem.rules.mean_lengths[k]) * _MILLIMETRES
+        deviation = (state.bodies.lengths[b, k] - problem.rules.usual_lengths[row, k]) * _MILLIMETRES
         cost[LENGTH] = weights.length * deviation * deviation
         state.gradient.lengths[b, k] = 2.0 * weights.length * deviation * _MILLIMETRES
     if k < state.bodies.thicknesses.shape[1]:
-        deviation = (state.bodies.thicknesses[b, k] - problem.rules.mean_thicknesses[k]) * _MILLIMETRES
+        deviation = (state.bodies.thicknesses[b, k] - problem.rules.usual_thicknesses[row, k]) * _MILLIMETRES
         cost[THICKNESS] = weights.thickness * deviation * deviation
         state.gradient.thicknesses[b, k] = 2.0 * weights.thickness * deviation * _MILLIMETRES
     state.costs[b, k] = cost

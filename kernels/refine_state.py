@@ -74,12 +74,12 @@ class Landmarks:
 
 @wp.struct
 class Rules:
-    """What needs no picture: joint limits and usual sizes."""
+    """What needs no picture: joint limits, and usual sizes of N people."""
 
     lower_limits: wp.array[wp.vec3]  # (P,) [rad]
     upper_limits: wp.array[wp.vec3]  # (P,) [rad]
-    mean_lengths: wp.array[float]  # [m]
-    mean_thicknesses: wp.array[float]  # [m]
+    usual_lengths: wp.array2d[float]  # (N, 12) [m]
+    usual_thicknesses: wp.array2d[float]  # (N, 15) [m]
 
 
 @wp.struct

@@ -26,11 +26,14 @@ EXAMPLE_FILES = ("photo.png", "parts.png", "keypoints.json")
 # Loaded only when a feature needs it. The plain import starts not even torch and Warp.
 EXTRAS = {
     "PIL",
+    "accelerate",
     "anny",
     "matplotlib",
     "pyvista",
     "rich",
+    "safetensors",
     "scipy",
+    "tensorboard",
     "transformers",
     "trimesh",
     "typer",

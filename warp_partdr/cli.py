@@ -129,9 +129,7 @@ def fit(
     ] = StartName.network,
     network: Annotated[
         Path | None,
-        typer.Option(
-            help="A label network of `partdr train` instead of the packaged one.", metavar="FILE.safetensors"
-        ),
+        typer.Option(help="A label network of `partdr train` instead of the packaged one.", metavar="FILE.safetensors"),
     ] = None,
     outline: Annotated[
         bool,

@@ -17,7 +17,6 @@ import torch
 from .body.ellipbody import DEFAULT_SUBDIVISIONS
 from .body.labels import LabelSet
 from .body.landmarks import landmark_points
-from .body.template import template
 from .cameras import WeakPerspective
 from .ellipsoid_passes import Gradient
 from .ellipsoids import draw_ellipsoids, ellipsoid_label_loss
@@ -58,6 +57,8 @@ class Observation:
         label_set: What the group ids mean.
         maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.
         known: How much a pixel of ``maps`` counts, shape (N, N): what is missing to 1 is the share to be ignored.
+        lengths: What to expect of the person's ``LENGTH_NAMES`` [m], shape (12,); None: the mean adult's.
+        thicknesses: The same of ``THICKNESS_NAMES`` [m], shape (15,).
     """
 
     landmarks: tuple[str, ...]
@@ -67,6 +68,8 @@ class Observation:
     label_set: LabelSet | None
     maps: torch.Tensor | None = None
     known: torch.Tensor | None = None
+    lengths: torch.Tensor | None = None
+    thicknesses: torch.Tensor | None = None
 
 
 @dataclass
@@ -89,6 +92,8 @@ class Energy:
 
     Attributes:
         votes: How much each landmark counts, shape (L,).
+        usual_lengths: What L_l is measured from [m], shape (12,).
+        usual_thicknesses: What L_t is measured from [m], shape (15,).
         target: Labels that the picture is compared with, shape (size, size), uint8; None where none is drawn.
     """
 
@@ -110,9 +115,9 @@ class Energy:
         # Ten points of a face say little more than one: the landmarks of one part share its vote.
         votes = torch.zeros(20, device=device).index_add(0, self._gather.parts[:, 0], seen.confidence)
         self.votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]
-        constants = template()
-        self._mean_lengths = torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device)
-        self._mean_thicknesses = torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device)
+        mean = BodyParameters.mean(1, device=device)
+        self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
+        self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
         self.target: torch.Tensor | None = None
         self._mesh: tuple[int, PartMesh] | None = None  # its level, and itself
         self._part_labels: list[int] = []
@@ -131,9 +136,9 @@ class Energy:
         terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
         if self.target is not None:
             terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * self.segmentation(parameters, posed)
-        deviation = (parameters.lengths - self._mean_lengths) * _MILLIMETRES
+        deviation = (parameters.lengths - self.usual_lengths) * _MILLIMETRES
         terms["length"] = weights.length * deviation.square().sum(1)
-        deviation = (parameters.thicknesses - self._mean_thicknesses) * _MILLIMETRES
+        deviation = (parameters.thicknesses - self.usual_thicknesses) * _MILLIMETRES
         terms["thickness"] = weights.thickness * deviation.square().sum(1)
         if self.prior is not None:
             rotations = parameters.free_rotations()

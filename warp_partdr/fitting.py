@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS
-from .body.labels import IGNORE
+from .body.labels import BACKGROUND, IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
@@ -23,19 +23,23 @@ from .mesh import ellipbody_mesh
 from .missing_labels import ignore_missing_limbs
 from .network.checkpoint import load_label_network, packaged_network
 from .network.predict import predict_bodies
-from .parameters import BodyParameters, concatenate
+from .parameters import BodyParameters
 from .part_files import PartLabels
 from .person import crop_nearest, person_crop, select_person
 from .pose_prior import PosePrior
 from .posing import Posed
-from .quality import LIFT, OUTLINE, STAGES, Quality, Stage, Start
-from .refinement import Refined, refine
+from .quality import OUTLINE, STAGES, Quality, Stage, Start
+from .refinement import refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
 CROP_MARGIN = 0.1  # of the person's extent, on each side
 LARGEST_PLACE = 1e6  # [px] of a keypoint
 LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
+
+# Where a network's body ends farther off, a search is tried too.
+MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes; PartBench's hard people reach 22
+MOST_WRONG = 0.4  # wrong pixels a pixel of the person; PartBench's hard people reach 0.29
 
 Progress = Callable[[str, int, int], None]
 
@@ -48,8 +52,8 @@ class FitOptions:
     """How a fit goes.
 
     Attributes:
-        stages: In order; the first one lifts the search's hypotheses into 3D. With a network's start, stages without
-            one named "lift" go on from the network's body alone, and none at all leave it as it is.
+        stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
+            them, and stays as it is where there are none.
         weights: Of the energy's terms, where a stage has none of its own.
         renderer: "exact" ellipsoids, or their "mesh", with PartDR's gradient.
         subdivisions: Level of the mesh, 0 to 3; "auto": in each stage the coarsest that is within ``tolerance`` of the
@@ -58,8 +62,10 @@ class FitOptions:
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
         depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
         seed: Of the random choice of hypotheses, where there are too many.
-        start: "network": the label network's body beside the search's hypotheses; "search": these alone.
+        start: "network": the label network's body; "search": many hypotheses.
         network: File of a label network of `partdr train`; None takes the packaged one.
+        search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
+            lower energy wins. Empty: never.
     """
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
@@ -72,6 +78,7 @@ class FitOptions:
     seed: int = 0
     start: Start = "network"
     network: str | None = None
+    search: tuple[Stage, ...] = STAGES["search"]["balanced"]
 
     def __post_init__(self) -> None:
         if self.start not in STAGES:
@@ -88,7 +95,7 @@ class FitOptions:
             raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
         if quality not in STAGES[start]:
             raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
-        return cls(stages=STAGES[start][quality], start=start)
+        return cls(stages=STAGES[start][quality], start=start, search=STAGES["search"][quality])
 
     def labels_first(self) -> FitOptions:
         """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
@@ -112,7 +119,7 @@ class FitResult:
         observation: What was fitted, in the crop.
         stages: The rounds it took.
         energy: Weighted terms of the energy at the end, by name.
-        history: Energy of the winner's lineage before each iteration, one row a stage; NaN where it took no part.
+        history: Energy of the winner's lineage before each iteration, one row a stage.
         stage_seconds: Wall time of each stage.
         hypotheses: How many starts there were.
         finalists: Energies at the end of the last stage that compared several bodies, best first.
@@ -201,130 +208,166 @@ def fit_body(
     trust = options.trust_background
     seen, crop = observe(keypoints, parts, others=others, trust_background=trust, device=device)
     prior = PosePrior().to(device)
-    stages = stages_of(options, parts)
-    searching = options.start == "search" or any(stage.name == LIFT for stage in stages)
-    pool = None if options.start == "search" else _Pool.of_network(seen, options.network)
-    hypotheses = 0 if pool is None else 1
-    terms: dict[str, torch.Tensor] = {}
-    seconds: dict[str, float] = {}
-    finalists: list[float] = []
-    done, total = 0, sum(stage.iterations for stage in stages)
-    for index, stage in enumerate(stages):
-        started = time.perf_counter()
-        weights = stage.weights or options.weights
-        if stage.size == 0:
-            weights = replace(weights, seg=0.0)
-        energy = Energy(
-            seen,
-            max(stage.size, 1),
-            weights,
-            prior,
-            renderer=options.renderer,
-            subdivisions=options.subdivisions,
-            tolerance=options.tolerance,
-            gradient=stage.gradient,
-            max_distance=stage.max_distance,
-            depth_weight=options.depth_weight,
-        )
-
-        def step(iteration: int, name: str = stage.name, before: int = done) -> None:
-            if progress is not None:
-                progress(name, before + iteration, total)
-
-        pace = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "on_iteration": step}
-        if searching and index == 0:
-            bodies, targets, known = hypothesize(seen, stage.bodies, seed=options.seed)
-            bodies = replace(bodies, rotations=prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
-            hypotheses += bodies.batch_size
-            refined = refine(bodies, LiftEnergy(energy, targets, known), **pace)
-            pool = _Pool.of_search(refined, pool)
-        else:
-            assert pool is not None
-            pool = pool.keep(stage.bodies)
-            refined = minimise(pool.bodies, energy, **pace)
-            pool = pool.refined(refined)
-        terms = refined.terms
-        if len(pool.energies) > 1:
-            finalists = pool.energies.sort().values.tolist()
-        done += stage.iterations
-        seconds[stage.name] = time.perf_counter() - started
-    assert pool is not None
-    winner = int(pool.energies.argmin())
-    return FitResult(
-        parameters=pool.bodies.select(torch.tensor([winner], device=pool.energies.device)),
-        crop=crop,
-        observation=seen,
-        stages=stages,
-        energy={name: float(term[winner]) for name, term in terms.items()},
-        history=[rows[:, winner] for rows in pool.lineage],
-        stage_seconds=seconds,
-        hypotheses=hypotheses,
-        finalists=finalists,
-        start="network" if pool.from_network[winner] else "search",
-    )
+    fit = _Fit(seen, crop, prior, options, stages_of(options, parts), progress)
+    if options.start == "search":
+        return fit.search()
+    found = fit.from_network()
+    if not options.search or fit.suits(found):
+        return found
+    again = _Fit(seen, crop, prior, options, _drawn_or_not(options.search, parts), progress).search()
+    return fit.better(found, again)
 
 
 @dataclass(frozen=True)
-class _Pool:
-    """B bodies that are compared.
+class _Fit:
+    """A fit of one observation; arguments as ``fit_body`` has them."""
 
-    Attributes:
-        bodies: Themselves.
-        energies: What decides which are kept, shape (B,).
-        lineage: Energies of theirs and of their ancestors, one array (iterations, B) a stage.
-        from_network: Which of them the network said, shape (B,), bool.
-    """
+    seen: Observation
+    crop: Crop
+    prior: PosePrior
+    options: FitOptions
+    stages: tuple[Stage, ...]
+    progress: Progress | None
 
-    bodies: BodyParameters
-    energies: torch.Tensor
-    lineage: list[np.ndarray]
-    from_network: np.ndarray
+    def search(self) -> FitResult:
+        """From many hypotheses, lifted in the first stage."""
+        first = self.stages[0]
+        bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
+        bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+        return self._refine(bodies, self.seen, "search", lambda energy: LiftEnergy(energy, targets, known))
 
-    @classmethod
-    def of_network(cls, seen: Observation, path: str | None) -> _Pool:
-        """The network's body, first of all whatever it is compared with."""
-        device = seen.points.device
+    def from_network(self) -> FitResult:
+        """From the network's body, whose sizes are what is expected of the person from then on."""
+        device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
-        body = predict_bodies([seen], network)
-        return cls(body, torch.full((1,), -math.inf, device=device), [], np.ones(1, dtype=bool))
-
-    @classmethod
-    def of_search(cls, refined: Refined, first: _Pool | None) -> _Pool:
-        """The search's hypotheses after their first stage, in which the network's body before them takes no part."""
-        history = refined.history.cpu().numpy()
-        found = cls(refined.parameters, refined.energy, [history], np.zeros(len(refined.energy), dtype=bool))
-        if first is None:
-            return found
-        return cls(
-            concatenate((first.bodies, found.bodies)),
-            torch.cat([first.energies, found.energies]),
-            [np.column_stack([np.full(len(history), np.nan), history])],
-            np.concatenate([first.from_network, found.from_network]),
+        body = predict_bodies([self.seen], network)
+        return self._refine(
+            body, replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0]), "network"
         )
 
-    def keep(self, count: int) -> _Pool:
-        """The ``distinct`` best."""
-        kept = distinct(self.bodies, self.energies, count)
-        places = kept.cpu().numpy()
-        lineage = [rows[:, places] for rows in self.lineage]
-        return _Pool(self.bodies.select(kept), self.energies[kept], lineage, self.from_network[places])
+    def _refine(
+        self,
+        bodies: BodyParameters,
+        seen: Observation,
+        start: Start,
+        lift: Callable[[Energy], LiftEnergy] | None = None,
+    ) -> FitResult:
+        """All stages; the first one by another energy, if there is one."""
+        options, hypotheses = self.options, bodies.batch_size
+        energies = torch.zeros(hypotheses, device=seen.points.device)
+        terms: dict[str, torch.Tensor] = {}
+        seconds: dict[str, float] = {}
+        lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
+        finalists: list[float] = []
+        done, total = 0, sum(stage.iterations for stage in self.stages)
+        for index, stage in enumerate(self.stages):
+            started = time.perf_counter()
+            if index > 0:
+                kept = distinct(bodies, energies, stage.bodies)
+                bodies = bodies.select(kept)
+                lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
+            weights = stage.weights or options.weights
+            if stage.size == 0:
+                weights = replace(weights, seg=0.0)
+            energy = Energy(
+                seen,
+                max(stage.size, 1),
+                weights,
+                self.prior,
+                renderer=options.renderer,
+                subdivisions=options.subdivisions,
+                tolerance=options.tolerance,
+                gradient=stage.gradient,
+                max_distance=stage.max_distance,
+                depth_weight=options.depth_weight,
+            )
 
-    def refined(self, refined: Refined) -> _Pool:
-        """The same bodies after a stage."""
-        lineage = [*self.lineage, refined.history.cpu().numpy()]
-        return _Pool(refined.parameters, refined.energy, lineage, self.from_network)
+            def step(iteration: int, name: str = stage.name, before: int = done) -> None:
+                if self.progress is not None:
+                    self.progress(name, before + iteration, total)
+
+            pace: dict[str, Any] = {
+                "iterations": stage.iterations,
+                "learning_rate": stage.learning_rate,
+                "frozen": stage.frozen,
+                "on_iteration": step,
+            }
+            if lift is not None and index == 0:
+                refined = refine(bodies, lift(energy), **pace)
+            else:
+                refined = minimise(bodies, energy, **pace)
+            bodies, energies, terms = refined.parameters, refined.energy, refined.terms
+            lineage.append(refined.history.cpu().numpy())
+            if len(energies) > 1:
+                finalists = energies.sort().values.tolist()
+            done += stage.iterations
+            seconds[stage.name] = time.perf_counter() - started
+        winner = int(energies.argmin())
+        return FitResult(
+            parameters=bodies.select(torch.tensor([winner], device=energies.device)),
+            crop=self.crop,
+            observation=seen,
+            stages=self.stages,
+            energy={name: float(term[winner]) for name, term in terms.items()},
+            history=[rows[:, winner] for rows in lineage],
+            stage_seconds=seconds,
+            hypotheses=hypotheses,
+            finalists=finalists,
+            start=start,
+        )
+
+    def suits(self, found: FitResult) -> bool:
+        """Whether a body lies where keypoints and labels are, so that nothing else need be tried."""
+        energy, parameters = self._judge(), found.parameters
+        posed = parameters.posed()
+        off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
+        if energy.target is None:
+            return off < MOST_OFF
+        person = ((energy.target != BACKGROUND) & (energy.target != IGNORE)).sum().clamp_min(1)
+        wrong = float(energy.segmentation(parameters, posed) / (2 * person))
+        return off < MOST_OFF and wrong < MOST_WRONG
+
+    def better(self, found: FitResult, again: FitResult) -> FitResult:
+        """The one with the lower energy; times and hypotheses are both's."""
+        energy = self._judge()
+        losses = [sum(float(term) for term in energy(result.parameters).values()) for result in (found, again)]
+        seconds = {
+            f"{name}, {each.start}": value for each in (found, again) for name, value in each.stage_seconds.items()
+        }
+        best = again if losses[1] < losses[0] else found
+        return replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
+
+    def _judge(self) -> Energy:
+        """The same for all starts."""
+        options = self.options
+        return Energy(
+            self.seen,
+            REFERENCE_SIZE,
+            options.weights,
+            self.prior,
+            renderer=options.renderer,
+            subdivisions=options.subdivisions,
+        )
 
 
 def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
-    """The rounds of a fit: without labels, the stages that draw them have nothing to add.
+    """The rounds of a fit: without labels, nothing is drawn, and a network's body follows the keypoints alone.
 
     Raises:
-        ValueError: If none is left.
+        ValueError: If a search has none left.
     """
-    stages = tuple(stage for stage in options.stages if parts is not None or stage.size == 0)
-    if not stages and options.start == "search":
+    if options.start == "network":
+        if parts is not None:
+            return options.stages
+        return tuple(replace(stage, size=0) for stage in options.stages if stage.name != OUTLINE)
+    stages = _drawn_or_not(options.stages, parts)
+    if not stages:
         raise ValueError("options.stages: none without labels; expected at least one of size 0")
     return stages
+
+
+def _drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | None) -> tuple[Stage, ...]:
+    return tuple(stage for stage in stages if parts is not None or stage.size == 0)
 
 
 def observe(

@@ -121,6 +121,8 @@ class FusedRefinement:
         self._history = buffer(iterations + 1, batch_size)
         self._points = buffer(len(energies), len(LANDMARK_NAMES), 2)
         self._votes = buffer(len(energies), len(LANDMARK_NAMES))
+        self._lengths = buffer(len(energies), *ROW["lengths"])
+        self._thicknesses = buffer(len(energies), *ROW["thicknesses"])
         # At rate 0, after the last step, the energy is looked at once more.
         shares = [rate_share(step, iterations, final_rate) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
@@ -175,7 +177,8 @@ class FusedRefinement:
         energy, problem = self._energy, Problem()
         problem.skeleton, problem.half_size = skeleton(where), energy.size / 2
         problem.landmarks = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
-        problem.rules, problem.mixture = rules(where, energy.prior), mixture(where, energy.prior)
+        problem.rules = rules(where, energy.prior, _wp(self._lengths), _wp(self._thicknesses))
+        problem.mixture = mixture(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         problem.stopping = stopping
         return problem
@@ -200,6 +203,7 @@ class FusedRefinement:
             index = [LANDMARK_NAMES.index(name) for name in energy.observation.landmarks]
             self._points[row, index] = energy.observation.points
             self._votes[row, index] = energy.votes
+            self._lengths[row], self._thicknesses[row] = energy.usual_lengths, energy.usual_thicknesses
         table = self._problem.landmarks
         seen = {name for energy in energies for name in energy.observation.landmarks}
         with on_torch_stream(self._device):

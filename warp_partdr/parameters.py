@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -139,9 +139,3 @@ class BodyParameters:
     def tensors(self) -> dict[str, torch.Tensor]:
         """The tensors by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-def concatenate(bodies: Sequence[BodyParameters]) -> BodyParameters:
-    """Several batches as one."""
-    tensors = [batch.tensors() for batch in bodies]
-    return BodyParameters(**{name: torch.cat([each[name] for each in tensors]) for name in ROW})

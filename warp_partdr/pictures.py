@@ -232,7 +232,7 @@ def loss_chart(result: FitResult) -> Image:
             draw.text((left - 6 * smooth, y), f"{tick:g}", "black", small, anchor="rm")
     first = 0
     for energies in result.history:
-        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies) if not np.isnan(energy)]
+        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies)]
         draw.line(points, fill=(20, 70, 140), width=2 * smooth, joint="curve")
         first += len(energies)
     draw.rectangle([left, top, right, bottom], outline=(120, 120, 120), width=smooth)

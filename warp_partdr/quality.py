@@ -28,6 +28,7 @@ class Stage:
         weights: Of the energy's terms in this stage; None takes the fit's.
         gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
         max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
+        frozen: Parameters that stay as they are, names of ``BodyParameters``.
     """
 
     name: str
@@ -38,14 +39,13 @@ class Stage:
     weights: Weights | None = None
     gradient: Gradient = "partdr"
     max_distance: float = math.inf
+    frozen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_whole("bodies", self.bodies, 1, MAX_PIXELS)
         check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1)
         check_steps(self.iterations, self.learning_rate)
 
-
-LIFT = "lift"  # the stage that lifts the search's hypotheses into 3D
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
 # disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
@@ -55,14 +55,14 @@ OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=
 
 _SEARCH: dict[Quality, tuple[Stage, ...]] = {
     "fast": (
-        Stage(LIFT, 64, 20, 0.15),
+        Stage("lift", 64, 20, 0.15),
         Stage("keypoints", 64, 15, 0.05),
         Stage("labels, coarse", 8, 25, 0.03, 64, gradient="edges"),
         Stage("labels, fine", 2, 25, 0.02, 128, gradient="edges"),
         Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
     ),
     "balanced": (
-        Stage(LIFT, 256, 30, 0.1),
+        Stage("lift", 256, 30, 0.1),
         Stage("keypoints", 256, 20, 0.04),
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
@@ -70,7 +70,7 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
         Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
     ),
     "accurate": (
-        Stage(LIFT, 256, 30, 0.1),
+        Stage("lift", 256, 30, 0.1),
         Stage("keypoints", 256, 40, 0.04),
         Stage("labels, coarse", 64, 50, 0.03, 64, gradient="edges"),
         Stage("labels, middle", 24, 50, 0.02, 128, gradient="edges"),
@@ -79,28 +79,20 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
     ),
 }
 
-# Beside the network's body, few hypotheses of the search will do: they are for what the network has never seen.
+# From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
+# to what the network says. The outline costs joints here, too: they follow it in depth, where nothing holds them.
+_NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3)
+_NEAR_OUTLINE = Weights(proj=0.3, seg=0.5, prior=3.0, length=1e-2)
+
 _NETWORK: dict[Quality, tuple[Stage, ...]] = {
-    "fast": (
-        Stage("labels, coarse", 1, 25, 0.03, 64, gradient="edges"),
-        Stage("labels, fine", 1, 25, 0.02, 128, gradient="edges"),
-        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
-    ),
+    "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, gradient="edges"),),
     "balanced": (
-        Stage(LIFT, 24, 30, 0.1),
-        Stage("keypoints", 25, 20, 0.04),
-        Stage("labels, coarse", 6, 25, 0.03, 64),
-        Stage("labels, middle", 4, 25, 0.02, 128),
-        Stage("labels, fine", 2, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
+        Stage("labels", 1, 50, 0.007, 256, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 150, 0.01, 256, _NEAR_OUTLINE, gradient="edges"),
     ),
     "accurate": (
-        Stage(LIFT, 64, 30, 0.1),
-        Stage("keypoints", 65, 40, 0.04),
-        Stage("labels, coarse", 16, 50, 0.03, 64, gradient="edges"),
-        Stage("labels, middle", 8, 50, 0.02, 128, gradient="edges"),
-        Stage("labels, fine", 4, 100, 0.01, 256, gradient="edges"),
-        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), gradient="edges"),
+        Stage("labels", 1, 50, 0.007, 256, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 250, 0.01, 256, replace(_NEAR_OUTLINE, length=3e-3), gradient="edges"),
     ),
 }
 STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}

@@ -89,11 +89,10 @@ def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
-def rules(device: str, prior: PosePrior | None) -> Rules:
-    """Usual sizes, and the prior's joint limits if there is one."""
-    table, constants = Rules(), template()
-    table.mean_lengths = wp.array(constants.mean_lengths, dtype=float, device=device)
-    table.mean_thicknesses = wp.array(constants.mean_thicknesses, dtype=float, device=device)
+def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array) -> Rules:
+    """Usual sizes of N people, (N, 12) and (N, 15), and the prior's joint limits if there is one."""
+    table = Rules()
+    table.usual_lengths, table.usual_thicknesses = lengths, thicknesses
     free = np.full((NUM_PARTS, 3), np.inf)
     lower, upper = (
         (-free, free) if prior is None else (prior.lower_limits.cpu().numpy(), prior.upper_limits.cpu().numpy())

@@ -1,4 +1,4 @@
-"""What PartBench compares: what a fit sees, what it draws, and whether hidden parts pull in depth."""
+"""What PartBench compares: what a fit sees, where it starts, what it draws, and whether hidden parts pull in depth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from .anny_fit import fit_anny
 
 # A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
 _REGISTRATION = RegistrationOptions(RegistrationWeights.fitted(), iterations=40)
-_FLAT = FitOptions(depth_weight=0.0)
+_SEARCH = FitOptions.at("balanced", "search")
+_FLAT = replace(_SEARCH, depth_weight=0.0)
 
 
 def registered_vertices(result: FitResult) -> np.ndarray:
@@ -27,14 +28,19 @@ def registered_vertices(result: FitResult) -> np.ndarray:
     return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
 
 
-# With one label or none, no part hides another, so only parts have a z gradient.
+_STARTS = {
+    "network": Method(options=FitOptions(stages=(), search=())),
+    "network, 50 iterations": Method(options=FitOptions.at("fast")),
+    "search": Method(options=_SEARCH),
+}
 METHODS: dict[str, Method] = {
-    **{name: replace(method, vertices=registered_vertices) for name, method in SUPERVISIONS.items()},
-    "parts, no z gradient": Method(options=_FLAT, vertices=registered_vertices),
+    **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
+    # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
+    "search, no z gradient": Method(options=_FLAT, vertices=registered_vertices),
     "parts, Anny's mesh": Method(fit=fit_anny, vertices=attrgetter("vertices")),
     "parts, Anny's mesh, no z gradient": Method(options=_FLAT, fit=fit_anny, vertices=attrgetter("vertices")),
 }
-QUICK = ("keypoints only", "full silhouette", "parts", "parts, no z gradient")
+QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)
 
 
 def choose_methods(names: Sequence[str]) -> dict[str, Method]:
