@@ -23,10 +23,11 @@ import warp as wp
 from warp_partdr.bench.machine import about
 from warp_partdr.body.labels import label_set
 from warp_partdr.energy import Energy
-from warp_partdr.fitting import fit_body, observe
+from warp_partdr.fitting import fit_body
 from warp_partdr.fused import minimise
 from warp_partdr.inputs import choose_person, read_keypoints, read_parts
 from warp_partdr.kernels.threads import set_num_threads
+from warp_partdr.observation import observe
 from warp_partdr.pose_prior import PosePrior
 from warp_partdr.refinement import refine
 

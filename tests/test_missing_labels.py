@@ -11,9 +11,10 @@ from test_fitting import QUICK, seen_by, walker
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE
 from warp_partdr.body.template import PART_NAMES, THICKNESS_NAMES, template
-from warp_partdr.fitting import fit_body, observe
+from warp_partdr.fitting import fit_body
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.missing_labels import ignore_missing_limbs
+from warp_partdr.observation import observe
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels
 

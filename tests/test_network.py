@@ -18,7 +18,6 @@ from warp_partdr.body.template import LOCKED_PARTS, NUM_PARTS
 from warp_partdr.body_file import load_body
 from warp_partdr.cli import main
 from warp_partdr.errors import InputError
-from warp_partdr.fitting import observe
 from warp_partdr.network.checkpoint import about_network, load_label_network, save_label_network
 from warp_partdr.network.label_network import (
     NUM_CHANNELS,
@@ -33,6 +32,7 @@ from warp_partdr.network.label_network import (
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
 from warp_partdr.network.predict import network_inputs, predict_bodies
 from warp_partdr.network.regressor import Regressor, RegressorConfig
+from warp_partdr.observation import observe
 from warp_partdr.parameters import BodyParameters
 
 SMALL = LabelNetworkConfig(

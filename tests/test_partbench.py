@@ -17,9 +17,9 @@ from warp_partdr.errors import InputError
 from warp_partdr.evaluate_command import evaluate
 from warp_partdr.evaluation import METHODS as SUPERVISIONS
 from warp_partdr.evaluation import Report
-from warp_partdr.fitting import observe
 from warp_partdr.fused import minimise
 from warp_partdr.hypotheses import hypothesize
+from warp_partdr.observation import observe
 from warp_partdr.partbench.anny_fit import fit_anny
 from warp_partdr.partbench.methods import METHODS, choose_methods, registered_vertices
 from warp_partdr.partbench.noise import LEVELS, Level, spoil_keypoints, spoil_labels

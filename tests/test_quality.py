@@ -164,7 +164,9 @@ def test_balanced_is_the_default(device: str) -> None:
 def test_quality_chooses_the_stages_and_options_override_it(device: str) -> None:
     keypoints, _ = person(device)
     fast = fit_body(keypoints, quality="fast", device=device)
-    assert fast.stages == tuple(stage for stage in STAGES["network"]["fast"] if stage.size == 0)
+    assert fast.stages == tuple(replace(stage, size=0) for stage in STAGES["network"]["fast"])
+    searched = fit_body(keypoints, options=FitOptions.at("fast", "search"), device=device)
+    assert searched.stages == tuple(stage for stage in STAGES["search"]["fast"] if stage.size == 0)
     own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
     assert fit_body(keypoints, quality="fast", options=own, device=device).stages == own.stages
     assert FitOptions.at("accurate").without_outline().stages == STAGES["network"]["accurate"][:-1]

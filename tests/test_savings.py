@@ -218,7 +218,8 @@ def test_a_fit_says_what_it_models():
     assert 50 < float(choices["picture"].left_out.split()[0]) < 95
     assert choices["groups of parts"].left_out == ""
     assert "16 maps" in choices["L_seg"].left_out
-    assert choices["z gradient"].modelled.startswith("stages labels, coarse")
+    assert choices["z gradient"].modelled == ""
+    assert choices["start"].modelled == "the label network's body"
     assert choices["an iteration"].left_out == "autograd, Python"
 
 
@@ -233,7 +234,17 @@ def test_a_fit_without_labels_draws_nothing():
     keypoints, _ = seen_by(bodies(), label_set("body14"))
     last = explain(keypoints)[-1]
     assert last.what == "part labels"
-    assert "labels, fine; outline" in last.left_out
+    assert last.left_out == "L_seg; outline"
+    searched = explain(keypoints, options=FitOptions.at("balanced", "search"))
+    assert "labels, fine; outline" in searched[-1].left_out
+    assert searched[1].left_out == "the label network"
+
+
+def test_a_searching_fit_looks_for_depth_where_parts_hide_one_another():
+    keypoints, parts = seen_by(bodies(), WITHOUT_TIPS)
+    choices = explain(keypoints, parts, options=FitOptions.at("balanced", "search"))
+    depth = next(choice for choice in choices if choice.what == "z gradient")
+    assert depth.modelled.startswith("stages labels, coarse")
 
 
 def test_the_table_holds_every_choice(capsys):

@@ -52,7 +52,7 @@ _EXPORTS = {
     "FitOptions": "fitting",
     "FitResult": "fitting",
     "fit_body": "fitting",
-    "observe": "fitting",
+    "observe": "observation",
     "FusedRefinement": "fused",
     "minimise": "fused",
     "get_num_threads": "kernels.threads",
@@ -128,7 +128,6 @@ if TYPE_CHECKING:
     from .fitting import FitOptions as FitOptions
     from .fitting import FitResult as FitResult
     from .fitting import fit_body as fit_body
-    from .fitting import observe as observe
     from .fused import FusedRefinement as FusedRefinement
     from .fused import minimise as minimise
     from .kernels.threads import get_num_threads as get_num_threads
@@ -138,6 +137,7 @@ if TYPE_CHECKING:
     from .keypoints import choose_person as choose_person
     from .mesh import PartMesh as PartMesh
     from .mesh import ellipbody_mesh as ellipbody_mesh
+    from .observation import observe as observe
     from .output import save_fit as save_fit
     from .parameters import BodyParameters as BodyParameters
     from .part_files import PartLabels as PartLabels

@@ -11,8 +11,9 @@ import numpy as np
 from .body.labels import BACKGROUND, IGNORE
 from .body.template import PART_NAMES
 from .energy import REFERENCE_SIZE, Observation
-from .fitting import FitOptions, observe, stages_of
+from .fitting import FitOptions, stages_of
 from .keypoints import Keypoints2D
+from .observation import observe
 from .part_files import PartLabels
 from .quality import Stage
 
@@ -52,10 +53,13 @@ def explain(
     options = options or FitOptions()
     seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
     stages = stages_of(options, parts)
-    choices = [_keypoints(keypoints)]
+    choices = [_keypoints(keypoints), _start(options)]
     if parts is None:
-        skipped = [stage.name for stage in options.stages if stage not in stages]
-        choices.append(Choice("part labels", "", f"L_seg; stages {_list(skipped)}", "there are none: nothing is drawn"))
+        left = {stage.name for stage in stages}
+        skipped = [stage.name for stage in options.stages if stage.name not in left]
+        choices.append(
+            Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn"),
+        )
         return choices
     drawn = [stage for stage in stages if stage.size > 0]
     height, width = parts.groups.shape
@@ -98,6 +102,15 @@ def _keypoints(keypoints: Keypoints2D) -> Choice:
         _list(missing),
         "a confidence of 0 pulls nowhere" if missing.size else "all were seen",
     )
+
+
+def _start(options: FitOptions) -> Choice:
+    if options.start == "search":
+        return Choice("start", f"up to {options.stages[0].bodies} hypotheses", "the label network", "it was asked for")
+    if not options.search:
+        return Choice("start", "the label network's body", "the search", "it was asked for")
+    why = "only where that body ends far from keypoints or labels"
+    return Choice("start", "the label network's body", f"up to {options.search[0].bodies} hypotheses", why)
 
 
 def _labels(seen: Observation, size: int) -> Iterator[Choice]:

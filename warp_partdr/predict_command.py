@@ -50,9 +50,9 @@ def predict(
 
     from .devices import choose_device
     from .energy import REFERENCE_SIZE
-    from .fitting import observe
     from .network.checkpoint import load_label_network
     from .network.predict import predict_bodies
+    from .observation import observe
     from .output import body_file, check_folder, image_size, replacing
     from .progress import FitProgress
 

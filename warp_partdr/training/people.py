@@ -14,8 +14,8 @@ from ..body.labels import IGNORE
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
 from ..detailed import detailed_mesh
-from ..fitting import CROP_MARGIN
 from ..network.landmarks import LANDMARKS
+from ..observation import CROP_MARGIN
 from ..partbench.people import MEAN_STATURE, cover_of
 from ..render import rasterize_parts
 from .dice import Dice, exact

@@ -17,8 +17,8 @@ from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import NUM_PARTS
 from ..datasets import Sample, read_folder, read_human36m, read_lsp, read_pw3d
 from ..errors import InputError
-from ..fitting import CROP_MARGIN, LARGEST_PLACE
 from ..network.landmarks import LANDMARKS, network_keypoints
+from ..observation import CROP_MARGIN, LARGEST_PLACE
 from ..part_files import check_sizes, read_label_set, read_photo
 from ..person import Box, person_crop
 from .augment import Augmentation, Similarity
