@@ -176,8 +176,11 @@ def test_files_that_are_no_networks_are_named(network, tmp_path):
         load_label_network(path)
     save_label_network(path, network.state_dict(), SMALL, {})
     tensors = load_file(path)
-    save_file(tensors, path, {"format": "warp-partdr label network 1", "config": json.dumps({"size": 64})})
-    with pytest.raises(InputError, match="regressor"):
+    save_file(tensors, path, {"format": "warp-partdr label network 1", "config": json.dumps({"size": "64"})})
+    with pytest.raises(InputError, match="size: '64'; expected a whole number"):
+        load_label_network(path)
+    save_file(tensors, path, {"format": "warp-partdr label network 1", "config": json.dumps({"places": -1})})
+    with pytest.raises(InputError, match="expected a network"):
         load_label_network(path)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match="expected a network"):

@@ -282,7 +282,8 @@ def test_a_phase_freezes_leaves_out_and_has_its_own_rate(tmp_path, device):
 
 def test_bfloat16_and_float32_in_one_process(tmp_path, device):
     for precision in ("no", "bf16"):
-        train(config(tmp_path / precision, precision=precision, steps=2, log_every=1), device=device)
+        model = {"dropout": 0.0}  # on CUDA, what falls out hangs on the type
+        train(config(tmp_path / precision, precision=precision, steps=2, log_every=1, model=model), device=device)
     one, two = (lines(tmp_path / precision)[0]["total"] for precision in ("no", "bf16"))
     assert one != two
     assert one == pytest.approx(two, rel=0.02)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError
-from .sections import read_section
+from ..sections import read_section
 from .task import find_task
 
 _FREE = {"free": True}  # may differ when a run is resumed

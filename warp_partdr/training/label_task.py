@@ -21,7 +21,7 @@ from ..network.checkpoint import save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
 from ..network.predicted import Predicted
 from ..palette import group_colours
-from .losses import Truth, body_losses
+from .label_losses import Truth, body_losses
 from .noise import TRAINING_LABEL_SETS
 from .people import People, PeopleMaker
 from .poses import PoseBank

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -19,12 +18,13 @@ from ..body.labels import IGNORE
 from ..body.template import template
 from ..ellipsoid_passes import Gradient
 from ..ellipsoids import ellipsoid_label_loss
-from ..energy import REFERENCE_SIZE, LandmarkGather, resize_nearest
+from ..energy import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
 from ..posing import Posed
 from .picture_data import JOINTS, Examples
+from .posed_landmarks import landmarks
 
 HIPS = [JOINTS.index(f"{side}_hip") for side in ("left", "right")]  # whose middle joints are measured from
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre
@@ -112,16 +112,6 @@ def label_sets(examples: Examples) -> Iterator[tuple[tuple[int, ...], torch.Tens
 def rooted(joints: torch.Tensor) -> torch.Tensor:
     """``JOINTS`` from the middle of the hips."""
     return joints - joints[:, HIPS].mean(1, keepdim=True)
-
-
-def landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
-    """Landmarks of posed bodies, shape (B, L, 3) [m]."""
-    return _gather(names, posed.joints.device)(posed)
-
-
-@lru_cache(maxsize=8)
-def _gather(names: tuple[str, ...], device: torch.device) -> LandmarkGather:
-    return LandmarkGather(names, device)
 
 
 def _spots(places: torch.Tensor, cells: int) -> torch.Tensor:

@@ -24,7 +24,8 @@ from ..network.picture_checkpoint import save_ellipbodynet
 from ..palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example
-from .picture_losses import HIPS, body_terms, head_terms, label_sets, landmarks, seg_term
+from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
+from .posed_landmarks import landmarks
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -1,17 +1,16 @@
-"""What networks learn from: L_3D, L_proj, L_seg through PartDR, L_l and L_t (paper, section 3.4), and rotations."""
+"""What the label network learns from: L_3D, L_proj, L_seg through PartDR, L_l, L_t (paper, section 3.4), rotations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 
 from ..body.template import template
 from ..ellipsoids import ellipsoid_label_loss
-from ..energy import LandmarkGather
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted
+from .posed_landmarks import landmarks
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def body_losses(predicted: Predicted, truth: Truth) -> dict[str, torch.Tensor]:
 
     turns = torch.cat([predicted.orientation[:, None], predicted.rotations], dim=1)
     true_turns = torch.cat([truth.orientation[:, None], truth.rotations], dim=1)
-    seen = predicted.camera(2).project(_landmarks(posed.joints.device)(posed))[..., :2] - 1
+    seen = predicted.camera(2).project(landmarks(posed, LANDMARKS))[..., :2] - 1
     proj = (seen - truth.points).abs().mean(2) * truth.points_weight
     seg, _ = ellipsoid_label_loss(posed, predicted.camera(size), truth.parts, gradient="edges", validate=False)
     mean_thicknesses = torch.as_tensor(template().mean_thicknesses).to(predicted.thicknesses)
@@ -70,8 +69,3 @@ def body_losses(predicted: Predicted, truth: Truth) -> dict[str, torch.Tensor]:
         "lengths": mean_3d((predicted.lengths / truth.lengths).log().abs()),
         "thicknesses": (predicted.thicknesses / mean_thicknesses).log().square().mean(),
     }
-
-
-@lru_cache(maxsize=4)
-def _landmarks(device: torch.device) -> LandmarkGather:
-    return LandmarkGather(LANDMARKS, device)
