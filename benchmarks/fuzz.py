@@ -56,6 +56,10 @@ from warp_partdr.keypoint_files import read_keypoints
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import PartMesh
 from warp_partdr.metrics import accuracy, align_similarity, confusion, f1_scores, mpjpe, pa_mpjpe, pve
+from warp_partdr.network.checkpoint import load_label_network, save_label_network
+from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.part_files import PartLabels, read_label_set, read_parts, read_photo
 from warp_partdr.pose_prior import PosePrior
@@ -66,6 +70,9 @@ from warp_partdr.registration import RegistrationOptions, register
 from warp_partdr.render import label_loss, rasterize_parts
 
 PATIENCE = 60  # [s]
+SMALL_NETWORK = LabelNetworkConfig(
+    size=64, channels=(4, 8, 8, 8, 8), places=2, keypoint_features=8, regressor=RegressorConfig(width=16)
+)
 PACKAGE = {
     Path(sys.modules[name].__file__ or "").resolve().parent
     for name in ("warp_partdr", *(f"warp_partdr.{part}" for part in ("body.template", "kernels.threads")))
@@ -134,7 +141,7 @@ class Chance:
             count = min(int(self.rng.integers(1, 4)), values.numel())
             spots = torch.from_numpy(self.rng.integers(0, values.numel(), count)).to(values.device)
             value = self.one(_VALUES)
-            self.extreme |= not 0 < abs(value) < 1e18  # a scale of 0, too, divides to none
+            self.extreme |= not 1e-18 < abs(value) < 1e18  # what is divided by next to nothing leaves float32, too
             if not values.is_floating_point():
                 value = int(np.clip(np.nan_to_num(value), 0, 255))
             elif abs(value) > 1e38 and math.isfinite(value):
@@ -642,6 +649,27 @@ def try_model_file(chance: Chance) -> Any:
     model = load_model(path, num_shapes=chance.number(None, 3, 10, 11))
     detailed = model.rest(torch.zeros(1, model.num_shapes))
     return detailed.vertices, detailed.joints
+
+
+@lru_cache
+def network_file() -> bytes:
+    """A label network, small and untrained."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "network.safetensors"
+        save_label_network(path, LabelNetwork(SMALL_NETWORK).state_dict(), SMALL_NETWORK, {"steps": 0})
+        return path.read_bytes()
+
+
+def try_network_file(chance: Chance) -> Any:
+    data = network_file()
+    if chance.spoils():
+        length = int.from_bytes(data[:8], "little") + 8
+        head = chance.rng.random() < 0.5  # else any byte, which is most likely a weight
+        data = chance.damaged(data[:length]) + data[length:] if head else chance.damaged(data)
+    network = load_label_network(chance.file("network.safetensors", data))
+    shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
+    predicted = network(shares, keypoints)
+    return predicted.orientation, predicted.rotations
 
 
 def try_metrics(chance: Chance) -> Any:

@@ -26,6 +26,7 @@ from warp_partdr.render import rasterize_parts
 
 SIZE = (200, 160)
 QUICK = FitOptions(
+    start="search",
     stages=(Stage("lift", 64, 20, 0.1), Stage("keypoints", 64, 10, 0.04), Stage("labels", 6, 40, 0.02, 96)),
 )
 

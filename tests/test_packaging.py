@@ -21,7 +21,12 @@ import warp_partdr
 
 ROOT = Path(__file__).resolve().parents[1]
 # Folder at the top of the repository: where it lies in the package.
-SOURCES = {"warp_partdr": "warp_partdr", "kernels": "warp_partdr/kernels", "body": "warp_partdr/body"}
+SOURCES = {
+    "warp_partdr": "warp_partdr",
+    "kernels": "warp_partdr/kernels",
+    "body": "warp_partdr/body",
+    "demos/viewer": "warp_partdr/viewer",
+}
 EXAMPLE_FILES = ("photo.png", "parts.png", "keypoints.json")
 # Loaded only when a feature needs it. The plain import starts not even torch and Warp.
 EXTRAS = {
@@ -46,7 +51,7 @@ pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="
 
 
 def _source_files() -> dict[str, Path]:
-    """Each file below the three source folders, by the path it must have in the wheel."""
+    """Each file below the source folders, by the path it must have in the wheel."""
     return {
         f"{target}/{path.relative_to(ROOT / folder).as_posix()}": path
         for folder, target in SOURCES.items()

@@ -10,7 +10,7 @@ import torch
 from .body.rotations import rotation_from_6d, rotation_from_axis_angle
 from .body.template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
 from .cameras import WeakPerspective
-from .checks import check_tensor
+from .checks import check_finite, check_tensor
 from .posing import Posed, pose
 
 ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
@@ -54,13 +54,8 @@ class BodyParameters:
             check_tensor(name, value, (self.batch_size, *shape), dtypes=(torch.float32, torch.float64), like=like)
 
     def check_finite(self) -> None:
-        """Raise ValueError if a number is NaN or infinite; waits for the device."""
-        tensors = self.tensors()
-        if torch.stack([torch.isfinite(tensor).all() for tensor in tensors.values()]).all():
-            return
-        for name, tensor in tensors.items():
-            if not torch.isfinite(tensor).all():
-                raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
+        """Raise ValueError if a number is NaN, infinite or too large to reckon with; waits for the device."""
+        check_finite(**self.tensors(), **{"exp(log_scale)": self.log_scale.exp()})
 
     @classmethod
     def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
