@@ -526,11 +526,11 @@ def try_register(chance: Chance) -> Any:
 def try_model(chance: Chance) -> Any:
     model = anny_model(chance.device)
     batch = chance.one([0, 1, 2])
-    detailed = model.pose(
-        chance.maybe(chance.tensor(batch, model.num_shapes)),
-        chance.maybe(chance.turns(batch, model.num_joints)),
-        chance.maybe(chance.tensor(batch, 3)),
-    )
+    turns = chance.maybe(chance.turns(batch, model.num_joints))
+    if isinstance(turns, torch.Tensor) and turns.is_floating_point() and not turns.is_sparse and not turns.is_meta:
+        chance.extreme |= not bool((turns.abs() < 100).all())  # multiplied along chains of a dozen joints
+    shape, place = chance.maybe(chance.tensor(batch, model.num_shapes)), chance.maybe(chance.tensor(batch, 3))
+    detailed = model.pose(shape, turns, place)
     return detailed, model.landmarks(detailed, [chance.one(["nose", "left_knee", "tail"])])
 
 

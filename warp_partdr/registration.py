@@ -157,7 +157,8 @@ def register(
     options = options or RegistrationOptions()
     check_steps(options.iterations, options.learning_rate)
     like = model.rest_vertices
-    if posed.joints.dtype != torch.float32 or like.dtype != torch.float32 or posed.joints.device != like.device:
+    check_tensor("joints", posed.joints, (None, 21, 3), dtypes=(torch.float32,))
+    if like.dtype != torch.float32 or posed.joints.device != like.device:
         raise ValueError(
             f"posed: {posed.joints.dtype} on {posed.joints.device}; expected float32 on {like.device}, as the model"
         )
