@@ -87,10 +87,8 @@ def _read_member(archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> 
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
-    try:
-        from safetensors import safe_open
-    except ImportError:
-        raise ValueError("the package safetensors is missing: pip install safetensors") from None
+    from safetensors import safe_open
+
     _check_size(path.stat().st_size)
     with safe_open(path, framework="numpy") as file:
         return {name: file.get_tensor(name) for name in ARRAYS if name in file.keys()}  # noqa: SIM118  no mapping

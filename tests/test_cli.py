@@ -364,7 +364,7 @@ def test_a_detailed_body_that_fails_leaves_the_fit(
     monkeypatch.setattr(registration if fails == "register" else output, fails, refuse)
     code, said, complaint = run(f"fit {GOOD}")
     assert code == 2
-    assert "hypotheses" in said
+    assert "label network" in said
     assert "detailed" not in said
     assert complaint.startswith(f"partdr: {says}")
     assert complaint.endswith("out holds the fit without its detailed body\n")
@@ -415,7 +415,7 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
     first, second, third = done.stdout.splitlines()
-    assert "hypotheses" in first
+    assert "label network" in first
     assert "foreground F1 0." in first
     assert Path("out", "overlay.png").as_posix() in second
     assert Path("out", "detailed.png").as_posix() in third

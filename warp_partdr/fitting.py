@@ -258,7 +258,7 @@ class _Fit:
         done, total = 0, sum(stage.iterations for stage in self.stages)
         for index, stage in enumerate(self.stages):
             started = time.perf_counter()
-            if index > 0:
+            if len(energies) > 1 and index > 0:
                 kept = distinct(bodies, energies, stage.bodies)
                 bodies = bodies.select(kept)
                 lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]

@@ -19,7 +19,6 @@ from .anny_fit import fit_anny
 # A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
 _REGISTRATION = RegistrationOptions(RegistrationWeights.fitted(), iterations=40)
 _SEARCH = FitOptions.at("balanced", "search")
-_FLAT = replace(_SEARCH, depth_weight=0.0)
 
 
 def registered_vertices(result: FitResult) -> np.ndarray:
@@ -36,9 +35,11 @@ _STARTS = {
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
-    "search, no z gradient": Method(options=_FLAT, vertices=registered_vertices),
+    "search, no z gradient": Method(options=replace(_SEARCH, depth_weight=0.0), vertices=registered_vertices),
     "parts, Anny's mesh": Method(fit=fit_anny, vertices=attrgetter("vertices")),
-    "parts, Anny's mesh, no z gradient": Method(options=_FLAT, fit=fit_anny, vertices=attrgetter("vertices")),
+    "parts, Anny's mesh, no z gradient": Method(
+        options=FitOptions(depth_weight=0.0), fit=fit_anny, vertices=attrgetter("vertices")
+    ),
 }
 QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)
 

@@ -40,7 +40,9 @@ TARGETS: tuple[tuple[str, str, str, float], ...] = (
 ORDER = (
     ("parts", "full silhouette"),
     ("full silhouette", "keypoints only"),
-    ("parts", "parts, no z gradient"),
+    ("parts", "search"),
+    ("network, 50 iterations", "network"),
+    ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, no z gradient"),
 )
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
