@@ -52,6 +52,12 @@ _EXPORTS = {
     "FitOptions": "fitting",
     "FitResult": "fitting",
     "fit_body": "fitting",
+    "about_network": "network.checkpoint",
+    "load_label_network": "network.checkpoint",
+    "EllipBodyNet": "network.ellipbodynet",
+    "LabelNetwork": "network.label_network",
+    "load_ellipbodynet": "network.picture_checkpoint",
+    "predict_bodies": "network.predict",
     "observe": "observation",
     "FusedRefinement": "fused",
     "minimise": "fused",
@@ -137,6 +143,12 @@ if TYPE_CHECKING:
     from .keypoints import choose_person as choose_person
     from .mesh import PartMesh as PartMesh
     from .mesh import ellipbody_mesh as ellipbody_mesh
+    from .network.checkpoint import about_network as about_network
+    from .network.checkpoint import load_label_network as load_label_network
+    from .network.ellipbodynet import EllipBodyNet as EllipBodyNet
+    from .network.label_network import LabelNetwork as LabelNetwork
+    from .network.picture_checkpoint import load_ellipbodynet as load_ellipbodynet
+    from .network.predict import predict_bodies as predict_bodies
     from .observation import observe as observe
     from .output import save_fit as save_fit
     from .parameters import BodyParameters as BodyParameters
