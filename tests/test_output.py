@@ -33,6 +33,7 @@ from warp_partdr.render import rasterize_parts
 
 EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
 QUICK = FitOptions(
+    start="search",
     stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),
 )
 

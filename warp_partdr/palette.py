@@ -1,7 +1,8 @@
 """The colours of body parts, the same in every picture and file.
 
-Left limbs are warm, right limbs are cool, the trunk is gray to violet and the head yellow, so sides can be told apart
-without telling red from green; along a limb, the colours grow lighter towards its end.
+Left limbs are warm, right limbs are cool, the middle of the trunk is violet and the head yellow, so sides can be told
+apart without telling red from green; along a limb, the colours grow lighter towards its end. Parts that touch differ by
+more than 12 in CIE L*a*b*, also as colour-blind people see them (``tests/test_plot.py`` measures it).
 """
 
 from __future__ import annotations
@@ -11,26 +12,26 @@ import numpy as np
 from .body.template import PART_NAMES
 
 _COLOURS: dict[str, tuple[int, int, int]] = {
-    "left_hip": (150, 110, 150),
-    "right_hip": (120, 115, 165),
-    "abdomen": (150, 140, 175),
-    "chest": (178, 168, 200),
-    "neck": (205, 190, 150),
-    "left_shoulder": (190, 150, 165),
-    "right_shoulder": (150, 160, 195),
+    "left_hip": (152, 107, 88),
+    "right_hip": (121, 101, 168),
+    "abdomen": (137, 136, 172),
+    "chest": (174, 173, 227),
+    "neck": (202, 198, 151),
+    "left_shoulder": (192, 156, 164),
+    "right_shoulder": (149, 214, 212),
     "head": (240, 210, 80),
     "left_upper_leg": (176, 58, 20),
     "right_upper_leg": (12, 72, 140),
     "left_lower_leg": (221, 102, 35),
     "right_lower_leg": (32, 112, 190),
-    "left_foot": (245, 150, 85),
+    "left_foot": (250, 157, 88),
     "right_foot": (90, 160, 225),
-    "left_upper_arm": (150, 30, 75),
+    "left_upper_arm": (141, 29, 78),
     "right_upper_arm": (0, 100, 105),
-    "left_forearm": (200, 65, 115),
-    "right_forearm": (20, 150, 145),
-    "left_hand": (240, 130, 165),
-    "right_hand": (110, 200, 185),
+    "left_forearm": (229, 63, 136),
+    "right_forearm": (31, 135, 125),
+    "left_hand": (240, 149, 145),
+    "right_hand": (109, 220, 190),
 }
 PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PART_NAMES)], dtype=np.uint8)
 """RGB of each part label 0 to 20, shape (21, 3); 0 = background."""

@@ -1,0 +1,88 @@
+"""Write your own loss on part maps: any function of them has a gradient.
+
+    python demos/own_loss.py --out FOLDER
+
+The IoU of parts, in which a hand counts as much as the chest, instead of L_seg, which counts pixels. Writes
+``before.png``, ``after.png`` and ``loss.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+import warp as wp
+
+from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids
+from warp_partdr.plot import loss_curve, part_panels
+
+K = len(PART_NAMES)
+
+
+def iou_loss(maps: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """1 - IoU, mean of all parts that are there or wanted: small parts count as much as large ones.
+
+    Args:
+        maps: Part maps as the renderer gives them, shape (B, K, H, W); 1 where a part shows, else 0.
+        wanted: The same of the target.
+    """
+    overlap = (maps * wanted).sum((2, 3))
+    union = (maps + wanted - maps * wanted).sum((2, 3))
+    counts = union > 0
+    return ((1 - overlap / union.clamp_min(1)) * counts).sum(1) / counts.sum(1).clamp_min(1)
+
+
+def one_hot(labels: torch.Tensor) -> torch.Tensor:
+    """Part maps (B, K, H, W) of a label image (B, H, W)."""
+    index = torch.arange(1, K + 1, dtype=torch.uint8, device=labels.device)
+    return (labels[:, None] == index[:, None, None]).float()
+
+
+def main(argv: list[str] | None = None) -> list[float]:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/own_loss"), help="folder to write to")
+    parser.add_argument("--size", type=int, default=192, help="side of the picture [px]; default: %(default)s")
+    parser.add_argument("--iterations", type=int, default=80, help="default: %(default)s")
+    arguments = parser.parse_args(argv)
+    wp.config.log_level = wp.LOG_WARNING
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    size = (arguments.size, arguments.size)
+
+    # The target: a mean body with bent elbows and one leg to the side, seen in a picture of 2 m by 2 m.
+    start = BodyParameters.mean(1)
+    goal = start.rotations.clone()
+    for name, turn in (
+        ("left_upper_arm", (0.0, 0.0, -0.4)),
+        ("right_forearm", (0.0, 0.0, -0.6)),
+        ("left_upper_leg", (0.0, 0.0, 0.3)),
+    ):
+        goal[0, PART_NAMES.index(name)] = torch.tensor(turn)
+    camera = start.camera(arguments.size)
+    target = draw_ellipsoids(replace(start, rotations=goal).posed(), camera, size).labels
+    part_panels(target, draw_ellipsoids(start.posed(), camera, size).labels).savefig(arguments.out / "before.png")
+
+    # With ``num_maps`` the renderer makes float maps (B, K, H, W). Whatever is computed from them flows back: here each
+    # pixel's share of the IoU, which PartDR turns into pulls on outlines.
+    wanted = one_hot(target)
+    rotations = start.rotations.clone().requires_grad_()
+    optimizer = torch.optim.Adam([rotations], lr=0.03)
+    losses = []
+    for _ in range(arguments.iterations):
+        optimizer.zero_grad()
+        posed = replace(start, rotations=rotations).posed()
+        image = draw_ellipsoids(posed, camera, size, num_maps=K, gradient="partdr")
+        loss = iou_loss(image.maps, wanted).sum()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    part_panels(target, image.labels).savefig(arguments.out / "after.png")
+    loss_curve(losses, label="1 - IoU").savefig(arguments.out / "loss.png")
+    print(f"1 - IoU: {losses[0]:.3f} at the start, {losses[-1]:.3f} after {len(losses)} iterations")
+    print(f"Pictures: {arguments.out}")
+    return losses
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Train a tiny network through the renderer, from part labels alone.
+
+    python demos/train_from_labels.py --out FOLDER
+
+The network sees a label image and says how arms and legs are turned. Nobody tells it the true angles: its body is
+drawn, and all it learns from is which pixels came out wrong. Writes ``loss.png`` and ``people.png``, people that it was
+not trained on: their labels, the network's bodies before the training, and after it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+import warp as wp
+from matplotlib.figure import Figure
+from torch import nn
+
+from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.palette import PART_COLOURS
+from warp_partdr.plot import loss_curve
+
+BONES = ("upper_arm", "forearm", "upper_leg")
+MIRROR = (("left", 1.0), ("right", -1.0))  # the same number lifts a left limb and a right one
+LOWEST, HIGHEST = torch.tensor([-1.2, -0.9, 0.0]).repeat(2), torch.tensor([0.9, 0.9, 0.5]).repeat(2)  # [rad]
+SHOWN = 5  # people in the picture
+
+
+def bodies(angles: torch.Tensor) -> BodyParameters:
+    """Mean bodies whose limbs are turned in the picture's plane by ``angles`` (B, 6) [rad]."""
+    start = BodyParameters.mean(len(angles))
+    columns = dict(zip([(side, bone) for side, _ in MIRROR for bone in BONES], angles.unbind(1), strict=True))
+    sign = dict(MIRROR)
+    zero = torch.zeros(len(angles))
+    about_z = [
+        sign[side] * columns[side, bone] if (side, bone) in columns else zero
+        for side, _, bone in (name.partition("_") for name in PART_NAMES)
+    ]
+    turns = torch.stack(about_z, dim=1)
+    return replace(start, rotations=torch.stack([torch.zeros_like(turns), torch.zeros_like(turns), turns], dim=-1))
+
+
+def draw(angles: torch.Tensor, size: int) -> torch.Tensor:
+    """Label images (B, H, W)."""
+    people = bodies(angles)
+    return draw_ellipsoids(people.posed(), people.camera(size), (size, size)).labels
+
+
+def random_angles(count: int) -> torch.Tensor:
+    """Poses (B, 6) [rad]."""
+    return torch.lerp(LOWEST, HIGHEST, torch.rand(count, len(LOWEST)))
+
+
+class LimbNetwork(nn.Module):
+    """Label images (B, H, W) to angles (B, 6)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        widths = (len(PART_NAMES) + 1, 24, 32, 48, 64)
+        layers: list[nn.Module] = []
+        for before, after in pairwise(widths):
+            layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.ReLU()]
+        self.layers = nn.Sequential(*layers, nn.Flatten(), nn.LazyLinear(64), nn.ReLU(), nn.Linear(64, len(LOWEST)))
+
+    def forward(self, labels: torch.Tensor) -> torch.Tensor:
+        maps = nn.functional.one_hot(labels.long(), len(PART_NAMES) + 1).permute(0, 3, 1, 2).float()
+        return torch.lerp(LOWEST, HIGHEST, self.layers(maps).sigmoid())
+
+
+def wrong_pixels(network: nn.Module, labels: torch.Tensor) -> torch.Tensor:
+    """L_seg of the network's bodies against what it was shown, mean a person [px]."""
+    people = bodies(network(labels))
+    loss, _ = ellipsoid_label_loss(people.posed(), people.camera(labels.shape[1]), labels, gradient="partdr")
+    return loss.mean()
+
+
+def picture(rows: dict[str, torch.Tensor]) -> Figure:
+    """Label images (B, H, W) in named rows."""
+    figure = Figure(figsize=(2.2 * SHOWN, 2.4 * len(rows)), layout="constrained")
+    colours = PART_COLOURS.copy()
+    colours[0] = 255
+    for line, (name, labels) in zip(figure.subplots(len(rows), SHOWN), rows.items(), strict=True):
+        line[0].set_title(name, loc="left")
+        for axes, image in zip(line, labels, strict=False):
+            axes.imshow(colours[image.numpy()])
+            axes.set_axis_off()
+    return figure
+
+
+def main(argv: list[str] | None = None) -> tuple[list[float], list[float]]:
+    """Train and draw; gives the loss of each step [px a person], and the mean error before and after [degrees]."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/train_from_labels"), help="folder to write to")
+    parser.add_argument("--size", type=int, default=64, help="side of the label images [px]; default: %(default)s")
+    parser.add_argument("--batch", type=int, default=32, help="people a step; default: %(default)s")
+    parser.add_argument("--steps", type=int, default=200, help="default: %(default)s")
+    arguments = parser.parse_args(argv)
+    wp.config.log_level = wp.LOG_WARNING
+    torch.manual_seed(0)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+
+    # People for the end, whom the network isn't trained on. Of them alone the true angles are kept, to compare with.
+    truth = random_angles(64)
+    unseen = draw(truth, arguments.size)
+    network = LimbNetwork()
+    with torch.no_grad():
+        before = network(unseen)
+
+    # Training is ordinary torch: the renderer is one more differentiable layer behind the network. Of random people,
+    # the labels are all that is left to learn from.
+    optimizer = torch.optim.Adam(network.parameters(), lr=2e-3)
+    losses = []
+    for _ in range(arguments.steps):
+        labels = draw(random_angles(arguments.batch), arguments.size)
+        loss = wrong_pixels(network, labels)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+
+    with torch.no_grad():
+        after = network(unseen)
+    loss_curve(losses, label="L_seg [px a person]").savefig(arguments.out / "loss.png")
+    rows = {
+        "labels of people it has not seen": unseen,
+        "the network's bodies before the training": draw(before, arguments.size),
+        "and after it": draw(after, arguments.size),
+    }
+    picture(rows).savefig(arguments.out / "people.png")
+    errors = [float((angles - truth).abs().mean().rad2deg()) for angles in (before, after)]
+    print(f"Angles of people it has not seen: {errors[0]:.1f}° off before the training, {errors[1]:.1f}° after it")
+    print(f"Pictures: {arguments.out}")
+    return losses, errors
+
+
+if __name__ == "__main__":
+    main()
