@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 PIP_FLAGS := -qq --disable-pip-version-check
 INSTALL := $(BIN)/python -m pip install $(PIP_FLAGS) --constraint constraints.txt
 EXAMPLE := warp_partdr/assets/example
-SOURCES := $(shell find warp_partdr kernels body -type f -not -path '*/__pycache__/*')
+SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path '*/__pycache__/*')
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -42,7 +42,7 @@ format: $(VENV)/.installed-dev  ## let ruff put right what it can
 # mypy does not follow setuptools' editable finder, so it is shown the package's real layout, made of links.
 types: $(VENV)/.installed-dev  ## mypy
 	@rm -rf build/typing && mkdir -p build/typing/warp_partdr
-	@ln -s $(foreach entry,$(wildcard warp_partdr/*) kernels body,../../../$(entry)) build/typing/warp_partdr/
+	@ln -s $(foreach entry,$(wildcard warp_partdr/*) kernels body demos/viewer,../../../$(entry)) build/typing/warp_partdr/
 	$(BIN)/mypy build/typing/warp_partdr
 
 # A user's view: the wheel alone, in an environment of its own, from another folder. A library that logs a traceback there

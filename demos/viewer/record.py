@@ -1,0 +1,133 @@
+"""A refinement as a file: an animated GIF, an MP4, or a page for the browser that holds its pictures."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+_PAUSE = 12  # times the last picture is shown at the end
+_MILLISECONDS = 80  # a picture
+_GRAY = 8  # range of a pixel's channels up to which it is gray
+_PLAIN = 5000  # pixels that stand for gray ones, white and black in a palette
+
+
+def frames(scene: Scene, steps: int, every: int = 2) -> Iterator[np.ndarray]:
+    """The start, then a picture after each ``every`` steps, and the last: RGB, (height, width, 3), uint8."""
+    yield scene.screenshot()
+    for done in range(1, steps + 1):
+        scene.state.step()
+        if done % every == 0 or done == steps:
+            scene.update()
+            yield scene.screenshot()
+
+
+def check_format(path: Path) -> None:
+    """Raise InputError unless ``write`` can write such a file here."""
+    if path.suffix not in _WRITERS:
+        raise InputError(f"--record: {path}; expected a name that ends with {', '.join(_WRITERS)}")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"--record: {path}; expected a file in a folder that is there")
+    if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
+        raise InputError(
+            "--record: .mp4 without imageio-ffmpeg; expected it (pip install imageio-ffmpeg), or .gif or .html, "
+            "which need nothing more"
+        )
+
+
+def write(pictures: Sequence[np.ndarray], path: Path) -> None:
+    """Write pictures as the file's name says.
+
+    Raises:
+        InputError: If the file can't be written.
+    """
+    try:
+        _WRITERS[path.suffix](list(pictures), path)
+    except OSError as error:
+        raise InputError(f"--record: {path}: {error.strerror or error}; expected a file that can be written") from error
+
+
+def _write_gif(pictures: list[np.ndarray], path: Path) -> None:
+    """All pictures share one palette, so that no colour flickers; the paper, most of a picture, gets little of it."""
+    from PIL import Image
+
+    some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]).reshape(-1, 3)
+    coloured = some[np.ptp(some, axis=1) > _GRAY]
+    shown = np.concatenate([coloured, some[:: max(len(some) // _PLAIN, 1)]])
+    palette = Image.fromarray(shown[None]).quantize(256)
+    images = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    durations = [_MILLISECONDS] * (len(images) - 1) + [_MILLISECONDS * _PAUSE]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(pictures: list[np.ndarray], path: Path) -> None:
+    imageio_ffmpeg: Any = import_module("imageio_ffmpeg")
+    height, width = pictures[0].shape[:2]
+    rate = 1000 / _MILLISECONDS
+    writer = imageio_ffmpeg.write_frames(str(path), (width, height), fps=rate, macro_block_size=2, quality=8)
+    writer.send(None)
+    for picture in [*pictures, *pictures[-1:] * _PAUSE]:
+        writer.send(np.ascontiguousarray(picture))
+    writer.close()
+
+
+def _write_html(pictures: list[np.ndarray], path: Path) -> None:
+    from PIL import Image
+
+    sources = []
+    for picture in pictures:
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, "webp", quality=80)
+        sources.append(f'"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"')
+    path.write_text(_PAGE.replace("SOURCES", ",\n".join(sources)).replace("PAUSE", str(_MILLISECONDS)))
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>partdr demo</title>
+<style>
+body { margin: 1em auto; max-width: 1280px; font: 15px sans-serif; background: #fafafa; }
+img { width: 100%; } input { width: 80%; vertical-align: middle; }
+</style>
+<img id="picture" alt="the refinement">
+<p><button id="play">pause</button> <input id="place" type="range" min="0" value="0"></p>
+<script>
+const pictures = [
+SOURCES
+];
+const [picture, play, place] = ["picture", "play", "place"].map(id => document.getElementById(id));
+place.max = pictures.length - 1;
+let playing = true;
+function show(index) { place.value = index; picture.src = pictures[index]; }
+play.onclick = () => {
+  playing = !playing;
+  if (playing && +place.value === pictures.length - 1) show(0);
+  play.textContent = playing ? "pause" : "play";
+};
+place.oninput = () => { playing = true; play.onclick(); show(+place.value); };
+setInterval(() => {
+  if (!playing) return;
+  if (+place.value === pictures.length - 1) play.onclick(); else show(+place.value + 1);
+}, PAUSE);
+show(0);
+</script>
+</html>
+"""
+
+_WRITERS: dict[str, Callable[[list[np.ndarray], Path], None]] = {
+    ".gif": _write_gif,
+    ".mp4": _write_mp4,
+    ".html": _write_html,
+}

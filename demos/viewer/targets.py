@@ -1,0 +1,162 @@
+"""What the demo's body starts as, and what it is to become: presets, random people, and a user's own photo."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..body.labels import LabelSet, label_set
+from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
+from ..body.skeletons import skeleton
+from ..body_file import load_body
+from ..ellipsoids import draw_ellipsoids
+from ..energy import LandmarkGather, Observation
+from ..errors import InputError
+from ..inputs import check_inside, check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
+from ..observation import LABEL_SIZE, observe
+from ..parameters import BodyParameters
+from ..partbench.poses import draw_pose
+from ..posing import Posed
+from ..refinement import SIZES
+
+# Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
+_PRESETS: dict[str, tuple[str | None, int, float]] = {
+    "t-pose": (None, 0, 0.0),
+    "walking": ("walking away", 2, 40.0),
+    "crossed arms": ("crossed arms", 4, 10.0),
+    "sitting": ("sitting", 4, 40.0),
+}
+PRESETS = tuple(_PRESETS)
+RANDOM = "random"
+_SPREAD = {"lengths": 0.06, "thicknesses": 0.12}  # standard deviation of a random body's sizes, of the mean adult's
+_WIDEST_TURN = 60.0  # [degrees] of a random body
+_PAPER = (250, 250, 250)  # beyond a photo's border
+_FORMAT = "coco17"  # keypoints of a target that is a body
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the refinement is to reach.
+
+    Attributes:
+        observation: Keypoints and labels in the crop; no labels where the user has none.
+        truth: The body it was drawn from; None of a photo.
+        photo: The crop of the user's photo, RGB, shape (N, N, 3), uint8; None without.
+    """
+
+    observation: Observation
+    truth: BodyParameters | None = None
+    photo: np.ndarray | None = None
+
+    @property
+    def label_set(self) -> LabelSet:
+        """What the groups of pictures are: the labels' own, or the 20 parts."""
+        return self.observation.label_set or label_set("ellipbody20")
+
+    @cached_property
+    def posed(self) -> Posed | None:
+        """Where the true body's ellipsoids are, in the camera frame [m]; None of a photo."""
+        return None if self.truth is None else self.truth.posed()
+
+
+def body_of(name: str, seed: int = 0) -> BodyParameters:
+    """A body by name.
+
+    Args:
+        name: One of ``PRESETS``, or "random".
+        seed: Of a random one.
+
+    Raises:
+        InputError: If there is no such body.
+    """
+    if name != RANDOM and name not in _PRESETS:
+        raise InputError(f"body: {name!r}; expected one of {', '.join((*PRESETS, RANDOM))}")
+    body = BodyParameters.mean(1)
+    if name == RANDOM:
+        rng = np.random.default_rng(seed)
+        rotations = draw_pose("prior", rng).rotations
+        turn = rng.uniform(-_WIDEST_TURN, _WIDEST_TURN)
+        sizes = {}
+        for field, spread in _SPREAD.items():
+            usual = body.tensors()[field]
+            share = torch.from_numpy(rng.normal(1.0, spread, usual.shape)).float()
+            sizes[field] = usual * share.clamp(*SIZES[field])
+        body = replace(body, **sizes)
+    else:
+        kind, drawn, turn = _PRESETS[name]
+        rotations = np.zeros((20, 3)) if kind is None else draw_pose(kind, np.random.default_rng(drawn)).rotations
+    yaw = rotation_from_axis_angle(torch.tensor([0.0, math.radians(turn), 0.0]))
+    return replace(
+        body,
+        orientation=rotation_to_6d(body.global_orient() @ yaw),
+        rotations=torch.from_numpy(rotations)[None].float(),
+    )
+
+
+def read_body(path: str | Path) -> BodyParameters:
+    """The body of a ``body.npz``; the longer side of its picture becomes the side of the crop.
+
+    Raises:
+        InputError: If the file can't be read.
+    """
+    stored = load_body(path)
+    height, width = stored.image_size.tolist()
+    half = max(height, width) / 2
+    shift = (stored.camera_translation - np.array([width / 2, height / 2])) / half
+    return BodyParameters(
+        orientation=rotation_to_6d(torch.from_numpy(stored.global_orient))[None],
+        rotations=rotation_to_axis_angle(torch.from_numpy(stored.rotations))[None],
+        lengths=torch.from_numpy(stored.lengths)[None],
+        thicknesses=torch.from_numpy(stored.thicknesses)[None],
+        log_scale=torch.tensor([math.log(float(stored.camera_scale) / half)]),
+        shift=torch.from_numpy(shift).float()[None],
+    )
+
+
+def target_of(body: BodyParameters) -> Target:
+    """What is to be seen of a body: its keypoints and the labels of its 20 parts."""
+    names = skeleton(_FORMAT).landmarks
+    with torch.no_grad():
+        posed = body.posed()
+        points = body.camera(2).project(LandmarkGather(names, "cpu")(posed))[0, :, :2] - 1
+        labels = draw_ellipsoids(posed, body.camera(LABEL_SIZE), (LABEL_SIZE, LABEL_SIZE)).labels[0]
+    observation = Observation(names, points, torch.ones(len(names)), labels, label_set("ellipbody20"))
+    return Target(observation, truth=body)
+
+
+def read_target(photo: Path | None, keypoints: Path, parts: Path | None, labels: str) -> Target:
+    """A user's person.
+
+    Args:
+        photo: The picture, to be shown; may be left out.
+        keypoints: 2D keypoints of its people; the largest person is taken.
+        parts: Part labels; without, only keypoints can be followed.
+        labels: What the ids of ``parts`` mean.
+
+    Raises:
+        InputError: If a file can't be read, or they don't fit each other.
+    """
+    picture = None if photo is None else read_photo(photo)
+    image = None if parts is None else read_parts(parts, read_label_set(labels))
+    groups = None if image is None else image.groups
+    check_sizes(photo=None if picture is None else picture.shape[:2], parts=None if groups is None else groups.shape)
+    people = read_keypoints(keypoints)
+    person = choose_person(people, groups)
+    check_inside(person, next((seen.shape[:2] for seen in (picture, groups) if seen is not None), None))
+    observation, crop = observe(person, image, others=tuple(other for other in people if other is not person))
+    shown = None
+    if picture is not None:
+        from PIL import Image
+
+        height, width = crop.size
+        box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
+        cut = Image.fromarray(picture).transform(
+            (width, height), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR, fillcolor=_PAPER
+        )
+        shown = np.asarray(cut)
+    return Target(replace(observation, maps=None, known=None), photo=shown)

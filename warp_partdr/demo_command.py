@@ -1,0 +1,115 @@
+"""The command ``partdr demo``: play with a body and its refinement in a window, or record one without."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .errors import InputError
+
+DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
+
+Example: `partdr demo`, then the space bar. Without a screen: `partdr demo --record out.gif`
+
+Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss. The
+window lists its keys. Bodies by name: t-pose, walking, crossed arms, sitting, random.
+
+**A person of your own**: --keypoints and, for more than those, --parts with --labels, as `partdr fit` takes them.
+"""
+
+
+def demo(
+    start: Annotated[str, typer.Option(help="Body to begin with.", metavar="NAME")] = "t-pose",
+    target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
+    seed: Annotated[int, typer.Option(help="Of random bodies.", metavar="N")] = 0,
+    body: Annotated[
+        Path | None, typer.Option(help="Begin with a body.npz of `partdr fit` instead.", metavar="FILE.npz")
+    ] = None,
+    photo: Annotated[
+        Path | None, typer.Option(help="Picture of the person to reach, to be shown.", metavar="FILE")
+    ] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="2D keypoints of the person to reach, JSON.", metavar="FILE.json")
+    ] = None,
+    parts: Annotated[Path | None, typer.Option(help="Part labels of the person to reach.", metavar="FILE")] = None,
+    labels: Annotated[
+        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
+    ] = "ellipbody20",
+    supervision: Annotated[
+        str, typer.Option(help="What is followed: keypoints; with them the silhouette, or the parts.", metavar="NAME")
+    ] = "parts",
+    depth_gradient: Annotated[bool, typer.Option(help="With PartDR's z gradient, or without.")] = True,
+    renderer: Annotated[str, typer.Option(help="exact, or the mesh of a level: E0 to E3.", metavar="NAME")] = "exact",
+    gradient: Annotated[
+        str, typer.Option(help="Of the exact renderer: partdr, coverage or edges.", metavar="NAME")
+    ] = "partdr",
+    size: Annotated[int, typer.Option(help="Pixels a side: 64, 128, 256 or 512.", metavar="N")] = 256,
+    steps: Annotated[int, typer.Option(help="Iterations.", metavar="N")] = 100,
+    record: Annotated[
+        Path | None, typer.Option(help="Write the refinement, without a window: .gif, .mp4 or .html.", metavar="FILE")
+    ] = None,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Print how long a change takes to be drawn, without a window.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Where the window saves to.", metavar="FOLDER")] = Path("out"),
+) -> None:
+    """Play; see ``DEMO_HELP``."""
+    if record is None and not profile:
+        _check_display()
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    torch.set_num_threads(1)  # the tensors are small
+    # By name: the demo stands above the package, which imports nothing of it until it is asked for.
+    targets, state, recording = (
+        import_module(f".viewer.{name}", __package__) for name in ("targets", "state", "record")
+    )
+    if record is not None:
+        recording.check_format(record)
+    settings = state.Settings(supervision, depth_gradient, renderer, gradient, size, steps)
+    if keypoints is not None:
+        aim = targets.read_target(photo, keypoints, parts, labels)
+    elif photo is not None or parts is not None:
+        raise InputError("--keypoints: none with --photo or --parts; expected the person's 2D keypoints, FILE.json")
+    else:
+        aim = targets.target_of(targets.body_of(target, seed + 1))
+    first = targets.body_of(start, seed) if body is None else targets.read_body(body)
+    shown = state.DemoState(first, aim, settings)
+    if record is not None:
+        _record(shown, recording, record, steps)
+        return
+    window = import_module(".viewer.window", __package__).Window(shown, out, off_screen=profile)
+    if not profile:
+        window.show()
+        return
+    for what, took in window.profile().items():
+        typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {size}x{size}")
+
+
+def _check_display() -> None:
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            "demo: no display (DISPLAY is not set); expected one, or --record out.gif or out.html, which need none"
+        )
+
+
+def _record(shown: Any, recording: Any, path: Path, steps: int) -> None:
+    from .progress import FitProgress
+
+    scene = import_module(".viewer.scene", __package__).Scene(shown)
+    try:
+        with FitProgress() as progress:
+            pictures = []
+            for picture in recording.frames(scene, steps):
+                pictures.append(picture)
+                progress("recording", len(shown.history), steps)
+            recording.write(pictures, path)
+    finally:
+        scene.close()
+    typer.echo(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB")
