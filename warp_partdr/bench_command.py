@@ -41,7 +41,7 @@ Example: `partdr bench tradeoff --device cpu --quick`
 
 People of known truth, EllipBodies and Annys, are refined from starts a stated way off: time an iteration against part
 F1, joint error and error of the gradient; then iterations, float64, and whole fits at each quality. Tables on the
-screen; the same figures as bench-tradeoff-DEVICE.json, and a chart, .png, in FOLDER, with machine and versions. Twenty
+screen; the same figures as bench-tradeoff-DEVICE.json, and a chart, .png, in FOLDER, with machine and versions. Ten
 minutes on two cores that do nothing else; --quick one. docs/accuracy.md says what was found.
 """
 

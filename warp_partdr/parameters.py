@@ -101,8 +101,7 @@ class BodyParameters:
 
     def camera(self, size: int) -> WeakPerspective:
         """The cameras for a crop of ``size`` pixels a side."""
-        half = size / 2
-        return WeakPerspective(self.log_scale.exp() * half, (self.shift + 1) * half)
+        return crop_camera(self.log_scale, self.shift, size)
 
     def select(self, index: torch.Tensor) -> BodyParameters:
         """Some of the bodies."""
@@ -134,3 +133,9 @@ class BodyParameters:
     def tensors(self) -> dict[str, torch.Tensor]:
         """The tensors by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:
+    """The cameras of ``BodyParameters``, shapes (B,) and (B, 2), for a crop of ``size`` pixels a side."""
+    half = size / 2
+    return WeakPerspective(log_scale.exp() * half, (shift + 1) * half)

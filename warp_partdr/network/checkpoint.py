@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import resources
@@ -19,18 +19,7 @@ PACKAGED = "label_network.safetensors"
 _FILES = NetworkFiles(
     "warp-partdr label network 1", LabelNetworkConfig, "a network of `partdr train label-network` (safetensors)"
 )
-
-
-def save_label_network(
-    path: Path | str,
-    weights: Mapping[str, torch.Tensor],
-    config: LabelNetworkConfig,
-    about: Mapping[str, Any],
-    *,
-    half: bool = False,
-) -> None:
-    """Write a network; arguments as ``NetworkFiles.save`` has them."""
-    _FILES.save(path, weights, config, about, half=half)
+save_label_network = _FILES.save
 
 
 def load_label_network(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> LabelNetwork:

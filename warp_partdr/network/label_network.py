@@ -16,6 +16,7 @@ from torch import nn
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import NUM_PARTS
+from .heads import cell_centres
 from .landmarks import LANDMARKS
 from .predicted import Predicted
 from .regressor import Regressor, RegressorConfig
@@ -147,7 +148,7 @@ def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
         keypoints: Crop coordinates and confidence, shape (B, L, 3).
         size: Side of the maps [px].
     """
-    centres = (torch.arange(size, device=keypoints.device) + 0.5) * (2 / size) - 1
+    centres = cell_centres(size, keypoints.device)
     spots = (-0.5 * ((centres - keypoints[..., :2, None]) / _SPREAD).square()).exp()
     return keypoints[..., 2, None, None] * spots[..., 1, :, None] * spots[..., 0, None, :]
 

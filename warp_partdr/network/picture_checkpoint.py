@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -14,18 +12,7 @@ from .files import NetworkFiles
 _FILES = NetworkFiles(
     "warp-partdr ellipbodynet 1", EllipBodyNetConfig, "an EllipBodyNet of `partdr train ellipbodynet` (safetensors)"
 )
-
-
-def save_ellipbodynet(
-    path: Path | str,
-    weights: Mapping[str, torch.Tensor],
-    config: EllipBodyNetConfig,
-    about: Mapping[str, Any],
-    *,
-    half: bool = False,
-) -> None:
-    """Write a network with its own ``config``, which tells its backbone's architecture; see ``NetworkFiles.save``."""
-    _FILES.save(path, weights, config, about, half=half)
+save_ellipbodynet = _FILES.save
 
 
 def load_ellipbodynet(path: Path | str, *, device: torch.device | str = "cpu") -> EllipBodyNet:

@@ -8,7 +8,7 @@ import torch
 
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
-from ..parameters import BodyParameters
+from ..parameters import BodyParameters, crop_camera
 from ..posing import Posed, pose
 
 
@@ -39,8 +39,7 @@ class Predicted:
 
     def camera(self, size: int) -> WeakPerspective:
         """The cameras for a crop of ``size`` pixels a side."""
-        half = size / 2
-        return WeakPerspective(self.log_scale.exp() * half, (self.shift + 1) * half)
+        return crop_camera(self.log_scale, self.shift, size)
 
     def parameters(self) -> BodyParameters:
         """The same numbers for a fit, detached."""
