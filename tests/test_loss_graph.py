@@ -201,7 +201,7 @@ def test_few_graphs_are_kept():
 def test_a_capture_that_fails_leaves_nothing(monkeypatch):
     scene = Scene.make(8, "cpu", size=(17, 19))
     loss_graph._cached_graph.cache_clear()
-    capture = loss_graph._capture
+    capture = loss_graph.capture_graph
 
     def fail(launch, device):
         def launch_and_fail():
@@ -211,7 +211,7 @@ def test_a_capture_that_fails_leaves_nothing(monkeypatch):
         return capture(launch_and_fail, device)
 
     with monkeypatch.context() as patch:
-        patch.setattr(loss_graph, "_capture", fail)
+        patch.setattr(loss_graph, "capture_graph", fail)
         with pytest.raises(RuntimeError, match="no more"):
             scene.answer("coverage")
     assert loss_graph._cached_graph.cache_info().currsize == 0

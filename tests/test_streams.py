@@ -12,7 +12,10 @@ import warp as wp
 from test_fitting import seen_by, walker
 
 from warp_partdr.ellipsoids import draw_ellipsoids
+from warp_partdr.energy import Energy
 from warp_partdr.fitting import FitOptions, fit_body
+from warp_partdr.fused import minimise
+from warp_partdr.observation import observe
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.streams import capture_apart, on_torch_stream
 
@@ -95,3 +98,20 @@ def test_others_may_use_the_default_stream_during_a_capture(device):
         finally:
             done.set()
         other.result(timeout=10)
+
+
+def test_two_threads_capture_at_once_again_and_again(device):
+    """torch hands its few streams out again: two captures must not meet on one."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    keypoints, parts = seen_by(walker(device))
+    seen, _ = observe(keypoints, parts, device=device)
+    energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=device)
+    want = minimise(start, energy, iterations=2).energy
+
+    def capture(_):
+        with torch.cuda.stream(torch.cuda.Stream()):
+            return all(torch.equal(minimise(start, energy, iterations=2).energy, want) for _ in range(40))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(capture, range(2)))

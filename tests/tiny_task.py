@@ -51,9 +51,11 @@ class TinyTask:
 
     def model(self) -> torch.nn.Module:
         sizes = self.config.model
-        norm = torch.nn.Identity() if self.config.data.joint else torch.nn.BatchNorm1d(8)
         return torch.nn.Sequential(
-            torch.nn.Linear(sizes.inputs, 8), norm, torch.nn.Dropout(sizes.dropout), torch.nn.Linear(8, 1)
+            torch.nn.Linear(sizes.inputs, 8, bias=False),
+            torch.nn.BatchNorm1d(8),
+            torch.nn.Dropout(sizes.dropout),
+            torch.nn.Linear(8, 1),
         )
 
     def begin(self, phase: Any) -> None:

@@ -35,7 +35,7 @@ from .kernels.threads import run_slices, split_batch
 from .parameters import ROW, BodyParameters
 from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
 from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, check_steps, rate_share, refine
-from .streams import capture_apart, capture_stream, on_torch_stream
+from .streams import capture_graph, on_torch_stream
 
 TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
 
@@ -135,7 +135,8 @@ class FusedRefinement:
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         self.observe(energies)
         if batch_size > 0:
-            self._rewind_graph, self._graph = self._capture(self._rewind), self._capture(self.iterate)
+            self._rewind_graph = capture_graph(self._rewind, self._device)
+            self._graph = capture_graph(self.iterate, self._device)
 
     def _make_state(self, where: str) -> State:
         """What the host reads or writes, and what the kernels alone use."""
@@ -268,14 +269,6 @@ class FusedRefinement:
             {name: terms[:, column] for column, name in enumerate(TERMS) if used[name]},
             self._history[:-1].clone(),
         )
-
-    def _capture(self, launch: Callable[[], None]) -> wp.Graph:
-        """What ``launch`` launches."""
-        device = wp.device_from_torch(self._device)
-        stream = capture_stream(device)
-        with capture_apart(self._device), wp.ScopedStream(stream), wp.ScopedCapture(device, stream) as capture:
-            launch()
-        return capture.graph
 
 
 def _wp(tensor: torch.Tensor, kind: Any = None) -> wp.array:

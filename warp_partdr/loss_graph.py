@@ -18,7 +18,7 @@ import torch
 import warp as wp
 
 from .kernels.threads import get_num_threads, launch_in_slices, run_slices, split_batch
-from .streams import capture_apart, capture_stream, on_torch_stream
+from .streams import capture_graph, on_torch_stream
 
 Shapes = tuple[torch.Size, ...]
 
@@ -200,8 +200,7 @@ class LossGraph:
         with on_torch_stream(device):
             # They are kept, for a graph holds no memory alive.
             self._launches = {part.start: recipe.prepare(buffers.of_bodies(part)) for part in self._slices}
-        with capture_apart(device):
-            self._graphs = {start: _capture(launch, device) for start, launch in self._launches.items()}
+        self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
 
     def __call__(
         self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
@@ -219,15 +218,6 @@ class LossGraph:
             with torch.cuda.device(self._device):
                 wp.capture_launch(self._graphs[0], stream=self._stream)
         return self._losses.sum(1), self._rows.clone()
-
-
-def _capture(launch: Callable[[], None], device: torch.device) -> wp.Graph:
-    with on_torch_stream(device) as where:
-        warp_device = wp.get_device(where)
-        stream = capture_stream(warp_device)
-        with wp.ScopedStream(stream), wp.ScopedCapture(warp_device, stream) as capture:
-            launch()
-    return capture.graph
 
 
 def _graph(recipe: Recipe, shapes: Shapes, target: torch.Tensor) -> LossGraph:

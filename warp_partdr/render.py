@@ -414,7 +414,7 @@ def _prepare_gradient(
                     push_depths(gradient=gradient)
 
         # They write other components of the gradient.
-        launch_side_by_side(lambda: push_edges(gradient=first), push_all_depths, screen.device)
+        launch_side_by_side(lambda: push_edges(gradient=first), push_all_depths)
 
     return launch
 

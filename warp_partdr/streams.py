@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 
 import torch
 import warp as wp
 
-from .kernels import side_stream
+from .kernels.side_stream import branch_on
 
 
 class _Gate:
@@ -64,16 +64,44 @@ def capture_apart(device: torch.device) -> Iterator[None]:
         yield
 
 
-def capture_stream(device: wp.Device) -> wp.Stream | None:
-    """A stream to capture a graph on; none on the CPU.
+def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
+    """What ``launch`` launches, as a graph; other threads may work, and capture, meanwhile."""
+    with capture_apart(device), on_torch_stream(device) as where:
+        warp_device = wp.get_device(where)
+        with (
+            _lend_stream(warp_device) as stream,
+            _lend_stream(warp_device) as branch,
+            branch_on(branch),
+            wp.ScopedStream(stream),
+            wp.ScopedCapture(warp_device, stream) as capture,
+        ):
+            launch()
+    return capture.graph
+
+
+# torch has a few dozen streams in all and hands the same ones out again and again: so those once had are kept.
+_streams_lock = threading.Lock()
+_free_streams: defaultdict[str, list[wp.Stream]] = defaultdict(list)
+
+
+@contextmanager
+def _lend_stream(device: wp.Device) -> Iterator[wp.Stream | None]:
+    """A stream to capture on, which nobody else captures on until it is given back; none on the CPU.
 
     Not torch's current one, which may be the default one, which can't be captured; and of torch's making, for those of
     Warp's wait for the default one, so that whatever another thread puts there meanwhile would spoil the capture.
     """
-    return None if device.is_cpu else wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
-
-
-side_stream.make_stream = capture_stream
+    if device.is_cpu:
+        yield None
+        return
+    with _streams_lock:
+        free = _free_streams[device.alias]
+        stream = free.pop() if free else wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
+    try:
+        yield stream
+    finally:
+        with _streams_lock:
+            free.append(stream)
 
 
 @contextmanager

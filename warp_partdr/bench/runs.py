@@ -173,7 +173,7 @@ class MeshRun:
             hidden=self._hidden,
             grad_vertices=self._grad,
         )
-        launch_side_by_side(push_edges, push_depths, vertices.device)
+        launch_side_by_side(push_edges, push_depths)
 
     def check(self) -> None:
         """Hold the runs against ``label_loss``.

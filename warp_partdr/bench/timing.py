@@ -11,6 +11,8 @@ import numpy as np
 import torch
 import warp as wp
 
+from ..streams import capture_graph
+
 Clock = Callable[[], float]
 
 _MIN_REPEATS = 3
@@ -87,10 +89,12 @@ def capture(launch: Callable[[], None], device: str, times: int = 1) -> wp.Graph
     wp.synchronize_device(device)  # torch, which made the inputs, has streams of its own
     launch()
     wp.synchronize_device(device)
-    with wp.ScopedCapture(device=device) as captured:
+
+    def launch_all() -> None:
         for _ in range(times):
             launch()
-    return captured.graph
+
+    return capture_graph(launch_all, torch.device(device))
 
 
 def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:

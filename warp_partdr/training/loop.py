@@ -27,6 +27,7 @@ from .checkpoints import (
 from .config import Phase, TrainingConfig
 from .ema import RunningMean
 from .guards import memory_errors, rounded_products, signals
+from .joint_norm import normalise_jointly
 from .logs import RunLog
 from .schedule import learning_rate, phase_at
 from .task import find_task
@@ -83,7 +84,10 @@ def _accelerated(config: TrainingConfig, device: str) -> Iterator[Any]:
         cpu=device == "cpu",
         mixed_precision=config.precision,
         gradient_accumulation_steps=config.accumulation,
-        kwargs_handlers=[DistributedDataParallelKwargs(gradient_as_bucket_view=True)],
+        kwargs_handlers=[
+            # Buffers are the running statistics, which every process has the same of: nothing to send at each step.
+            DistributedDataParallelKwargs(gradient_as_bucket_view=True, broadcast_buffers=False)
+        ],
     )
     try:
         yield accelerator
@@ -121,12 +125,7 @@ class _Run:
         self.mean = RunningMean(self.bare, config.ema)
         said: list[str] = []
         if self.processes > 1:
-            if self.device.type == "cuda":
-                self.bare = torch.nn.SyncBatchNorm.convert_sync_batchnorm(self.bare)
-            elif any(isinstance(module, torch.nn.modules.batchnorm._BatchNorm) for module in self.bare.modules()):
-                said.append(
-                    "batch normalisation: on the CPU its statistics are those of one process' part of the batch"
-                )
+            self.bare = normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
         _check_frozen(config, self.names.values())
         self.optimizer = torch.optim.AdamW(

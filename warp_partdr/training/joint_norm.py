@@ -1,0 +1,107 @@
+"""Batch normalisation over the joint batch of all processes, on any device, that never lets the host wait.
+
+torch's ``SyncBatchNorm`` is for CUDA alone and drops processes without samples by a mask, whose size the host must
+know: a wait in each layer, in which it launches nothing. Here every process has samples.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+
+def normalise_jointly(model: nn.Module) -> nn.Module:
+    """The model with a ``JointBatchNorm`` in the place of each batch normalisation, with the same parameters."""
+    if isinstance(model, _BatchNorm):
+        return JointBatchNorm(model)
+    for name, child in model.named_children():
+        setattr(model, name, normalise_jointly(child))
+    return model
+
+
+class JointBatchNorm(nn.Module):
+    """What ``norm`` does, but with the statistics of all processes' samples while training.
+
+    Args:
+        norm: With weight, bias, running statistics and a momentum; this module takes them over, under the same names.
+    """
+
+    running_mean: torch.Tensor
+    running_var: torch.Tensor
+    num_batches_tracked: torch.Tensor
+
+    def __init__(self, norm: _BatchNorm) -> None:
+        super().__init__()
+        assert norm.affine
+        assert norm.track_running_stats
+        assert norm.momentum is not None
+        self.weight, self.bias, self.eps, self.momentum = norm.weight, norm.bias, norm.eps, norm.momentum
+        for name, buffer in norm.named_buffers(recurse=False):
+            self.register_buffer(name, buffer)
+        self.training = norm.training
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Shape (B, C, ...), of any dtype; statistics are float32."""
+        if not self.training:
+            return _normalise(values, self.weight, self.bias, self.running_mean, self.running_var, self.eps)
+        mean, variance, count = _joint_statistics(values.detach())
+        with torch.no_grad():
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(variance * (count / (count - 1)), self.momentum)
+            self.num_batches_tracked.add_(1)
+        normalised: torch.Tensor = _Normalise.apply(values, self.weight, self.bias, mean, variance, count, self.eps)  # type: ignore[no-untyped-call]
+        return normalised
+
+
+def _joint_statistics(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Mean, biased variance and number of samples a channel, of all processes."""
+    own = values.numel() // values.shape[1]
+    mean, variance = torch.batch_norm_update_stats(values, None, None, 0.0)
+    found = torch.stack([mean.float(), variance.float(), torch.full_like(mean, own, dtype=torch.float32)])
+    each = found.new_empty(dist.get_world_size(), *found.shape)
+    dist.all_gather(list(each), found)
+    means, variances, counts = each.unbind(1)
+    count = counts.sum(0)
+    mean = (means * counts).sum(0) / count
+    variance = ((variances + (means - mean).square()) * counts).sum(0) / count
+    return mean, variance, count
+
+
+def _normalise(
+    values: torch.Tensor,
+    weight: torch.Tensor,
+    bias: torch.Tensor,
+    mean: torch.Tensor,
+    variance: torch.Tensor,
+    eps: float,
+) -> torch.Tensor:
+    """``weight * (values - mean) / sqrt(variance + eps) + bias``, in one kernel."""
+    return torch.native_batch_norm(values, weight, bias, mean, variance, False, 0.0, eps)[0]
+
+
+class _Normalise(torch.autograd.Function):
+    """``_normalise``, whose mean and variance are functions of all processes' values."""
+
+    @staticmethod
+    def forward(ctx: Any, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *statistics: Any) -> Any:
+        mean, variance, count, eps = statistics
+        ctx.save_for_backward(values, weight, mean, variance, count)
+        ctx.eps = eps
+        return _normalise(values, weight, bias, mean, variance, eps)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> Any:
+        values, weight, mean, variance, count = ctx.saved_tensors
+        # As if the statistics were constants, then what their being means takes away.
+        through, of_weight, of_bias = torch.ops.aten.native_batch_norm_backward(
+            gradients[0], values, weight, mean, variance, None, None, False, ctx.eps, [True, True, True]
+        )
+        joint = torch.stack([of_weight, of_bias])
+        dist.all_reduce(joint)
+        share = -weight * (variance + ctx.eps).rsqrt() / count
+        through = through + _normalise(values, share * joint[0], share * joint[1], mean, variance, ctx.eps)
+        return through, of_weight, of_bias, None, None, None, None
