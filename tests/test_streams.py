@@ -17,20 +17,20 @@ from warp_partdr.fitting import FitOptions, fit_body
 from warp_partdr.fused import minimise
 from warp_partdr.observation import observe
 from warp_partdr.parameters import BodyParameters
-from warp_partdr.streams import capture_apart, on_torch_stream
+from warp_partdr.streams import capture_graph, on_torch_stream
 
 
 def test_a_capture_waits_for_launches_and_launches_for_it():
     order: list[str] = []
     cpu = torch.device("cpu")
 
-    def capture():
-        with capture_apart(cpu), on_torch_stream(cpu):  # the capturing thread itself may launch
+    def launch():
+        with on_torch_stream(cpu):  # the capturing thread itself may
             order.append("captured")
 
     with ThreadPoolExecutor(1) as pool:
         with on_torch_stream(cpu), on_torch_stream(cpu):
-            waiting = pool.submit(capture)
+            waiting = pool.submit(capture_graph, launch, cpu)
             assert not waiting.done()
             order.append("launched")
         waiting.result(timeout=10)
@@ -101,7 +101,7 @@ def test_others_may_use_the_default_stream_during_a_capture(device):
 
 
 def test_two_threads_capture_at_once_again_and_again(device):
-    """torch hands its few streams out again: two captures must not meet on one."""
+    """torch hands its few streams out again: captures must not meet on one, nor others' launches spoil them."""
     if device == "cpu":
         pytest.skip("the CPU has no streams")
     keypoints, parts = seen_by(walker(device))

@@ -18,7 +18,7 @@ import torch
 import warp as wp
 
 from .kernels.threads import get_num_threads, launch_in_slices, run_slices, split_batch
-from .streams import capture_graph, on_torch_stream
+from .streams import capture_graph, launching, on_torch_stream
 
 Shapes = tuple[torch.Size, ...]
 
@@ -215,7 +215,7 @@ class LossGraph:
             with on_torch_stream(self._device):
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
         else:
-            with torch.cuda.device(self._device):
+            with launching(), torch.cuda.device(self._device):
                 wp.capture_launch(self._graphs[0], stream=self._stream)
         return self._losses.sum(1), self._rows.clone()
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import cache
 
 import torch
 import warp as wp
@@ -16,6 +17,7 @@ from .kernels.side_stream import branch_on
 class _Gate:
     """Warp records every CPU launch of the process into a capture in progress, whichever thread launches it.
 
+    And on CUDA much of what another thread may do, such as allocate or make a graph ready to be launched, spoils it.
     So a capture waits until no other thread launches, and the others wait until it ends.
     """
 
@@ -52,56 +54,31 @@ class _Gate:
 
 
 _gate = _Gate()
-
-
-@contextmanager
-def capture_apart(device: torch.device) -> Iterator[None]:
-    """Keep other threads' launches out of a capture; to be entered outside ``on_torch_stream``."""
-    if device.type == "cpu":
-        with _gate.capturing():
-            yield
-    else:
-        yield
+launching = _gate.launching
 
 
 def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
-    """What ``launch`` launches, as a graph; other threads may work, and capture, meanwhile."""
-    with capture_apart(device), on_torch_stream(device) as where:
-        warp_device = wp.get_device(where)
-        with (
-            _lend_stream(warp_device) as stream,
-            _lend_stream(warp_device) as branch,
-            branch_on(branch),
-            wp.ScopedStream(stream),
-            wp.ScopedCapture(warp_device, stream) as capture,
-        ):
+    """What ``launch`` launches, as a graph, and nothing of other threads; not to be called in ``on_torch_stream``."""
+    with _gate.capturing(), on_torch_stream(device) as where:
+        stream, branch = _capture_streams(where)
+        with branch_on(branch), wp.ScopedStream(stream), wp.ScopedCapture(where, stream) as capture:
             launch()
     return capture.graph
 
 
-# torch has a few dozen streams in all and hands the same ones out again and again: so those once had are kept.
-_streams_lock = threading.Lock()
-_free_streams: defaultdict[str, list[wp.Stream]] = defaultdict(list)
-
-
-@contextmanager
-def _lend_stream(device: wp.Device) -> Iterator[wp.Stream | None]:
-    """A stream to capture on, which nobody else captures on until it is given back; none on the CPU.
+@cache
+def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
+    """A stream to capture on and one for a branch; none on the CPU.
 
     Not torch's current one, which may be the default one, which can't be captured; and of torch's making, for those of
-    Warp's wait for the default one, so that whatever another thread puts there meanwhile would spoil the capture.
+    Warp's wait for the default one, so that whatever another thread puts there meanwhile would spoil the capture. Kept,
+    for torch has a few dozen streams in all and hands the same ones out again and again.
     """
+    device = wp.get_device(where)
     if device.is_cpu:
-        yield None
-        return
-    with _streams_lock:
-        free = _free_streams[device.alias]
-        stream = free.pop() if free else wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1))
-    try:
-        yield stream
-    finally:
-        with _streams_lock:
-            free.append(stream)
+        return None, None
+    first, second = (wp.stream_from_torch(torch.cuda.Stream(device.ordinal, priority=-1)) for _ in range(2))
+    return first, second
 
 
 @contextmanager
@@ -114,10 +91,15 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"device: {device}; expected a cpu or cuda device")
     wp.init()  # does nothing the second time; device_from_torch relies on it
+    with _gate.launching(), _on_stream(device) as where:
+        yield where
+
+
+@contextmanager
+def _on_stream(device: torch.device) -> Iterator[str]:
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
-        with _gate.launching():
-            yield warp_device.alias
+        yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
     side = torch_stream != torch.cuda.default_stream(device)

@@ -111,6 +111,10 @@ class Examples:
         moved = {each.name: getattr(self, each.name).to(device, non_blocking=True) for each in fields(self)}
         return Examples(**{**moved, "part_groups": self.part_groups})
 
+    def rows(self, index: torch.Tensor) -> Examples:
+        """Those of some people."""
+        return Examples(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
+
     @classmethod
     def cat(cls, examples: Sequence[Examples]) -> Examples:
         """All in one batch."""
@@ -228,8 +232,10 @@ class _Order(Sampler):
             yield epoch, int(order[place % self._count])
 
 
-def _collate(found: list[Examples | str]) -> tuple[list[Examples], list[str]]:
-    return [one for one in found if isinstance(one, Examples)], [one for one in found if isinstance(one, str)]
+def _collate(found: list[Examples | str]) -> tuple[Examples | None, list[str]]:
+    """One batch, for a worker hands each tensor over by itself, which takes longer than making it."""
+    read = [one for one in found if isinstance(one, Examples)]
+    return Examples.cat(read) if read else None, [one for one in found if isinstance(one, str)]
 
 
 class Feed:
@@ -274,7 +280,7 @@ class Feed:
             collate_fn=_collate,
             generator=torch.Generator(),  # or a loader draws from the global one, which a resumed run must not
         )
-        self._batches: Iterator[tuple[list[Examples], list[str]]] = iter(loader)
+        self._batches: Iterator[tuple[Examples | None, list[str]]] = iter(loader)
 
     def __next__(self) -> Examples:
         """The next batch, on the host.
@@ -287,8 +293,8 @@ class Feed:
             read, failed = next(self._batches)
             self.consumed += self._batch_size
             self.skipped.update(dict.fromkeys(failed))
-            if read:
-                return Examples.cat([read[k % len(read)] for k in range(self._batch_size)])
+            if read is not None:
+                return read.rows(torch.arange(self._batch_size) % len(read.pictures)) if failed else read
             empty += self._batch_size
             if empty >= self._count:
                 raise InputError(f"none of {self._count} samples can be read; the first: {failed[0]}")
