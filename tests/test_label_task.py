@@ -11,6 +11,7 @@ from test_fitting import walker
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.ellipsoids import draw_ellipsoids
 from warp_partdr.energy import LandmarkGather
+from warp_partdr.errors import InputError
 from warp_partdr.network.checkpoint import load_label_network
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import Predicted
@@ -153,3 +154,15 @@ def test_the_trained_network_can_be_loaded(task, tmp_path):
     model = task.model()
     task.save(tmp_path / "model.safetensors", model.state_dict(), {"steps": 1}, half=True)
     assert load_label_network(tmp_path / "model.safetensors").config.size == SIZE
+
+
+def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
+    weights = task.model().state_dict()
+    task.save(tmp_path / "model.safetensors", weights, {}, half=False)
+    read = task.read(str(tmp_path / "model.safetensors"))
+    assert read.keys() == weights.keys()
+    assert all(torch.equal(read[name], value) for name, value in weights.items())
+    with pytest.raises(InputError, match="initial: packaged: a network of"):
+        task.read("packaged")
+    packaged = LabelTask(make_config({"task": "label-network", "steps": 1}), rank=0, processes=1, device=task._device)
+    packaged.model().load_state_dict(packaged.read("packaged"))

@@ -155,6 +155,18 @@ def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
         train(config(tmp_path / "two", **{**numbers, "steps": 5}), resume=True, device="cpu")
 
 
+def test_begins_with_the_weights_of_another_run(tmp_path, device):
+    train(config(tmp_path / "first"), device=device)
+    first = load_file(tmp_path / "first/model.safetensors")
+    again = {"initial": str(tmp_path / "first/model.safetensors"), "steps": 1, "learning_rate": 1e-9, "ema": 0.0}
+    train(config(tmp_path / "second", **again), device=device)
+    second = load_file(tmp_path / "second/model.safetensors")
+    assert all(torch.allclose(second[name], first[name], atol=1e-6) for name in first if "weight" in name)
+    train(config(tmp_path / "third", **{**again, "initial": None}), device=device)
+    third = load_file(tmp_path / "third/model.safetensors")
+    assert not torch.allclose(third["0.weight"], first["0.weight"], atol=1e-3)
+
+
 def test_checkpoints_are_whole_and_few(tmp_path):
     half_written = tmp_path / "checkpoints/.step-00000004"
     half_written.mkdir(parents=True)

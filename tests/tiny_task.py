@@ -95,6 +95,11 @@ class TinyTask:
 
         save_file({name: value.half() if half else value for name, value in weights.items()}, path)
 
+    def read(self, source: str) -> Mapping[str, torch.Tensor]:
+        from safetensors.torch import load_file
+
+        return load_file(source)
+
     def skipped(self) -> Sequence[str]:
         return ["picture7: damaged"]
 

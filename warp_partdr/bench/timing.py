@@ -94,7 +94,7 @@ def capture(launch: Callable[[], None], device: str, times: int = 1) -> wp.Graph
         for _ in range(times):
             launch()
 
-    return capture_graph(launch_all, torch.device(device))
+    return capture_graph(launch_all, torch.device(wp.device_to_torch(wp.get_device(device))))
 
 
 def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:

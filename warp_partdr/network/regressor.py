@@ -20,6 +20,7 @@ from .predicted import Predicted
 
 CAMERA = "camera"  # name of the head that a schedule may freeze
 _MAX_LOG_SIZE = 1.0  # sizes stay within e of the mean body's
+_MAX_LOG_SCALE = 2.0  # a person of 1.7 m fills a crop at about 0
 _HEADS: dict[str, int] = {
     "orientation": 6,
     "rotations": 6 * len(FREE_PARTS),
@@ -128,6 +129,6 @@ def _bodies(estimate: torch.Tensor) -> Predicted:
         rotations=torch.cat([locked, free], dim=1),
         lengths=sizes(lengths, constants.mean_lengths),
         thicknesses=sizes(thicknesses, constants.mean_thicknesses),
-        log_scale=camera[:, 0],
+        log_scale=camera[:, 0].clamp(-_MAX_LOG_SCALE, _MAX_LOG_SCALE),
         shift=camera[:, 1:],
     )

@@ -46,6 +46,11 @@ class TrainingConfig:
             the schedule and ends the run.
         batch_size: Samples of a batch, per process.
         accumulation: Batches whose gradients are averaged into one step.
+        initial: A trained network of the same sizes to begin with, a file of `partdr train`; "packaged" is the one in
+            the package. None begins with random weights.
+        joint_normalisation: Batch normalisation with the statistics of all processes' samples, so that the gradients
+            are those of the joint batch; without, each process has its own, which costs nothing and is enough for
+            large batches.
         learning_rate: At the peak; it rises linearly in the first ``warm_up`` steps, then follows ``schedule``.
         warm_up: Steps.
         schedule: "cosine" falls to ``floor`` over the run, "constant" stays.
@@ -75,6 +80,8 @@ class TrainingConfig:
     minutes: float | None = field(default=None, metadata=_FREE)
     batch_size: int = 128
     accumulation: int = 1
+    initial: str | None = None
+    joint_normalisation: bool = True
     learning_rate: float = field(default=1e-3, metadata=_FREE)
     warm_up: int = 0
     schedule: Literal["cosine", "constant"] = "cosine"

@@ -96,12 +96,13 @@ class _Normalise(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Any) -> Any:
         values, weight, mean, variance, count = ctx.saved_tensors
+        inverse = (variance + ctx.eps).rsqrt()
         # As if the statistics were constants, then what their being means takes away.
         through, of_weight, of_bias = torch.ops.aten.native_batch_norm_backward(
-            gradients[0], values, weight, mean, variance, None, None, False, ctx.eps, [True, True, True]
+            gradients[0], values, weight, mean, variance, mean, inverse, False, ctx.eps, [True, True, True]
         )
         joint = torch.stack([of_weight, of_bias])
         dist.all_reduce(joint)
-        share = -weight * (variance + ctx.eps).rsqrt() / count
+        share = -weight * inverse / count
         through = through + _normalise(values, share * joint[0], share * joint[1], mean, variance, ctx.eps)
         return through, of_weight, of_bias, None, None, None, None

@@ -16,8 +16,9 @@ from ..body.labels import label_set
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import JOINT_NAMES, NUM_PARTS
 from ..ellipsoids import draw_ellipsoids
+from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
-from ..network.checkpoint import save_label_network
+from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
 from ..network.predicted import Predicted
 from ..palette import group_colours
@@ -25,6 +26,7 @@ from .label_losses import Truth, body_losses
 from .noise import TRAINING_LABEL_SETS
 from .people import People, PeopleMaker
 from .poses import PoseBank
+from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -132,6 +134,20 @@ class LabelTask:
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
         """Write the network."""
         save_label_network(path, weights, self._config.model, about, half=half)
+
+    def read(self, source: str) -> Mapping[str, torch.Tensor]:
+        """Weights of a trained network.
+
+        Args:
+            source: Its file, or "packaged".
+
+        Raises:
+            InputError: If it can't be read, or its sizes are others than the config's.
+        """
+        network = load_label_network(None if source == PACKAGED_NETWORK else source)
+        if network.config != self._config.model:
+            raise InputError(f"initial: {source}: a network of {network.config}; expected {self._config.model}")
+        return network.state_dict()
 
     def skipped(self) -> Sequence[str]:
         """Nobody: people are made."""

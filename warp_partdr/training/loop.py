@@ -121,10 +121,12 @@ class _Run:
         self.steps = _count_steps(config, self.task.epoch, self.processes)
         set_seed(config.seed)
         self.bare = self.task.model().to(self.device)
+        if config.initial is not None and not found:
+            self.bare.load_state_dict(self.task.read(config.initial))
         set_seed(config.seed, device_specific=True)
         self.mean = RunningMean(self.bare, config.ema)
         said: list[str] = []
-        if self.processes > 1:
+        if self.processes > 1 and config.joint_normalisation:
             self.bare = normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
         _check_frozen(config, self.names.values())

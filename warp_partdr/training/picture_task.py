@@ -20,12 +20,13 @@ from ..energy import REFERENCE_SIZE
 from ..errors import InputError
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
-from ..network.picture_checkpoint import save_ellipbodynet
+from ..network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
 from ..palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
 from .posed_landmarks import landmarks
+from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -197,6 +198,22 @@ class PictureTask:
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
         """Write the network."""
         save_ellipbodynet(path, weights, self._saved_config, about, half=half)
+
+    def read(self, source: str) -> Mapping[str, torch.Tensor]:
+        """Weights of a trained network.
+
+        Args:
+            source: Its file.
+
+        Raises:
+            InputError: If it can't be read, or its sizes are others than the config's.
+        """
+        if source == PACKAGED_NETWORK:
+            raise InputError("initial: packaged; expected a file: the package has no EllipBodyNet")
+        network = load_ellipbodynet(source)
+        if network.config != self._saved_config:
+            raise InputError(f"initial: {source}: a network of {network.config}; expected {self._saved_config}")
+        return network.state_dict()
 
     def skipped(self) -> Sequence[str]:
         """Whom nothing could be learnt from, and why."""

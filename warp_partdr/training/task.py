@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 # Name: module of this package and class in it.
 TASKS = {"label-network": ".label_task:LabelTask", "ellipbodynet": ".picture_task:PictureTask"}
+PACKAGED_NETWORK = "packaged"  # instead of a file to begin with
 
 
 class Task(Protocol):
@@ -76,6 +77,16 @@ class Task(Protocol):
             weights: ``state_dict`` of such a model as ``model`` returns.
             about: Of its training, JSON.
             half: In float16.
+        """
+
+    def read(self, source: str) -> Mapping[str, torch.Tensor]:
+        """Weights of a trained network of ``config.model``'s sizes, for ``model``.
+
+        Args:
+            source: A file that ``save`` wrote, or "packaged".
+
+        Raises:
+            InputError: If there is none, or its sizes are others.
         """
 
     def skipped(self) -> Sequence[str]:
