@@ -48,7 +48,7 @@ class JointBatchNorm(nn.Module):
         """Shape (B, C, ...), of any dtype; statistics are float32."""
         if not self.training:
             return _normalise(values, self.weight, self.bias, self.running_mean, self.running_var, self.eps)
-        mean, variance, count = _joint_statistics(values.detach())
+        mean, variance, count = self._joint_statistics(values.detach())
         with torch.no_grad():
             self.running_mean.lerp_(mean, self.momentum)
             self.running_var.lerp_(variance * (count / (count - 1)), self.momentum)
@@ -56,19 +56,19 @@ class JointBatchNorm(nn.Module):
         normalised: torch.Tensor = _Normalise.apply(values, self.weight, self.bias, mean, variance, count, self.eps)  # type: ignore[no-untyped-call]
         return normalised
 
-
-def _joint_statistics(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Mean, biased variance and number of samples a channel, of all processes."""
-    own = values.numel() // values.shape[1]
-    mean, variance = torch.batch_norm_update_stats(values, None, None, 0.0)
-    found = torch.stack([mean.float(), variance.float(), torch.full_like(mean, own, dtype=torch.float32)])
-    each = found.new_empty(dist.get_world_size(), *found.shape)
-    dist.all_gather(list(each), found)
-    means, variances, counts = each.unbind(1)
-    count = counts.sum(0)
-    mean = (means * counts).sum(0) / count
-    variance = ((variances + (means - mean).square()) * counts).sum(0) / count
-    return mean, variance, count
+    def _joint_statistics(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Mean, biased variance and number of samples a channel, of all processes."""
+        own = values.numel() // values.shape[1]
+        # With a momentum of 0 the running statistics stay; they tell of what type the new ones are to be.
+        mean, variance = torch.batch_norm_update_stats(values, self.running_mean, self.running_var, 0.0)
+        found = torch.stack([mean, variance, torch.full_like(mean, own)])
+        each = found.new_empty(dist.get_world_size(), *found.shape)
+        dist.all_gather(list(each), found)
+        means, variances, counts = each.unbind(1)
+        count = counts.sum(0)
+        mean = (means * counts).sum(0) / count
+        variance = ((variances + (means - mean).square()) * counts).sum(0) / count
+        return mean, variance, count
 
 
 def _normalise(
