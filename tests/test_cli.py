@@ -22,6 +22,7 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import SKELETONS, convert
 from warp_partdr.body_file import load_body
 from warp_partdr.errors import InputError
+from warp_partdr.fitting import FitOptions
 from warp_partdr.quality import Stage
 from warp_partdr.registration import RegistrationOptions, RegistrationWeights
 
@@ -125,6 +126,9 @@ def test_help_is_quick(tmp_path: Path) -> None:
         ("fit --keypoints k.json --threads -1", "--threads: -1; expected 0 or more"),
         ("fit --keypoints k.json --labels-first --no-outline", "--labels-first"),
         ("fit --keypoints k.json --labels-first --renderer mesh", "--labels-first"),
+        ("fit --keypoints k.json --subdivisions 2", "--subdivisions: 2, of exact ellipsoids"),
+        ("fit --keypoints k.json --renderer mesh --tolerance 1", "--tolerance: 1.0"),
+        ("fit --keypoints k.json --renderer mesh --subdivisions auto --tolerance 0", "--tolerance: 0.0"),
     ],
 )
 def test_usage_errors_are_one_line(line: str, says: str, run: Run, files: Path) -> None:
@@ -133,6 +137,19 @@ def test_usage_errors_are_one_line(line: str, says: str, run: Run, files: Path) 
     assert complaint.startswith("partdr: ")
     assert complaint.count("\n") == 1
     assert says in complaint
+
+
+def test_subdivisions_reach_the_fit(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[FitOptions] = []
+
+    def fit_body(*_: Any, options: FitOptions, **__: Any) -> None:
+        seen.append(options)
+        raise InputError("enough")
+
+    monkeypatch.setattr(fitting, "fit_body", fit_body)
+    for line in ("--subdivisions 3", "--subdivisions auto --tolerance 0.2", ""):
+        run(f"fit {GOOD} {ALONE} --renderer mesh {line}")
+    assert [(options.subdivisions, options.tolerance) for options in seen] == [(3, 0.5), ("auto", 0.2), (1, 0.5)]
 
 
 # --- bad input -----------------------------------------------------------------------------------------------------

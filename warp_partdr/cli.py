@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from enum import StrEnum
@@ -30,6 +31,16 @@ class Renderer(StrEnum):
 
     exact = "exact"
     mesh = "mesh"
+
+
+class SubdivisionsName(StrEnum):
+    """Level of the mesh."""
+
+    e0 = "0"
+    e1 = "1"
+    e2 = "2"
+    e3 = "3"
+    auto = "auto"
 
 
 class StartName(StrEnum):
@@ -155,6 +166,20 @@ def fit(
     renderer: Annotated[
         Renderer, typer.Option(help="Draw exact ellipsoids, or their triangle mesh as the paper does: slower.")
     ] = Renderer.exact,
+    subdivisions: Annotated[
+        SubdivisionsName | None,
+        typer.Option(
+            help="Of --renderer mesh: level of the triangle meshes, default 1, as in the paper; auto: the coarsest "
+            "within --tolerance of the ellipsoids.",
+            show_default=False,
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Of --subdivisions auto, in pixels of the drawn crop; default 0.5.", metavar="PX", show_default=False
+        ),
+    ] = None,
     threads: Annotated[int, typer.Option(help="CPU threads that share the bodies; 0: one a core.", metavar="N")] = 0,
     seed: Annotated[int, typer.Option(help="Of the random choice among too many hypotheses.", metavar="N")] = 0,
     explain: Annotated[
@@ -188,6 +213,12 @@ def fit(
         raise InputError("--labels-first: with --no-outline; expected one of the two")
     if labels_first and renderer is Renderer.mesh:
         raise InputError("--labels-first: with --renderer mesh, which has no coverage gradient; expected exact")
+    if subdivisions is not None and renderer is not Renderer.mesh:
+        raise InputError(f"--subdivisions: {subdivisions.value}, of exact ellipsoids; expected --renderer mesh with it")
+    if tolerance is not None and subdivisions is not SubdivisionsName.auto:
+        raise InputError(f"--tolerance: {tolerance}; expected --subdivisions auto with it")
+    if tolerance is not None and not 0 < tolerance < math.inf:
+        raise InputError(f"--tolerance: {tolerance}; expected a positive number of pixels")
     if threads < 0:
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
@@ -208,6 +239,10 @@ def fit(
         trust_background=trust_background,
         network=None if network is None else str(network),
     )
+    if subdivisions is SubdivisionsName.auto:
+        options = replace(options, subdivisions="auto", tolerance=tolerance or options.tolerance)
+    elif subdivisions is not None:
+        options = replace(options, subdivisions=int(subdivisions.value))
     if labels_first:
         options = options.labels_first()
     if not outline:
