@@ -33,9 +33,10 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
     Returns:
         Coordinates and confidence, all 0 where missing, shape (24, 3).
     """
+    rows = {_TAKEN_FOR[name]: row for row, name in enumerate(names) if name in _TAKEN_FOR}
+    rows |= {name: row for row, name in enumerate(names) if name in LANDMARKS}
+    places = torch.tensor([LANDMARKS.index(name) for name in rows], dtype=torch.int64)
+    known = torch.cat([points, confidence[:, None]], dim=1)[list(rows.values())]
     found = points.new_zeros(len(LANDMARKS), 3)
-    for name, point, trust in zip(names, points, confidence, strict=True):
-        name = name if name in LANDMARKS else _TAKEN_FOR.get(name, "")
-        if name and trust > 0:
-            found[LANDMARKS.index(name)] = torch.cat([point, trust[None]])
+    found[places.to(points.device)] = torch.where(known[:, 2:] > 0, known, 0.0)
     return found
