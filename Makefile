@@ -13,7 +13,7 @@ SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help fit test install dev lint format types wheel-check clean
+.PHONY: help fit test install dev lint format types pictures wheel-check clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
@@ -44,6 +44,9 @@ types: $(VENV)/.installed-dev  ## mypy
 	@rm -rf build/typing && mkdir -p build/typing/warp_partdr
 	@ln -s $(foreach entry,$(wildcard warp_partdr/*) kernels body demos/viewer,../../../$(entry)) build/typing/warp_partdr/
 	$(BIN)/mypy build/typing/warp_partdr
+
+pictures: $(VENV)/.installed  ## draw the pictures of README and docs anew
+	$(BIN)/python scripts/pictures.py
 
 # A user's view: the wheel alone, in an environment of its own, from another folder. A library that logs a traceback there
 # and goes on (a package that only the tests install) fails it too.

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import warp as wp
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from warp_partdr.body.anny import anny
 from warp_partdr.body.growth import MEASURES, UNGROWN
@@ -38,6 +38,7 @@ from warp_partdr.posing import Posed, pose
 from warp_partdr.registration import Registered, register, vertex_parts
 
 SIZE = (560, 400)  # (H, W) of a picture
+BAR = 44  # [px] above, for names
 SCALE = 270.0  # [px/m]
 STEPS = 5  # from one body to another
 
@@ -172,29 +173,31 @@ def picture(names: list[str], bodies: list[Body], registered: list[Registered]) 
     """Ellipsoids above, the registered model below, one column a body."""
     height, width = SIZE
     white = np.full((*SIZE, 3), 255, dtype=np.uint8)
-    shown = Image.new("RGB", (width * len(bodies), 2 * height + 16), "white")
+    shown = Image.new("RGB", (width * len(bodies), 2 * height + BAR), "white")
+    font = ImageFont.load_default(28)
     for column, (name, body, result) in enumerate(zip(names, bodies, registered, strict=True)):
         feet = float(result.detailed.vertices[..., 1].max())
         standing = WeakPerspective(torch.tensor([SCALE]), torch.tensor([[width / 2, height - 5.0 - feet * SCALE]]))
         drawn = shade_body(body.posed(), standing, SIZE), shade_detailed(result.detailed, result.model, standing, SIZE)
-        shown.paste(Image.fromarray(np.concatenate([blend(white, rgba, 1.0) for rgba in drawn])), (column * width, 16))
-        ImageDraw.Draw(shown).text((column * width + width // 2 - 30, 2), name, fill="black")
+        shown.paste(Image.fromarray(np.concatenate([blend(white, rgba, 1.0) for rgba in drawn])), (column * width, BAR))
+        ImageDraw.Draw(shown).text(((column + 0.5) * width, BAR / 2), name, "black", font, anchor="mm")
     return shown
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("body", type=Path, nargs="?", help="body.npz of partdr fit")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder to write to")
-    arguments = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=Path("out/edit_body"), help="folder to write to")
+    arguments = parser.parse_args(argv)
     wp.config.log_level = wp.LOG_WARNING
-    wp.init()
     arguments.out.mkdir(parents=True, exist_ok=True)
 
     body = read_body(arguments.body) if arguments.body else mean_body()
     names, bodies = [edit.name for edit in EDITS], [body.edited(edit) for edit in EDITS]
     registered = register_all(bodies)
     picture(names, bodies, registered).save(arguments.out / "edits.png", optimize=True)
+    print("| edit | share of it that the mesh follows | what else changes most, as a share of the edit |")
+    print("|---|---|---|")
     for name, (followed, others) in zip(names[1:], following(bodies, registered), strict=True):
         said = ", ".join(f"{measure} {share:.0%}" for measure, share in followed.items())
         print(f"| {name} | {said} | {max(others, key=others.__getitem__)} {max(others.values()):.0%} |")
@@ -207,6 +210,7 @@ def main() -> None:
     picture([f"{share:.0%}" for share in shares], between, register_all(between)).save(
         arguments.out / "between.png", optimize=True
     )
+    print(f"Pictures: {arguments.out}")
 
 
 if __name__ == "__main__":

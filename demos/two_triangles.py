@@ -425,6 +425,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.scenes < 0:
         parser.error(f"--scenes: {arguments.scenes}; expected 0 or more")
+    if arguments.out.suffix != ".png":
+        parser.error(f"--out: {arguments.out}; expected a name that ends with .png")
     supervisions = (FULL, PARTS_WITHOUT_DEPTH, replace(PARTS, depth_weight=arguments.depth_weight))
     scenes = fixed_scene(arguments.device)
     courses = {supervision: optimize(scenes, supervision) for supervision in supervisions}

@@ -1,5 +1,6 @@
-"""The tutorial scripts of demos/ run, write their pictures, and what they show is so."""
+"""The tutorial scripts of demos/ run and write their pictures, and what they show is so; the docs' pictures, too."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -8,11 +9,12 @@ import pytest
 import torch
 from PIL import Image
 
-DEMOS = Path(__file__).resolve().parents[1] / "demos"
-sys.path.insert(0, str(DEMOS))
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "demos"), str(ROOT / "scripts")]
 
 import fit_photo  # noqa: E402  they lie in demos/
 import own_loss  # noqa: E402
+import pictures  # noqa: E402  it lies in scripts/
 import render_gradient  # noqa: E402
 import train_from_labels  # noqa: E402
 
@@ -67,3 +69,28 @@ def test_train_from_labels_turns_both_sides_alike():
     left, right = joints[[15, 17, 9]], joints[[16, 18, 10]]  # elbow, wrist, knee
     torch.testing.assert_close(left[:, 1:], right[:, 1:], atol=1e-4, rtol=0)
     assert (left[:2, 1] < joints[6, 1]).all()  # above the shoulder: y is down
+
+
+def test_pictures_of_the_docs_are_all_told_where_they_come_from():
+    """Each is drawn by ``make pictures`` or measured, each is shown somewhere, and no page shows another one."""
+    drawn = [name for names, _ in pictures.DRAWN for name in names]
+    kept = {path.name for path in pictures.IMAGES.iterdir()}
+    assert sorted([*drawn, *pictures.MEASURED]) == sorted(kept)
+    pages = [pictures.ROOT / "README.md", *(pictures.ROOT / "docs").glob("*.md")]
+    shown = {name for page in pages for name in re.findall(r"images/([\w.-]+\.(?:png|gif))", page.read_text())}
+    assert shown == kept
+
+
+def test_a_picture_is_made_and_compared(tmp_path, capsys):
+    options = ["two_triangles.png", "--out", str(tmp_path)]
+    assert pictures.main(options) == 0
+    assert capsys.readouterr().out.endswith("KiB, new\n")
+    assert pictures.difference(tmp_path / "two_triangles.png", pictures.IMAGES / "two_triangles.png") < 0.02
+    assert pictures.difference(tmp_path / "two_triangles.png", pictures.IMAGES / "demo.gif") == 1
+
+
+def test_a_picture_that_fails_is_left(tmp_path, capsys):
+    (tmp_path / "two_triangles.png").write_bytes(b"as it was")
+    assert not pictures.make(("two_triangles.png",), ("demos/two_triangles.py", "--out", "OUT/folder"), tmp_path)
+    assert "two_triangles.png: left as it was" in capsys.readouterr().out
+    assert (tmp_path / "two_triangles.png").read_bytes() == b"as it was"

@@ -14,7 +14,7 @@ from .errors import InputError
 
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
 
-Example: `partdr demo`, then the space bar. Without a screen: `partdr demo --record out.gif`
+Example: `partdr demo`, then the space bar. In a browser: `partdr demo --web`. As a file: `partdr demo --record out.gif`
 
 Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss. The
 window lists its keys. Bodies by name: t-pose, walking, crossed arms, sitting, random.
@@ -57,10 +57,27 @@ def demo(
         bool, typer.Option("--profile", help="Print how long a change takes to be drawn, without a window.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Where the window saves to.", metavar="FOLDER")] = Path("out"),
+    web: Annotated[
+        bool, typer.Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="With --web: address to listen at; 0.0.0.0 lets other machines in.", metavar="ADDRESS")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(help="With --web: port to listen at; 0 takes a free one.", metavar="N", min=0, max=65535)
+    ] = 8080,
+    browser: Annotated[bool, typer.Option(help="With --web: open the browser, if there is a screen.")] = True,
 ) -> None:
     """Play; see ``DEMO_HELP``."""
-    if record is None and not profile:
-        _check_display()
+    if sum((web, record is not None, profile)) > 1:
+        raise InputError("--web, --record, --profile: more than one; expected one of them, or none for a window")
+    if web:
+        import_module(".viewer.web", __package__).check_backend()
+    elif record is None and not profile and not _has_display():
+        raise InputError(
+            "demo: no display (DISPLAY is not set); expected one, or --web for a browser, or --record out.gif or "
+            "out.html, which need none"
+        )
     import torch
     import warp as wp
 
@@ -84,7 +101,10 @@ def demo(
     if record is not None:
         _record(shown, recording, record, steps)
         return
-    window = import_module(".viewer.window", __package__).Window(shown, out, off_screen=profile)
+    window = import_module(".viewer.window", __package__).Window(shown, out, off_screen=profile or web)
+    if web:
+        _serve(window, host, port, browser and _has_display())
+        return
     if not profile:
         window.show()
         return
@@ -92,11 +112,25 @@ def demo(
         typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {size}x{size}")
 
 
-def _check_display() -> None:
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError(
-            "demo: no display (DISPLAY is not set); expected one, or --record out.gif or out.html, which need none"
-        )
+def _has_display() -> bool:
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _serve(window: Any, host: str, port: int, open_browser: bool) -> None:
+    import asyncio
+    import contextlib
+    import socket
+    import webbrowser
+
+    def ready(taken: int) -> None:
+        name = socket.gethostname() if host in ("0.0.0.0", "::") else host
+        address = f"http://{name}:{taken}/"
+        typer.echo(f"{address} shows the demo in a browser; Ctrl+C ends it")
+        if open_browser:
+            webbrowser.open(address)
+
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(import_module(".viewer.web", __package__).serve(window, host, port, ready))
 
 
 def _record(shown: Any, recording: Any, path: Path, steps: int) -> None:

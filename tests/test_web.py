@@ -1,0 +1,205 @@
+"""The demo in a browser: the page is served, keys and mouse reach the window, and pictures come back."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import numpy as np
+import pytest
+from test_viewer import can_draw  # noqa: F401  a fixture
+from typer.testing import CliRunner
+
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.cli import app
+from warp_partdr.errors import InputError
+from warp_partdr.viewer import web
+from warp_partdr.viewer.state import DemoState, Settings
+from warp_partdr.viewer.targets import body_of, target_of
+from warp_partdr.viewer.window import Window
+
+SIZE = (640, 400)
+
+
+@pytest.fixture
+def window(can_draw, tmp_path):  # noqa: F811
+    pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
+    state = DemoState(body_of("t-pose"), target_of(body_of("walking")), Settings(size=64, steps=40))
+    made = Window(state, tmp_path / "saved", off_screen=True)
+    yield made
+    made.scene.close()
+
+
+class Browser:
+    """What the page's script does, as far as it matters here."""
+
+    def __init__(self, socket: Any) -> None:
+        from wslink.chunking import UnChunker
+
+        self._socket, self._numbers, self._join = socket, itertools.count(), UnChunker()
+        self._join.set_max_message_size(2**24)
+
+    async def call(self, method: str, *args: Any) -> Any:
+        """Send a message and wait for its answer."""
+        import msgpack
+        from wslink.chunking import generate_chunks
+
+        number = f"{'system' if method == 'wslink.hello' else 'rpc'}:browser:{next(self._numbers)}"
+        message = {"wslink": "1.0", "id": number, "method": method, "args": list(args), "kwargs": {}}
+        for chunk in generate_chunks(msgpack.packb(message), 0):
+            await self._socket.send_bytes(chunk)
+        while (answer := await self._receive()).get("id") != number:
+            pass
+        assert "error" not in answer, answer
+        return answer.get("result")
+
+    async def picture(self) -> np.ndarray:
+        """The next one that is sent."""
+        import io
+
+        from PIL import Image
+
+        while True:
+            result = (await self._receive()).get("result")
+            if isinstance(result, dict) and result.get("name") == web.AREA:
+                return np.asarray(Image.open(io.BytesIO(result["content"])))
+
+    async def mouse(self, kind: str, x: float, y: float) -> None:
+        event = {"x": round(x), "y": round(y), "w": SIZE[0], "h": SIZE[1]}
+        keys = dict.fromkeys(("shiftKey", "altKey", "ctrlKey", "metaKey"), 0)
+        await self.call("trame.rca.event", web.AREA, "browser", {"type": kind, **event, **keys})
+
+    async def _receive(self) -> dict:
+        while True:
+            message = self._join.process_chunk((await self._socket.receive(timeout=20)).data)
+            if message is not None:
+                return message
+
+
+def visit(window: Window, visitor: Callable[[Browser], Coroutine[Any, Any, None]]) -> None:
+    """Serve a window while a browser is there."""
+
+    async def both() -> None:
+        import aiohttp
+
+        opened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        serving = asyncio.ensure_future(web.serve(window, "127.0.0.1", 0, opened.set_result))
+        port = await asyncio.wait_for(opened, 20)
+        line = f"http://127.0.0.1:{port}/ws"
+        try:
+            page = await asyncio.to_thread(urllib.request.urlopen, f"http://127.0.0.1:{port}/")
+            assert page.status == 200
+            assert b"<script" in page.read()
+            async with aiohttp.ClientSession() as session:
+                with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                    await session.ws_connect(line, origin="http://another.page")
+            async with aiohttp.ClientSession() as session, session.ws_connect(line, origin=line[:-3]) as connection:
+                browser = Browser(connection)
+                await browser.call("wslink.hello", {"secret": "wslink-secret"})
+                await browser.call("trame.rca.size", web.AREA, "browser", {"w": SIZE[0], "h": SIZE[1], "p": 1})
+                await visitor(browser)
+        finally:
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+        with socket.socket() as again:
+            assert again.connect_ex(("127.0.0.1", port)) != 0  # nobody listens any more
+
+    asyncio.run(both())
+
+
+def test_keys_move_the_body_and_pictures_show_it(window):
+    async def visitor(browser: Browser) -> None:
+        before = await browser.picture()
+        assert before.shape == (SIZE[1], SIZE[0], 3)
+        assert len(np.unique(before.reshape(-1, 3), axis=0)) > 100
+        await browser.call("trame.trigger", "press", ["n"], {})
+        assert len(window.state.history) == 1
+        await browser.call("trame.trigger", "press", ["F4"], {})
+        for _ in range(10):  # those before it may be on their way
+            after = await browser.picture()
+            if (np.abs(after.astype(int) - before).max(-1) > 50).mean() > 0.01:
+                return
+        raise AssertionError("the picture didn't change")
+
+    visit(window, visitor)
+    assert not np.array_equal(window.state.body.rotations.detach(), body_of("t-pose").rotations)
+
+
+def test_it_plays_while_it_serves(window):
+    async def visitor(browser: Browser) -> None:
+        await browser.call("trame.trigger", "press", ["space"], {})
+        for _ in range(50):
+            await browser.picture()
+            if len(window.state.history) >= 3:
+                break
+        await browser.call("trame.trigger", "press", ["space"], {})
+        await browser.call("trame.trigger", "press", ["no key"], {})
+
+    visit(window, visitor)
+    assert len(window.state.history) >= 3
+    assert window.state.history[-1] < window.state.history[0]
+
+
+def test_a_click_chooses_a_part(window):
+    async def visitor(browser: Browser) -> None:
+        await browser.picture()
+        renderer = window.scene.plotter.renderers[0]
+        renderer.SetWorldPoint(*window.scene.parts[PART_NAMES.index("right_forearm")].center, 1)
+        renderer.WorldToDisplay()
+        x, y, _ = renderer.GetDisplayPoint()
+        for kind in ("MouseMove", "LeftButtonPress", "LeftButtonRelease"):
+            await browser.mouse(kind, x, y)
+
+    visit(window, visitor)
+    assert window.part == "right_forearm"
+
+
+def test_keys_have_names_in_a_browser(window):
+    """Letters and function keys are called alike everywhere; others are in the table."""
+    names = {key: web.browser_name(key) for key in window.keys}
+    assert len(set(names.values())) == len(names)
+    for key, name in names.items():
+        assert len(name) == 1 or name[0] == "F" or name in web._BROWSER_NAMES.values(), key
+
+
+def test_a_taken_port_is_one_line(window):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=rf"^--web: 127.0.0.1:{port}: Address .* in use; expected .*--port 0"):
+            asyncio.run(web.serve(window, "127.0.0.1", port, print))
+
+
+def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):  # noqa: F811
+    pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
+    command = [sys.executable, "-m", "warp_partdr", "demo", "--web", "--port", "0", "--no-browser", "--size", "64"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        while "shows the demo" not in (said := running.stdout.readline()):
+            assert said, running.communicate()
+        assert urllib.request.urlopen(said.split()[0], timeout=20).status == 200
+        running.send_signal(signal.SIGINT)
+        _, faults = running.communicate(timeout=20)
+    assert "Traceback" not in faults
+    assert running.returncode == 0
+
+
+def test_without_the_backend(monkeypatch):
+    monkeypatch.setattr(web, "find_spec", lambda name: None)
+    done = CliRunner().invoke(app, ["demo", "--web"])
+    assert isinstance(done.exception, InputError)
+    assert str(done.exception).startswith("--web: without trame-pyvista; expected it (pip install trame-pyvista), or")
+
+
+def test_one_way_to_show_it():
+    done = CliRunner().invoke(app, ["demo", "--web", "--record", "out.gif"])
+    assert isinstance(done.exception, InputError)
+    assert "--web, --record, --profile: more than one; expected one" in str(done.exception)
