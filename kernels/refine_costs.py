@@ -1,4 +1,4 @@
-"""What each part costs: keypoints, joint limits, sizes and the renderer's share, and the forces that follow.
+"""What each part costs: keypoints, joint limits, sizes, depth and the renderer's share, and the forces that follow.
 
 Whatever pulls on a part ends as a force, a torque about its centre and a gradient of its semi-axes.
 """
@@ -6,6 +6,7 @@ Whatever pulls on a part ends as a force, a torque about its centre and a gradie
 import warp as wp
 
 from .refine_state import (
+    DEPTH,
     LENGTH,
     LIMITS,
     PROJ,
@@ -65,6 +66,13 @@ def pull_landmark(problem: Problem, state: State, b: int, index: int):
 
 
 @wp.func
+def depth_deviation(problem: Problem, state: State, b: int, k: int):
+    """How much farther away than it should be part k is [mm]."""
+    row = b % problem.rules.depths.shape[0]
+    return (state.ellipsoids.centres[b, k][2] - problem.rules.depths[row, k]) * _MILLIMETRES
+
+
+@wp.func
 def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
     """What part k, length k and thickness k cost wherever they are, its share of L_seg, and these rules' gradient."""
     weights = problem.weights
@@ -87,6 +95,8 @@ def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
         deviation = (state.bodies.thicknesses[b, k] - problem.rules.usual_thicknesses[row, k]) * _MILLIMETRES
         cost[THICKNESS] = weights.thickness * deviation * deviation
         state.gradient.thicknesses[b, k] = 2.0 * weights.thickness * deviation * _MILLIMETRES
+    off = depth_deviation(problem, state, b, k)
+    cost[DEPTH] = weights.depth * off * off
     state.costs[b, k] = cost
 
 
@@ -100,7 +110,7 @@ def add_drawn(problem: Problem, state: State, drawn: Drawn, b: int, i: int):
 
 @wp.func
 def sum_forces(problem: Problem, state: State, b: int, k: int):
-    """The renderer's and the landmarks' forces on part k, and what the landmarks cost."""
+    """The renderer's, the landmarks' and the depth's forces on part k, and what the landmarks cost."""
     scale = wp.exp(state.bodies.log_scale[b])
     camera = state.ellipsoids.camera[b]
     half_size = camera[0] / scale
@@ -120,6 +130,7 @@ def sum_forces(problem: Problem, state: State, b: int, k: int):
             cost += pull.cost
             to_camera += pull.camera
     state.costs[b, k][PROJ] = cost
+    sums.force[2] += 2.0 * problem.weights.depth * depth_deviation(problem, state, b, k) * _MILLIMETRES
 
     axes = state.ellipsoids.axes[b, k]
     turning = sums.moment * wp.diag(state.ellipsoids.semi_axes[b, k]) * wp.transpose(axes)  # sum of F (X - c)^T

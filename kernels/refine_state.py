@@ -19,7 +19,8 @@ LENGTH = wp.constant(2)
 THICKNESS = wp.constant(3)
 PRIOR = wp.constant(4)
 LIMITS = wp.constant(5)
-NUM_TERMS = 6
+DEPTH = wp.constant(6)
+NUM_TERMS = 7
 Terms = wp.types.vector(length=NUM_TERMS, dtype=wp.float32)
 
 
@@ -74,12 +75,13 @@ class Landmarks:
 
 @wp.struct
 class Rules:
-    """What needs no picture: joint limits, and usual sizes of N people."""
+    """What needs no picture: joint limits, and usual sizes of N people and their depths."""
 
     lower_limits: wp.array[wp.vec3]  # (P,) [rad]
     upper_limits: wp.array[wp.vec3]  # (P,) [rad]
     usual_lengths: wp.array2d[float]  # (N, 12) [m]
     usual_thicknesses: wp.array2d[float]  # (N, 15) [m]
+    depths: wp.array2d[float]  # (N, P) of the parts' centres [m]
 
 
 @wp.struct
@@ -102,6 +104,7 @@ class TermWeights:
     thickness: float
     prior: float
     limits: float
+    depth: float
 
 
 @wp.struct

@@ -232,6 +232,23 @@ def test_sizes_stay_within_human_bounds():
     assert refined.parameters.thicknesses[0, 6] > 1.2 * mean.thicknesses[0, 6]
 
 
+def test_a_stage_holds_depth_where_it_starts():
+    """Labels of one body pull another one that leans from it, in the picture alone if told so."""
+    keypoints, parts = seen_by(walker())
+    options = replace(FitOptions.at("balanced"), search=())
+    *before, outline = options.stages
+
+    def depths(*stages):
+        return fit_body(keypoints, parts, options=replace(options, stages=stages)).posed.centres[0, :, 2]
+
+    short = replace(outline, iterations=60, size=96)
+    free = replace(short, weights=replace(outline.weights, depth=0.0))
+    start = depths(*before)
+    held, loose = ((depths(*before, stage) - start).abs().max() for stage in (short, free))
+    assert held < 0.01
+    assert loose > 2 * held
+
+
 def test_without_outline_leaves_out_that_stage_alone():
     options = FitOptions()
     assert [stage.name for stage in options.without_outline().stages] == [s.name for s in options.stages][:-1]

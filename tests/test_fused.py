@@ -117,6 +117,25 @@ def test_terms_and_gradient_are_those_of_autograd(device):
     assert all(tensor.abs().max() > 0 for tensor in gradient.values())
 
 
+def test_depth_is_held_as_in_torch(device):
+    """Of each body to its own energy's, and of none where nothing is to be held."""
+    body = walker(device)
+    depths = body.posed().centres[0, :, 2]
+    free = energy_of(body, weights=Weights(depth=0.01))
+    energies = [replace(free, depths=depths + offset) for offset in (0.0, 0.05)]
+    bodies = moved(body, 4, amount=0.3)
+    terms, gradient = gradient_at(energies, bodies)
+    for number, energy in enumerate(energies):
+        mine = slice(number, None, 2)
+        want_terms, want = autograd_at(energy, bodies.select(torch.arange(4, device=device)[mine]))
+        assert (want_terms["depth"] > 1.0).all()
+        assert_same({name: term[mine] for name, term in terms.items()}, want_terms, 1e-6)
+        assert_same({name: tensor[mine] for name, tensor in gradient.items()}, want, 1e-5)
+    assert_same(gradient_at(free, bodies)[1], autograd_at(free, bodies)[1], 1e-5)
+    with pytest.raises(ValueError, match="energies: some with depths, some without; expected the same of all"):
+        FusedRefinement([energies[0], free], 4)
+
+
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
 def test_every_format_of_keypoints(device, fmt):
     body = walker(device)

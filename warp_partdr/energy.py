@@ -1,7 +1,7 @@
-"""What a fit minimises: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior and joint limits.
+"""What a fit minimises: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a hold in depth.
 
 Units decide what the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 mean. Here L_proj is in pixels of a crop of 256 px, L_seg
-in pixels of the same (whatever size is drawn), L_l and L_t in square millimetres, the prior in nats.
+in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square millimetres, the prior in nats.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ class Weights:
     thickness: float = 1e-3
     prior: float = 3.0
     limits: float = 20.0
+    depth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,8 @@ class Energy:
         max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
         depth_weight: PartDR: the paper's lambda of the z gradient; 0 leaves it out, as a label set of one group does,
             with which nothing that shows hides something else.
+        depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
+            labels nor keypoints say so, and a body leans to fit an outline.
 
     Attributes:
         votes: How much each landmark counts, shape (L,).
@@ -107,6 +110,7 @@ class Energy:
     gradient: Gradient = "partdr"
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
+    depths: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
         seen = self.observation
@@ -144,6 +148,9 @@ class Energy:
             rotations = parameters.free_rotations()
             terms["prior"] = weights.prior * self.prior(rotations, up_direction(parameters.global_orient()))
             terms["limits"] = weights.limits * self.prior.joint_limits(rotations)
+        if self.depths is not None:
+            deviation = (posed.centres[..., 2] - self.depths) * _MILLIMETRES
+            terms["depth"] = weights.depth * deviation.square().sum(1)
         return terms
 
     def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:

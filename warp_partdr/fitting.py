@@ -276,6 +276,7 @@ class _Fit:
                 gradient=stage.gradient,
                 max_distance=stage.max_distance,
                 depth_weight=options.depth_weight,
+                depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,  # the best's
             )
 
             def step(iteration: int, name: str = stage.name, before: int = done) -> None:

@@ -37,7 +37,7 @@ from .refine_tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rul
 from .refinement import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, check_steps, rate_share, refine
 from .streams import capture_graph, on_torch_stream
 
-TERMS = ("proj", "seg", "length", "thickness", "prior", "limits")  # the kernels' columns
+TERMS = ("proj", "seg", "length", "thickness", "prior", "limits", "depth")  # the kernels' columns
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
@@ -123,6 +123,7 @@ class FusedRefinement:
         self._votes = buffer(len(energies), len(LANDMARK_NAMES))
         self._lengths = buffer(len(energies), *ROW["lengths"])
         self._thicknesses = buffer(len(energies), *ROW["thicknesses"])
+        self._depths = buffer(len(energies), NUM_PARTS)
         # At rate 0, after the last step, the energy is looked at once more.
         shares = [rate_share(step, iterations, final_rate) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
@@ -178,7 +179,7 @@ class FusedRefinement:
         energy, problem = self._energy, Problem()
         problem.skeleton, problem.half_size = skeleton(where), energy.size / 2
         problem.landmarks = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
-        problem.rules = rules(where, energy.prior, _wp(self._lengths), _wp(self._thicknesses))
+        problem.rules = rules(where, energy.prior, _wp(self._lengths), _wp(self._thicknesses), _wp(self._depths))
         problem.mixture = mixture(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         problem.stopping = stopping
@@ -199,12 +200,16 @@ class FusedRefinement:
                     raise ValueError(f"energies: {name} differs; expected {getattr(self._energy, name)}, as at first")
             if _compares_labels(energy) != (self._renderer is not None):
                 raise ValueError("energies: some with labels, some without; expected the same of all")
+            if (energy.depths is None) != (self._energy.depths is None):
+                raise ValueError("energies: some with depths, some without; expected the same of all")
         self._votes.zero_()
         for row, energy in enumerate(energies):
             index = [LANDMARK_NAMES.index(name) for name in energy.observation.landmarks]
             self._points[row, index] = energy.observation.points
             self._votes[row, index] = energy.votes
             self._lengths[row], self._thicknesses[row] = energy.usual_lengths, energy.usual_thicknesses
+            if energy.depths is not None:
+                self._depths[row] = energy.depths
         table = self._problem.landmarks
         seen = {name for energy in energies for name in energy.observation.landmarks}
         with on_torch_stream(self._device):
@@ -261,6 +266,7 @@ class FusedRefinement:
             "thickness": True,
             "prior": self._energy.prior is not None,
             "limits": self._energy.prior is not None,
+            "depth": self._energy.depths is not None,
         }
         terms = self._best_terms.clone()
         return Refined(
@@ -354,6 +360,7 @@ def _term_weights(energy: Energy) -> TermWeights:
     weights.seg = given.seg * (REFERENCE_SIZE / energy.size) ** 2
     weights.length, weights.thickness = given.length, given.thickness
     weights.prior, weights.limits = given.prior, given.limits
+    weights.depth = 0.0 if energy.depths is None else given.depth
     return weights
 
 

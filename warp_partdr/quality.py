@@ -25,7 +25,7 @@ class Stage:
         iterations: Steps of Adam.
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
-        weights: Of the energy's terms in this stage; None takes the fit's.
+        weights: Of the energy's terms in this stage; None takes the fit's. Depth is held to where its best body starts.
         gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
         max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
         frozen: Parameters that stay as they are, names of ``BodyParameters``.
@@ -80,19 +80,22 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
 }
 
 # From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
-# to what the network says. The outline costs joints here, too: they follow it in depth, where nothing holds them.
+# to what the network says. An outline would cost joints: neither labels nor keypoints hold depth, so bodies lean and
+# limbs tilt to fill it, and bones stretch to where label sets end parts. So depth is held, keypoints and lengths more.
+# (In a search it pays nothing: its depth is no better than where an outline leaves it.)
 _NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3)
-_NEAR_OUTLINE = Weights(proj=0.3, seg=0.5, prior=3.0, length=1e-2)
+_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, length=2e-2, thickness=2e-3, depth=1e-2)
+_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, length=3e-3, depth=1e-2)
 
 _NETWORK: dict[Quality, tuple[Stage, ...]] = {
     "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, gradient="edges"),),
     "balanced": (
-        Stage("labels", 1, 50, 0.007, 256, _NEAR, gradient="edges"),
-        Stage(OUTLINE, 1, 150, 0.01, 256, _NEAR_OUTLINE, gradient="edges"),
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, gradient="edges"),
     ),
     "accurate": (
-        Stage("labels", 1, 50, 0.007, 256, _NEAR, gradient="edges"),
-        Stage(OUTLINE, 1, 250, 0.01, 256, replace(_NEAR_OUTLINE, length=3e-3), gradient="edges"),
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, gradient="edges"),
     ),
 }
 STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}

@@ -89,10 +89,10 @@ def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
-def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array) -> Rules:
-    """Usual sizes of N people, (N, 12) and (N, 15), and the prior's joint limits if there is one."""
+def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array, depths: wp.array) -> Rules:
+    """Sizes (N, 12) and (N, 15) and depths (N, 20) of N people, and the prior's joint limits if there is one."""
     table = Rules()
-    table.usual_lengths, table.usual_thicknesses = lengths, thicknesses
+    table.usual_lengths, table.usual_thicknesses, table.depths = lengths, thicknesses, depths
     free = np.full((NUM_PARTS, 3), np.inf)
     lower, upper = (
         (-free, free) if prior is None else (prior.lower_limits.cpu().numpy(), prior.upper_limits.cpu().numpy())

@@ -53,7 +53,7 @@ class JointBatchNorm(nn.Module):
             self.running_mean.lerp_(mean, self.momentum)
             self.running_var.lerp_(variance * (count / (count - 1)), self.momentum)
             self.num_batches_tracked.add_(1)
-        normalised: torch.Tensor = _Normalise.apply(values, self.weight, self.bias, mean, variance, count, self.eps)  # type: ignore[no-untyped-call]
+        normalised: torch.Tensor = _Normalise.apply(values, self.weight, self.bias, mean, variance, count, self.eps)
         return normalised
 
     def _joint_statistics(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
