@@ -17,11 +17,18 @@ from warp_partdr import load_body
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.cli import app
 from warp_partdr.errors import InputError
+from warp_partdr.metrics import confusion, part_f1
 from warp_partdr.palette import PART_COLOURS
+from warp_partdr.registration import RegistrationOptions
+from warp_partdr.viewer.clothing import Clothing
 from warp_partdr.viewer.record import check_format, frames, write
 from warp_partdr.viewer.scene import Scene
-from warp_partdr.viewer.state import DemoState, Settings
+from warp_partdr.viewer.settings import QUALITIES, Settings
+from warp_partdr.viewer.sliders import PAGES
+from warp_partdr.viewer.state import DemoState
 from warp_partdr.viewer.targets import PRESETS, RANDOM, body_of, read_body, read_target, target_of
+from warp_partdr.viewer.trade import Trade
+from warp_partdr.viewer.view import VIEW, seen_as, view_of
 from warp_partdr.viewer.window import Window
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
@@ -41,11 +48,35 @@ def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
     return DemoState(body_of(start), target_of(body_of(target)), SMALL)
 
 
+@pytest.fixture(autouse=True)
+def _one_thread():
+    """As the command has it: the tensors are small."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 @pytest.fixture
 def window(can_draw, tmp_path):
     made = Window(make_state(), tmp_path / "saved", off_screen=True)
+    made.controls.clothing = Clothing(RegistrationOptions(iterations=2))  # which is near enough, and fast
     yield made
     made.scene.close()
+
+
+def send(window: Window, event: str, place: tuple[int, int]) -> None:
+    """An event of the mouse, as the window system would send it."""
+    interactor = window.scene.plotter.iren.interactor
+    interactor.SetEventPosition(*place)
+    interactor.InvokeEvent(event)
+
+
+def click(window: Window, text: str, hint: str = "") -> None:
+    """Click on the button that says ``text``; of two, on that with ``hint`` in its hint."""
+    (button,) = (button for button in window.panel.buttons if button.text == text and hint in button.hint)
+    send(window, "LeftButtonPressEvent", window.panel.place(button))
+    send(window, "LeftButtonReleaseEvent", window.panel.place(button))
 
 
 def image(window: Window, name: str) -> np.ndarray:
@@ -169,6 +200,9 @@ def test_a_photo_with_labels_is_a_target():
     state.play(30)
     assert state.part_f1() > before
     assert state.joint_error() is None
+    wanted = state.wanted()
+    assert (wanted == 255).any()
+    assert state.part_f1() == pytest.approx(float(part_f1(confusion(state.drawn(), wanted, 15))))
 
 
 def test_the_photo_is_cut_as_its_labels_are(tmp_path):
@@ -261,7 +295,7 @@ def test_every_key_and_slider_does_something(window):
     assert (window.folder / "body.npz").exists()
     assert (window.folder / "ellipbody.glb").exists()
     assert Image.open(window.folder / "demo.png").size == (1280, 800)
-    for _ in range(window._num_pages()):
+    for _ in PAGES:
         window.press("bracketright")
         for index, (title, low, high, _, _) in enumerate(window.page()):
             window.slide(index, (low + 3 * high) / 4)
@@ -278,17 +312,29 @@ def test_play_and_pause(window):
     assert "iteration 3" in window.scene._said()
 
 
+def test_ticks_draw_only_while_it_plays(window):
+    window.scene.screenshot()
+    drawn = []
+    window.scene.plotter.render_window.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    interactor = window.scene.plotter.iren.interactor
+    interactor.InvokeEvent("TimerEvent")
+    assert drawn == []
+    window.controls.playing = True
+    interactor.InvokeEvent("TimerEvent")
+    assert drawn == [1]
+
+
 def test_events_of_the_window_arrive(window):
     interactor = window.scene.plotter.iren.interactor
     for key in ("space", "bracketright"):
         interactor.SetKeySym(key)
         interactor.InvokeEvent("KeyPressEvent")
-    assert window.playing
+    assert window.controls.playing
     assert window.page()[0][0] == "upper leg length [cm]"
     interactor.InvokeEvent("TimerEvent")
     assert len(window.state.history) == 1
     before = window.state.body.lengths[0, 6].item()
-    slider = window._widgets[0]
+    slider = window._sliders.widgets[0]
     slider.GetRepresentation().SetValue(100 * before + 2)
     slider.InvokeEvent("InteractionEvent")
     assert window.state.body.lengths[0, 6].item() == pytest.approx(before + 0.02, abs=1e-4)
@@ -306,6 +352,252 @@ def test_faults_are_told_in_the_window(window, tmp_path):
     (tmp_path / "saved").write_text("a file where a folder is wanted")
     window.press("d")
     assert "expected a folder to write to" in " ".join(window.scene._status.input.split())
+
+
+def test_buttons_do_what_they_say(window):
+    state, camera = window.state, window.scene.plotter.renderers[0].camera
+    before = camera.position
+    for text, hint, now in (
+        ("silhouette", "", lambda: state.settings.supervision == "silhouette"),
+        ("keypoints", "", lambda: state.settings.supervision == "keypoints"),
+        ("parts", "", lambda: state.settings.supervision == "parts"),
+        ("z gradient", "", lambda: not state.settings.depth_gradient),
+        ("E2", "", lambda: state.settings.renderer == "E2"),
+        ("coverage", "", lambda: state.settings.gradient == "coverage"),
+        ("128", "", lambda: state.settings.size == 128),
+        ("fast", "", lambda: (state.settings.gradient, state.settings.renderer) == ("edges", "exact")),
+        ("sitting", "start from", lambda: torch.equal(state.start.rotations, body_of("sitting").rotations)),
+        (
+            "crossed arms",
+            "target:",
+            lambda: torch.equal(state.target.truth.rotations, body_of("crossed arms").rotations),
+        ),
+        ("step", "", lambda: len(state.history) == 1),
+        ("restart", "", lambda: not state.history),
+        ("skeleton", "", lambda: window.scene.skeleton_only),
+        ("outline arrows", "", lambda: window.scene.outline_arrows),
+        ("camera", "", lambda: window.page()[0][0] == "scale [px/m]"),
+        (">", "", lambda: window.page()[0][0].endswith(", x [deg]")),
+        ("next part", "", lambda: window.part == "right_upper_arm"),
+        ("thicknesses", "", lambda: window.page()[0][0].endswith("[cm]")),
+        ("play", "", lambda: window.controls.playing),
+    ):
+        assert not now(), text
+        click(window, text, hint)
+        assert now(), text
+        assert window.scene.message == "", text
+    assert camera.position == before  # a click on a button is no grip on the view
+
+
+def test_buttons_show_what_is_so(window):
+    before = window.scene.screenshot()
+    lit = {button.text for button in window.panel.buttons if button.is_on()}
+    assert lit == {"t-pose", "walking", "parts", "z gradient", "exact", "partdr", "64", "lengths"}
+    (button,) = [button for button in window.panel.buttons if button.text == "E2"]
+    send(window, "MouseMoveEvent", window.panel.place(button))
+    assert window.panel.over is button
+    over = window.scene.screenshot()
+    window.click(button)
+    on = window.scene.screenshot()
+    x, y = window.panel.place(button)
+    around = np.s_[800 - y - 12 : 800 - y + 12, x - 10 : x + 10]
+    assert (before[around] != over[around]).any()
+    assert (over[around] != on[around]).any()
+    assert (before[770:, :200] != over[770:, :200]).any()  # the hint
+    assert window.panel.at(700, 400) is None
+
+
+def test_pictures_cannot_be_turned_and_the_body_can(window):
+    window.scene.screenshot()
+    cameras = [renderer.camera for renderer in window.scene.plotter.renderers]
+    before = [camera.position for camera in cameras]
+    for place in ((800, 600), (400, 320)):
+        send(window, "LeftButtonPressEvent", place)
+        send(window, "MouseMoveEvent", (place[0] + 60, place[1] + 40))
+        held = cameras[0].position
+        window.scene.plotter.iren.interactor.InvokeEvent("TimerEvent")
+        assert cameras[0].position == held  # VTK would turn it on while the button is held
+        send(window, "LeftButtonReleaseEvent", (place[0] + 60, place[1] + 40))
+    after = [camera.position for camera in cameras]
+    assert after[1:] == before[1:]
+    assert after[0] != before[0]
+    window.press("r")
+    assert cameras[0].position == pytest.approx(before[0])
+
+
+def test_keys_of_vtk_do_nothing(window):
+    window.scene.screenshot()
+    interactor = window.scene.plotter.iren.interactor
+    camera = window.scene.plotter.renderers[0].camera.position
+    for key in "wv":
+        interactor.SetKeySym(key)
+        interactor.SetKeyCode(key)
+        interactor.InvokeEvent("KeyPressEvent")
+        interactor.InvokeEvent("CharEvent")
+    assert window.scene.parts[0].prop.style == "Surface"
+    assert window.scene.plotter.renderers[0].camera.position == camera
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_view_is_what_it_was_set_to(name):
+    body = body_of(name)
+    again = seen_as(body, view_of(body))
+    torch.testing.assert_close(again.global_orient(), body.global_orient())
+    wanted = dict(zip(VIEW, (90.0, 10.0, -20.0, 30.0, -150.0, 70.0), strict=True))
+    assert view_of(seen_as(body, wanted)) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_view_sliders_move_the_picture_by_what_they_say():
+    state = make_state()
+    before = state.drawn()
+    state.set_view("shift x", 8.0)  # of 256: 2 of 64
+    assert np.array_equal(state.drawn()[:, 2:], before[:, :-2])
+    state.set_view("shift x", 0.0)
+    state.set_view("scale", 64.0)
+    assert np.ptp(np.nonzero(state.drawn())[0]) == pytest.approx(np.ptp(np.nonzero(before)[0]) / 2, abs=1.5)
+    state.set_view("scale", 1e6)
+    assert state.view()["scale"] == pytest.approx(260, rel=1e-5)
+    with pytest.raises(InputError, match="view: 'zoom'; expected one of scale"):
+        state.set_view("zoom", 1.0)
+
+
+@pytest.mark.parametrize("renderer", ["exact", "E0"])
+def test_outlines_are_pulled_toward_the_target(renderer):
+    body = body_of("t-pose")
+    right_and_down = target_of(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
+    state = DemoState(body, right_and_down, replace(SMALL, renderer=renderer))
+    points, forces = state.outline_forces()
+    assert points.shape == forces.shape == (len(points), 3)
+    assert len(points) > 50
+    assert (forces[:, :2].sum(0) > 0).all()
+    assert (np.abs(forces[:, 2]) > 0).any()
+    state.configure(supervision="keypoints")
+    assert len(state.outline_forces()[0]) == 0
+
+
+def test_outline_arrows_are_drawn(window):
+    before = window.scene.screenshot()
+    window.press("i")
+    after = window.scene.screenshot()
+    changed = (before != after).any(-1)
+    assert changed[310:580, 970:].sum() > 500
+    assert not changed[:290].any()
+    window.press("c")
+    assert window.state.settings.supervision == "keypoints"
+    window.press("i")
+    window.press("i")
+    assert "keypoints pull on no outline" in window.scene.message
+
+
+def test_the_trade_remembers_what_was_tried():
+    state = DemoState(body_of("t-pose"), target_of(body_of("walking")), replace(SMALL, gradient="coverage"))
+    trade = Trade(state)
+    for renderer in ("exact", "E0", "E2"):
+        state.configure(renderer=renderer)
+        trade.update(measure=True)
+    state.play(5)
+    trade.update(measure=False)
+    exact, coarse, fine = trade.rows.values()
+    assert [row.drawn for row in (exact, coarse, fine)] == ["exact, coverage", "mesh E0", "mesh E2"]
+    assert exact.outline == 0 < fine.outline < coarse.outline
+    assert exact.angle < fine.angle  # PartDR's gradient is no derivative
+    assert all(row.milliseconds > 0 for row in trade.rows.values())
+    assert (exact.iterations, coarse.iterations, fine.iterations) == (0, 0, 5)
+    assert (fine.f1, fine.joints) == (state.part_f1(), state.joint_error())
+    assert trade.rows[trade.current] is fine
+    state.set_length("forearm", 0.3)
+    trade.update(measure=False)
+    assert trade.rows == {}
+
+
+def test_qualities_are_tried_from_the_start_and_told_in_the_table(window):
+    before = window.scene.screenshot()
+    window.press("n")
+    for k in range(len(QUALITIES)):
+        window.press(f"F{6 + k}")
+        assert window.state.history == []
+    assert [row.size for row in window.trade.rows.values()] == [64, 64, 128, 256, 256, 512]  # the first is SMALL's
+    changed = (window.scene.screenshot() != before).any(-1)
+    assert changed[620:760, 910:].any()
+
+
+def test_the_detailed_body_is_worn_until_the_body_moves(window):
+    before = window.scene.screenshot()
+    window.press("a")
+    assert "anny, registered in" in window.scene.message
+    assert window.scene.detailed
+    assert not window.scene.parts[0].visibility
+    worn = window.scene.screenshot()
+    points = np.asarray(window.scene._skin.mapper.dataset.points)
+    assert np.ptp(points[:, 1]) == pytest.approx(1.7, abs=0.2)
+    face = PART_COLOURS[PART_NAMES.index("head") + 1].astype(int)
+    view = np.s_[60:560, 150:640]
+    assert (before[view] != worn[view]).any(-1).sum() > 5000
+    assert (
+        np.abs(worn[view] / worn[view].sum(-1, keepdims=True).clip(1) - face / face.sum()).sum(-1) < 0.05
+    ).sum() > 300
+    window.press("m")
+    assert window.scene.detailed  # the renderer has changed, the body has not
+    window.press("n")
+    assert not window.scene.detailed
+    assert window.scene.parts[0].visibility
+
+
+def test_loading_starts_from_what_was_saved(window):
+    window.press("n")
+    saved = window.state.body.rotations.detach().clone()
+    window.press("d")
+    window.press("F4")
+    click(window, "load")
+    torch.testing.assert_close(window.state.start.rotations, saved, atol=1e-5, rtol=1e-4)
+    assert window.scene.message == f"starts from {window.folder / 'body.npz'}"
+
+
+def test_more_faults_are_told_in_the_window(window):
+    def told() -> str:
+        return " ".join(window.scene._status.input.split())
+
+    window.controls.playing = True
+    window.press("l")
+    assert "body.npz: No such file" in told()
+    assert not window.controls.playing
+    window.folder.mkdir()
+    (window.folder / "body.npz").write_bytes(b"PK")
+    start = window.state.start
+    window.press("l")
+    assert "not a body file" in told()
+    assert window.state.start is start
+    window.press("n")
+    assert window.scene.message == ""
+
+
+def test_a_target_without_labels_takes_keypoints_alone(can_draw, tmp_path):
+    target = read_target(EXAMPLE / "photo.png", EXAMPLE / "keypoints.json", None, "cdcl14")
+    window = Window(
+        DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints")), tmp_path, off_screen=True
+    )
+    click(window, "parts")
+    assert window.scene.message.startswith("supervision: parts, without part labels; expected --parts FILE")
+    assert window.state.settings.supervision == "keypoints"
+    click(window, "walking", "target:")
+    assert window.state.target.photo is None
+    click(window, "given")
+    assert window.state.target is target
+    (row,) = window.trade.rows.values()
+    assert row.angle is None
+    window.scene.close()
+
+
+def test_profile_tells_of_drawn_pictures(window):
+    took = window.profile(2)
+    assert list(took) == [
+        "slider hip length [cm]",
+        "slider scale [px/m]",
+        "slider left upper arm, x [deg]",
+        "iteration",
+        "quality",
+    ]
+    assert all(0 < value < 5000 for value in took.values())
 
 
 def test_a_window_that_nobody_sees_is_a_fault(window):

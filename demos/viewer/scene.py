@@ -9,27 +9,30 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from ..body.icosphere import icosphere
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
 from ..errors import InputError
 from ..palette import PART_COLOURS
+from ..posing import Posed
+from .arrows import Arrows
 from .state import DemoState
+from .wanted import BACKGROUND_COLOUR
 
 if TYPE_CHECKING:
     import pyvista as pv
 
 WINDOW = (1280, 800)  # [px]
 _IMAGE_SIDE = 256  # [px] of the images on the right, whatever is drawn
-_SMOOTH_LEVEL = 3  # of the sphere that stands for an exact ellipsoid
+_SMOOTH_LEVELS = (2, 3)  # of the sphere that stands for an exact ellipsoid, where outlines are rough and smooth
 _PAPER, _INK, _FAINT = "#fafafa", "#22262b", "#b9bec6"
 _FLIP = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to VTK's view (y up, z toward the viewer)
 _WALL = 0.9  # [m] behind the pelvis: where the target hangs
 _FRONT = 0.4  # [m] before the pelvis: where the drawn part of what the camera sees ends
-_WIDEST = 64  # letters of a message's line
-_ARROW = 0.22  # of the image's side: the longest arrow
+_WIDEST = 72  # letters of a message's line
+_MOST_ARROWS = 300  # along outlines
 _CAMERA = ((2.3, 0.9, 5.9), (-0.05, 0.02, -0.3), (0.0, 1.0, 0.0))
-_AWAY, _ACROSS, _TOWARD = (np.array(rgb) for rgb in ((0, 90, 181), (60, 60, 60), (220, 80, 20)))  # of arrows, by z
 _TITLES = {
     "body": ((0, 2), "body"),
     "target": ((0, 3), "target"),
@@ -50,6 +53,11 @@ class Scene:
     Attributes:
         plotter: PyVista's plotter, to add to or to take pictures with.
         message: A line below the status, such as an error; ``update`` shows it.
+        parts: The actors of the 20 ellipsoids.
+        chart: Of the energy.
+        skeleton_only: Show the skeletons, through a pale body.
+        outline_arrows: Show the pull along the silhouettes instead of that at the centres.
+        chosen: The part that stands out; None without.
 
     Raises:
         InputError: If VTK can't draw here.
@@ -80,9 +88,13 @@ class Scene:
         except (ImportError, RuntimeError, OSError) as error:  # a VTK without libGL, or without a display to open
             raise no_picture(error) from error
         self.plotter.render_window.SetMultiSamples(8 if smooth else 0)
+        self._smooth_level = _SMOOTH_LEVELS[smooth]
         self.state = state
         self.message = ""
-        self.skeleton_only = False
+        self.skeleton_only = self.outline_arrows = False
+        self.chosen: str | None = None
+        self._filled: dict[int, np.ndarray] = {}  # by the image's id, the picture that is in it
+        self._clothed: Posed | None = None  # the body that the detailed one was made for
         self._level: int | None = -1  # of the spheres that are shown
         self.plotter.set_background(_PAPER)
         self._add_body()
@@ -107,6 +119,9 @@ class Scene:
             )
             for k, name in enumerate(PART_NAMES)
         ]
+        self._skin = plotter.add_mesh(
+            pv.Sphere(), name="skin", specular=0.1, specular_power=12, ambient=0.25, render=False
+        )
         joints = np.zeros((NUM_PARTS + 1, 3))
         lines = [[2, PARENTS[k] + 1, k + 1] for k in range(NUM_PARTS)]
         self._skeleton = pv.PolyData(joints, lines=np.array(lines).ravel())
@@ -124,8 +139,42 @@ class Scene:
             "", position=(0.025, 0.985), viewport=True, font_size=9, color=_INK, font="arial"
         )
         self._status.prop.SetVerticalJustificationToTop()
-        plotter.camera_position = _CAMERA
-        plotter.camera.view_angle = 30
+        self.look()
+
+    def look(self) -> None:
+        """See the body in 3D as at first."""
+        self.plotter.subplot(0, 0)
+        self.plotter.camera_position = _CAMERA
+        self.plotter.camera.view_angle = 30
+
+    @property
+    def detailed(self) -> bool:
+        """Whether the detailed body is shown; it is that of one body, and gone when another takes its place."""
+        now = self.state.posed()
+        return self._clothed is not None and all(
+            torch.equal(old, new) for old, new in zip(vars(self._clothed).values(), vars(now).values(), strict=True)
+        )
+
+    def wear(self, vertices: np.ndarray, faces: np.ndarray, parts: np.ndarray) -> None:
+        """Show a detailed body instead of the ellipsoids that the state has now.
+
+        Args:
+            vertices: In the camera frame [m], shape (V, 3).
+            faces: Shape (F, 3).
+            parts: Label of each face, shape (F,).
+        """
+        skin = self._pv.PolyData.from_regular_faces(vertices @ _FLIP, faces)
+        skin.cell_data["rgb"] = PART_COLOURS[parts]
+        mapper = self._skin.mapper
+        mapper.dataset = skin.compute_normals(cell_normals=False, split_vertices=False)
+        mapper.scalar_map_mode, mapper.array_name = "cell", "rgb"
+        mapper.SetColorModeToDirectScalars()
+        mapper.scalar_visibility = True
+        self._clothed = self.state.posed()
+
+    def undress(self) -> None:
+        """Show the ellipsoids again."""
+        self._clothed = None
 
     def _make_texture(self) -> tuple[pv.ImageData, pv.Texture]:
         pv = self._pv
@@ -146,17 +195,10 @@ class Scene:
         return image
 
     def _add_arrows(self) -> None:
-        """One arrow an ellipsoid over the last image: along x and y, coloured by z."""
+        """Over the last image: one an ellipsoid, or many along outlines."""
         self.plotter.subplot(*_TITLES["gradient"][0])
-        # two triangles a shaft and one a head, flat, as wide as they look at any length
-        self._arrows = self._pv.PolyData(
-            np.zeros((7 * NUM_PARTS, 3)),
-            faces=np.array(
-                [[3, *(7 * k + corner for corner in corners)] for k in range(NUM_PARTS) for corners in _ARROW_FACES]
-            ).ravel(),
-        )
-        self._arrows.cell_data["rgb"] = np.zeros((len(_ARROW_FACES) * NUM_PARTS, 3), dtype=np.uint8)
-        self.plotter.add_mesh(self._arrows, scalars="rgb", rgb=True, lighting=False, render=False)
+        self._centre_arrows = Arrows(self.plotter, NUM_PARTS, longest=0.44, half_width=0.011)
+        self._outline_arrows = Arrows(self.plotter, _MOST_ARROWS, longest=0.16, half_width=0.0035, strongest=0.95)
 
     def _add_loss(self) -> None:
         self.plotter.subplot(2, 2)
@@ -167,7 +209,7 @@ class Scene:
             axis.label_size, axis.tick_label_size, axis.grid = 13, 11, False
         self._curve = chart.line([0, 1], [0, 0], color="#14468c", width=3.0)
         self.plotter.add_chart(chart)
-        self._chart = chart
+        self.chart = chart
 
     def update(self) -> None:
         """Bring everything to what the state is now; nothing is drawn yet."""
@@ -175,19 +217,29 @@ class Scene:
         pictures = self.state.pictures()
         photo = self.state.target.photo
         for name, picture in pictures.items():
-            _fill(self._images[name], picture)
-        _fill(self._wall_image, pictures["target"] if photo is None else photo)
-        faint = 250 - (250 - pictures["body"].astype(int)) // 4
-        _fill(self._images["gradient"], faint.astype(np.uint8))
+            self._fill(self._images[name], picture)
+        self._fill(self._wall_image, pictures["target"] if photo is None else photo)
+        faint = BACKGROUND_COLOUR - (BACKGROUND_COLOUR - pictures["body"]) // 4  # no colour is brighter
+        self._fill(self._images["gradient"], faint)
         self._update_arrows()
         self._update_loss()
         self._status.input = self._said()
+
+    def _fill(self, image: pv.ImageData, picture: np.ndarray) -> None:
+        """Copy a square RGB picture of any size into a texture's image, whose rows go up, unless it is there yet."""
+        if self._filled.get(id(image)) is picture:
+            return
+        self._filled[id(image)] = picture
+        rows = ((np.arange(_IMAGE_SIDE) + 0.5) * (len(picture) / _IMAGE_SIDE)).astype(int)
+        np.asarray(image.point_data["rgb"])[:] = picture[rows[::-1]][:, rows].reshape(-1, 3)
+        image.GetPointData().GetScalars().Modified()
+        image.Modified()
 
     def _update_body(self) -> None:
         state = self.state
         body, posed, truth = state.body.detach(), state.posed(), state.target.posed
         if (level := state.settings.level) != self._level:
-            vertices, faces = icosphere(_SMOOTH_LEVEL if level is None else level)
+            vertices, faces = icosphere(self._smooth_level if level is None else level)
             shape = self._pv.PolyData.from_regular_faces(vertices, faces)
             if level is None:
                 shape.point_data.active_normals = np.asarray(vertices, dtype=np.float32)
@@ -198,9 +250,14 @@ class Scene:
         matrices = np.tile(np.eye(4), (NUM_PARTS, 1, 1))
         matrices[:, :3, :3] = _FLIP @ (posed.axes * posed.semi_axes[:, :, None])[0].numpy()
         matrices[:, :3, 3] = posed.centres[0].numpy() @ _FLIP
-        for actor, matrix in zip(self.parts, matrices, strict=True):
+        if not (detailed := self.detailed):
+            self._clothed = None
+        self._skin.visibility = detailed
+        for actor, matrix, name in zip(self.parts, matrices, PART_NAMES, strict=True):
             actor.user_matrix = matrix
+            actor.visibility = not detailed
             actor.prop.opacity = 0.25 if self.skeleton_only else 1.0
+            actor.prop.ambient = 0.6 if name == self.chosen else 0.25
         self._skeleton.points = posed.joints[0].numpy() @ _FLIP
         self._target_bones.visibility = truth is not None and self.skeleton_only
         self._bones.visibility = self.skeleton_only
@@ -214,50 +271,26 @@ class Scene:
         self._wall.points = box[[7, 6, 4, 5]]
 
     def _update_arrows(self) -> None:
-        """The pull in pixels of the crop; the largest has a fixed length, so that small ones at the end are seen."""
-        state = self.state
-        centres, forces = state.forces()
+        state, shown = self.state, self._outline_arrows if self.outline_arrows else self._centre_arrows
+        points, forces = state.outline_forces() if self.outline_arrows else state.forces()
         body = state.body.detach()
-        places = (centres[:, :2] * float(body.log_scale.exp()) + body.shift[0].numpy()) * [1, -1]
-        strongest = max(float(np.linalg.norm(forces, axis=1).max()), 1e-12)
-        along = forces[:, :2] * [1, -1] * (2 * _ARROW / strongest)
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        direction = along / np.maximum(length, 1e-9)
-        side = direction[:, ::-1] * [-1, 1]
-        half, head = 0.011, np.minimum(0.06, 0.6 * length)
-        wing = np.minimum(0.035, 0.6 * length)
-        neck, thin = places + direction * (length - head), np.minimum(half, wing)
-        corners = np.stack(
-            [
-                places + side * thin, places - side * thin, neck - side * thin, neck + side * thin,
-                neck - side * wing, places + along, neck + side * wing,
-            ],
-            axis=1,
-        )  # fmt: skip
-        points = np.zeros((NUM_PARTS, 7, 3))
-        points[..., :2], points[..., 2] = corners, 0.01
-        self._arrows.points = points.reshape(-1, 3)
-        share = forces[:, 2:] / max(float(np.abs(forces[:, 2]).max()), 1e-12)
-        colours = np.where(share > 0, _AWAY, _TOWARD) * np.abs(share) + _ACROSS * (1 - np.abs(share))
-        np.asarray(self._arrows.cell_data["rgb"])[:] = np.repeat(colours, len(_ARROW_FACES), axis=0)
-        self._arrows.cell_data.GetScalars().Modified()
+        shown.show(points[:, :2] * float(body.log_scale.exp()) + body.shift[0].numpy(), forces)
+        for arrows in (self._centre_arrows, self._outline_arrows):
+            arrows.actor.visibility = arrows is shown
 
     def _update_loss(self) -> None:
-        history = (
-            self.state.history if len(self.state.history) > 1 else [0.0, 0.0]
-        )  # without a line, VTK hides the axes
+        # without a line, VTK hides the axes
+        history = self.state.history if len(self.state.history) > 1 else [0.0, 0.0]
         self._curve.update(np.arange(len(history)), history)
-        self._chart.x_range = [0, max(self.state.settings.steps, len(history))]
-        self._chart.y_range = [0, 1.05 * max(history) or 1.0]
+        self.chart.x_range = [0, max(self.state.settings.steps, len(history))]
+        self.chart.y_range = [0, 1.05 * max(history) or 1.0]
 
     def _said(self) -> str:
         """What the state is, in words."""
         state, settings = self.state, self.state.settings
-        looks = {"parts": "keypoints + parts", "silhouette": "keypoints + silhouette"}.get(
-            settings.supervision, "keypoints"
-        )
-        depth = ("with" if settings.depth_gradient else "without") + " z gradient"
-        drawn = f"exact, {settings.gradient}" if settings.level is None else f"mesh {settings.renderer}"
+        looks = "keypoints" if settings.supervision == "keypoints" else f"keypoints + {settings.supervision}"
+        if settings.supervision == "parts":
+            looks += f", {'with' if settings.depth_gradient else 'without'} z gradient"
         measures = [f"iteration {len(state.history)}"]
         if (took := state.milliseconds()) is not None:
             measures.append(f"{took:.1f} ms each")
@@ -266,7 +299,7 @@ class Scene:
         if (error := state.joint_error()) is not None:
             measures.append(f"joints {error:.0f} mm off")
         lines = [
-            f"{looks}, {depth}   ·   {drawn}, {settings.size} px",
+            f"{looks}   ·   {settings.drawn}, {settings.size} px",
             "   ·   ".join(measures),
             textwrap.fill(self.message, _WIDEST),
         ]
@@ -292,12 +325,3 @@ def no_picture(error: Exception) -> InputError:
 
 
 _BOX = [[2, *edge] for k in range(4) for edge in ((k, (k + 1) % 4), (4 + k, 4 + (k + 1) % 4), (k, k + 4))]
-_ARROW_FACES = ((0, 1, 2), (0, 2, 3), (4, 5, 6))
-
-
-def _fill(image: pv.ImageData, picture: np.ndarray) -> None:
-    """Copy a square RGB picture of any size into a texture's image, whose rows go up."""
-    rows = ((np.arange(_IMAGE_SIDE) + 0.5) * (len(picture) / _IMAGE_SIDE)).astype(int)
-    np.asarray(image.point_data["rgb"])[:] = picture[rows[::-1, None], rows].reshape(-1, 3)
-    image.GetPointData().GetScalars().Modified()
-    image.Modified()

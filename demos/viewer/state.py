@@ -5,85 +5,45 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, label_set
 from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
-from ..ellipsoid_passes import Gradient
 from ..ellipsoids import draw_ellipsoids
-from ..energy import Energy, resize_nearest
+from ..energy import Energy, Renderer
 from ..errors import InputError
 from ..export import ellipbody_scene
-from ..mesh import ellipbody_mesh
-from ..metrics import confusion, mpjpe, part_f1
+from ..mesh import PartMesh, ellipbody_mesh
+from ..metrics import mpjpe, part_f1
 from ..output import body_file
-from ..palette import IGNORE_COLOUR, group_colours
 from ..parameters import BodyParameters
 from ..pose_prior import PosePrior
 from ..posing import Posed
 from ..refinement import SHAPE_RATE, SIZES, rate_share
 from ..render import DEFAULT_DEPTH_WEIGHT, rasterize_parts
+from .settings import Settings
 from .targets import Target, read_body
+from .view import VIEW, seen_as, view_of
+from .wanted import BACKGROUND_COLOUR, WantedPicture, picture_colours, wanted_picture
 
-Supervision = Literal["keypoints", "silhouette", "parts"]
-RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
-DRAWN_SIZES = (64, 128, 256, 512)  # [px]
 _FINAL_RATE = 0.1
-_BACKGROUND_COLOUR = 250
-_RIGHT_COLOUR = 226
-_UNKNOWN_COLOUR = 238
 _TIMED = 15  # the last so many iterations tell the time of one
+_OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact ellipsoids
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How the refinement looks at its target.
+class _HeldVertices(Posed):
+    """A body whose vertices are given, so that a gradient can be taken in them."""
 
-    Attributes:
-        supervision: Beside the keypoints: nothing, the whole silhouette, or the parts.
-        depth_gradient: Whether PartDR's z gradient counts; it needs parts.
-        renderer: "exact" ellipsoids, or their mesh of a level.
-        gradient: Of the exact renderer; a mesh has PartDR's alone.
-        size: Side of the drawn crop [px].
-        steps: Iterations over which the learning rate falls to a tenth; it stays there.
-        learning_rate: As in ``refine``, whose own is for starts that are nearer.
+    held: torch.Tensor
 
-    Raises:
-        InputError: If a value is none of its choices.
-    """
-
-    supervision: Supervision = "parts"
-    depth_gradient: bool = True
-    renderer: RendererName = "exact"
-    gradient: Gradient = "partdr"
-    size: int = 256
-    steps: int = 100
-    learning_rate: float = 0.06
-
-    def __post_init__(self) -> None:
-        choices: dict[str, tuple[Any, ...]] = {
-            "supervision": get_args(Supervision),
-            "renderer": get_args(RendererName),
-            "gradient": get_args(Gradient),
-            "size": DRAWN_SIZES,
-        }
-        for name, allowed in choices.items():
-            if (value := getattr(self, name)) not in allowed:
-                raise InputError(f"{name}: {value}; expected one of {', '.join(map(str, allowed))}")
-        if self.steps < 1:
-            raise InputError(f"steps: {self.steps}; expected 1 or more")
-        if not 0 < self.learning_rate <= 1:
-            raise InputError(f"learning_rate: {self.learning_rate}; expected a positive number up to 1")
-
-    @property
-    def level(self) -> int | None:
-        """Subdivisions of the mesh; None for exact ellipsoids."""
-        return None if self.renderer == "exact" else int(self.renderer[1])
+    def vertices(self, subdivisions: int = _OUTLINE_LEVEL) -> torch.Tensor:
+        return self.held
 
 
 class DemoState:
@@ -111,11 +71,17 @@ class DemoState:
         self.settings = settings or Settings()
         self.prior = PosePrior()
         self.history: list[float] = []
+        self._seen: Target | None = None  # what the wanted pictures were made of
+        self._wanted_pictures: dict[int, WantedPicture | None] = {}  # by their size
         self._check_labels(target)
         self.restart()
 
-    def configure(self, **changes: Any) -> None:
-        """Change some of the ``Settings``; the body stays where it is, and its history begins anew.
+    def configure(self, *, again: bool = False, **changes: Any) -> None:
+        """Change some of the ``Settings``; the history begins anew.
+
+        Args:
+            again: Go back to the start, too; else the body stays where it is.
+            changes: The new values.
 
         Raises:
             InputError: If a value is none of its choices, or needs labels that the target has not; nothing changes.
@@ -127,6 +93,8 @@ class DemoState:
         except InputError:
             self.settings = before
             raise
+        if again:
+            self.body = self.start
         self._begin()
 
     def _check_labels(self, target: Target) -> None:
@@ -170,9 +138,14 @@ class DemoState:
         )
         self.history = []
         self._times: deque[float] = deque(maxlen=_TIMED)
-        self.energy = self._make_energy()
+        self.energy = self._make_energy("exact" if self.settings.level is None else "mesh", self.settings.level or 0)
+        self._outline_energy: Energy | None = None
+        if self._seen is not self.target:
+            self._seen, self._wanted_pictures = self.target, {}
+        if (size := self.settings.size) not in self._wanted_pictures:
+            self._wanted_pictures[size] = wanted_picture(self.target, size)
 
-    def _make_energy(self) -> Energy:
+    def _make_energy(self, renderer: Renderer, level: int) -> Energy:
         seen, settings = self.target.observation, self.settings
         if settings.supervision == "keypoints":
             seen = replace(seen, labels=None, label_set=None)
@@ -183,8 +156,8 @@ class DemoState:
             seen,
             size=settings.size,
             prior=self.prior,
-            renderer="exact" if settings.level is None else "mesh",
-            subdivisions=settings.level or 0,
+            renderer=renderer,
+            subdivisions=level,
             gradient=settings.gradient,
             depth_weight=DEFAULT_DEPTH_WEIGHT if settings.depth_gradient else 0.0,
         )
@@ -208,6 +181,7 @@ class DemoState:
     def _moved(self) -> None:
         self._posed: Posed | None = None
         self._drawn: np.ndarray | None = None
+        self._part_f1: float | None = None
 
     def play(self, count: int) -> None:
         """So many steps."""
@@ -252,6 +226,15 @@ class DemoState:
         rotations[0, index, axis] = min(max(radians, float(low)), float(high))
         self.reset(replace(self.body.detach(), rotations=rotations))
 
+    def view(self) -> dict[str, float]:
+        """How the body is seen: the numbers of ``VIEW``."""
+        return view_of(self.body)
+
+    def set_view(self, name: str, value: float) -> None:
+        """Change one of the numbers of ``VIEW``, within its bounds; the edited body is the new start."""
+        names = tuple(VIEW)
+        self.reset(seen_as(self.body, {**self.view(), names[_index("view", names, name)]: value}))
+
     @torch.no_grad()
     def posed(self) -> Posed:
         """Where the body's ellipsoids are, in the camera frame [m], without gradient."""
@@ -269,34 +252,27 @@ class DemoState:
                 shown = draw_ellipsoids(posed, camera, (size, size), part_labels=groups[1:].tolist(), validate=False)
                 self._drawn = shown.labels[0].numpy()
             else:
-                mesh = ellipbody_mesh(level).relabel(groups)
+                mesh = _mesh(level, tuple(groups.tolist()))
                 points = camera.project(posed.vertices(level))
                 self._drawn = rasterize_parts(points, mesh, (size, size), validate=False).labels[0].numpy()
         return self._drawn
 
     def wanted(self) -> np.ndarray | None:
         """Group ids of the target, shape (size, size), uint8; None without labels."""
-        labels = self.target.observation.labels
-        return None if labels is None else resize_nearest(labels, self.settings.size).numpy()
+        wanted = self._wanted_pictures[self.settings.size]
+        return None if wanted is None else wanted.labels
 
     def pictures(self) -> dict[str, np.ndarray]:
         """Body, target and difference by these names, in the parts' colours, RGB, shape (size, size, 3), uint8.
 
         In the difference, a wrong pixel has the colour that it should have; what should be background is dark.
         """
-        colours = group_colours(self.target.label_set.part_groups)
-        colours[BACKGROUND], colours[IGNORE] = _BACKGROUND_COLOUR, _UNKNOWN_COLOUR
-        drawn, wanted = self.drawn(), self.wanted()
-        shown = {"body": colours[drawn]}
+        drawn, wanted = self.drawn(), self._wanted_pictures[self.settings.size]
+        shown = {"body": picture_colours(self.target).take(drawn, axis=0)}
         if wanted is None:
-            blank = np.full_like(shown["body"], _BACKGROUND_COLOUR)
+            blank = np.full_like(shown["body"], BACKGROUND_COLOUR)
             return shown | {"target": blank, "difference": blank}
-        counted = wanted != IGNORE
-        difference = np.full_like(shown["body"], _BACKGROUND_COLOUR)
-        difference[counted & (wanted > 0)] = _RIGHT_COLOUR
-        wrong = counted & (drawn != wanted)
-        difference[wrong] = np.where(wanted[wrong, None] > 0, colours[wanted[wrong]], IGNORE_COLOUR)
-        return shown | {"target": colours[wanted], "difference": difference}
+        return shown | {"target": wanted.picture, "difference": wanted.difference(drawn)}
 
     def forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the losses of keypoints and labels pull each ellipsoid: minus their gradient at its centre.
@@ -313,6 +289,29 @@ class DemoState:
         assert posed.centres.grad is not None
         return posed.centres.detach()[0].numpy(), -posed.centres.grad[0].numpy()
 
+    def outline_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the loss of labels pulls the vertices of the mesh, most of them on its silhouettes.
+
+        Of exact ellipsoids, the vertices are those of level 2, with PartDR's gradient.
+
+        Returns:
+            Those with a pull in the camera frame [m], and their pull [a metre], shape (N, 3) each; N = 0 where no
+            labels are followed.
+        """
+        level = self.settings.level
+        if self._outline_energy is None:
+            mesh = self._make_energy("mesh", _OUTLINE_LEVEL)
+            self._outline_energy = mesh if level is None else self.energy
+        energy = self._outline_energy
+        if energy.target is None:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        posed = self.posed()
+        vertices = posed.vertices(_OUTLINE_LEVEL if level is None else level).requires_grad_()
+        loss = energy.segmentation(self.body.detach(), _HeldVertices(**vars(posed), held=vertices))
+        (slope,) = torch.autograd.grad(energy.weights.seg * loss.sum(), vertices)
+        pulled = (slope[0] != 0).any(1)
+        return vertices.detach()[0, pulled].numpy(), -slope[0, pulled].numpy()
+
     def milliseconds(self) -> float | None:
         """Median time of the last iterations; None before the first."""
         return float(np.median(self._times)) * 1000 if self._times else None
@@ -322,7 +321,12 @@ class DemoState:
         wanted = self.wanted()
         if wanted is None:
             return None
-        return float(part_f1(confusion(self.drawn(), wanted, self.target.label_set.num_groups + 1)))
+        if self._part_f1 is None:
+            # As ``confusion`` counts, which takes 30 times as long to check and to mask; ignored pixels come last.
+            classes = self.target.label_set.num_groups + 1
+            counts = np.bincount((wanted.astype(np.uint16) * classes + self.drawn()).ravel(), minlength=classes**2)
+            self._part_f1 = float(part_f1(counts[: classes**2].reshape(classes, classes)))
+        return self._part_f1
 
     def joint_error(self) -> float | None:
         """Mean distance of the joints to the target body's, pelvis on pelvis [mm]; None of a photo."""
@@ -348,6 +352,12 @@ class DemoState:
     def load(self, path: str | Path) -> None:
         """Start from the body of a ``body.npz``; see ``read_body``."""
         self.reset(read_body(path))
+
+
+@lru_cache(maxsize=8)
+def _mesh(level: int, groups: tuple[int, ...]) -> PartMesh:
+    """With the labels of these groups, whose edges take a moment to find."""
+    return ellipbody_mesh(level).relabel(np.array(groups, dtype=np.uint8))
 
 
 def _index(kind: str, names: tuple[str, ...], name: str) -> int:

@@ -1,0 +1,73 @@
+"""What the demo's refinement is told: what to follow, and how to draw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from ..ellipsoid_passes import Gradient
+from ..errors import InputError
+
+Supervision = Literal["keypoints", "silhouette", "parts"]
+RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
+DRAWN_SIZES = (64, 128, 256, 512)  # [px]
+
+# Names of what is traded: a few renderers, gradients and sizes, from the fastest to the most accurate.
+QUALITIES: dict[str, dict[str, Any]] = {
+    "draft": {"renderer": "E0", "gradient": "partdr", "size": 64},
+    "fast": {"renderer": "exact", "gradient": "edges", "size": 128},
+    "paper": {"renderer": "E1", "gradient": "partdr", "size": 256},
+    "exact": {"renderer": "exact", "gradient": "partdr", "size": 256},
+    "fine": {"renderer": "exact", "gradient": "coverage", "size": 512},
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the refinement looks at its target.
+
+    Attributes:
+        supervision: Beside the keypoints: nothing, the whole silhouette, or the parts.
+        depth_gradient: Whether PartDR's z gradient counts; it needs parts.
+        renderer: "exact" ellipsoids, or their mesh of a level.
+        gradient: Of the exact renderer; a mesh has PartDR's alone.
+        size: Side of the drawn crop [px].
+        steps: Iterations over which the learning rate falls to a tenth; it stays there.
+        learning_rate: As in ``refine``, whose own is for starts that are nearer.
+
+    Raises:
+        InputError: If a value is none of its choices.
+    """
+
+    supervision: Supervision = "parts"
+    depth_gradient: bool = True
+    renderer: RendererName = "exact"
+    gradient: Gradient = "partdr"
+    size: int = 256
+    steps: int = 100
+    learning_rate: float = 0.06
+
+    def __post_init__(self) -> None:
+        choices: dict[str, tuple[Any, ...]] = {
+            "supervision": get_args(Supervision),
+            "renderer": get_args(RendererName),
+            "gradient": get_args(Gradient),
+            "size": DRAWN_SIZES,
+        }
+        for name, allowed in choices.items():
+            if (value := getattr(self, name)) not in allowed:
+                raise InputError(f"{name}: {value}; expected one of {', '.join(map(str, allowed))}")
+        if self.steps < 1:
+            raise InputError(f"steps: {self.steps}; expected 1 or more")
+        if not 0 < self.learning_rate <= 1:
+            raise InputError(f"learning_rate: {self.learning_rate}; expected a positive number up to 1")
+
+    @property
+    def level(self) -> int | None:
+        """Subdivisions of the mesh; None for exact ellipsoids."""
+        return None if self.renderer == "exact" else int(self.renderer[1])
+
+    @property
+    def drawn(self) -> str:
+        """Renderer and gradient in words, such as "exact, partdr" or "mesh E1"."""
+        return f"exact, {self.gradient}" if self.level is None else f"mesh {self.renderer}"

@@ -1,0 +1,124 @@
+"""What speed costs: the time and the errors of every setting that was tried from the same start to the same target."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..bench.plan import GRADIENTS
+from ..bench.tradeoff_gradient import gradient_error, true_gradient
+from ..bench.tradeoff_plan import Setting
+from ..bench.tradeoff_truth import ELLIPBODY, People, draw_truth
+from ..energy import REFERENCE_SIZE
+from ..subdivisions import silhouette_error
+from .settings import Settings
+from .state import DemoState
+
+_MOST = 8  # rows that are kept
+
+
+@dataclass
+class Row:
+    """One setting: what can be said of it at the start, and how far it came.
+
+    Attributes:
+        drawn: Renderer and gradient.
+        size: Side of the picture [px].
+        followed: What is followed.
+        milliseconds: Of an iteration: of one at the start, then the median of the last.
+        angle: Between its gradient of L_seg and the derivative of the wrongly labelled area [degrees], at the start;
+            None where the true body isn't known.
+        outline: How far the farthest silhouette of the mesh is from the ellipsoid's [px of 256], at the start.
+        iterations: How many it was followed for.
+        f1: Part F1 of the drawn labels then; None without labels.
+        joints: How far joints are from the target's then [mm]; None of a photo.
+    """
+
+    drawn: str
+    size: int
+    followed: str
+    milliseconds: float
+    angle: float | None
+    outline: float
+    iterations: int = 0
+    f1: float | None = None
+    joints: float | None = None
+
+
+class Trade:
+    """The rows for one start and one target; with another of them they begin anew.
+
+    Args:
+        state: What is looked at.
+
+    Attributes:
+        rows: By what tells them apart, in the order in which they were first tried.
+        current: Which of them is the present one.
+    """
+
+    def __init__(self, state: DemoState) -> None:
+        self.state = state
+        self.rows: dict[tuple[str, int, str], Row] = {}
+        self.current: tuple[str, int, str] | None = None
+        self._pair: tuple[object, object] | None = None
+        self._truth: tuple[People, torch.Tensor] | None = None
+
+    def update(self, *, measure: bool) -> None:
+        """Note how far the present setting has come.
+
+        Args:
+            measure: Whether a setting that is new is measured now, which takes some iterations' time.
+        """
+        state, pair = self.state, (self.state.start, self.state.target)
+        if self._pair is None or any(old is not new for old, new in zip(self._pair, pair, strict=True)):
+            self.rows, self.current, self._pair, self._truth = {}, None, pair, None
+        key = _key(state.settings)
+        if key not in self.rows:
+            if not measure:
+                return
+            self.rows[key] = Row(*key, _time(state), self._angle(), self._outline())
+            while len(self.rows) > _MOST:
+                del self.rows[next(iter(self.rows))]
+        self.current = key
+        if state.history:
+            row = self.rows[key]
+            row.milliseconds = state.milliseconds() or row.milliseconds
+            row.iterations, row.f1, row.joints = len(state.history), state.part_f1(), state.joint_error()
+
+    def _angle(self) -> float | None:
+        target, settings = self.state.target, self.state.settings
+        if target.truth is None or target.posed is None:
+            return None
+        if self._truth is None:
+            labels = draw_truth(target.truth)
+            people = People(ELLIPBODY, target.truth, labels, target.observation.points[None], target.posed.joints)
+            self._truth = people, true_gradient(people, self.state.start)
+        names = {gradient: name for name, gradient in GRADIENTS.items()}
+        name = names[settings.gradient] if settings.level is None else f"mesh {settings.renderer}"
+        people, true = self._truth
+        angle = float(gradient_error(Setting(name, settings.size), people, self.state.start, true).angle[0])
+        return angle if np.isfinite(angle) else None
+
+    def _outline(self) -> float:
+        level, start = self.state.settings.level, self.state.start
+        if level is None:
+            return 0.0
+        with torch.no_grad():
+            return float(silhouette_error(start.posed(), start.camera(REFERENCE_SIZE), level).max())
+
+
+def _key(settings: Settings) -> tuple[str, int, str]:
+    depth = " + z" if settings.supervision == "parts" and settings.depth_gradient else ""
+    return settings.drawn, settings.size, settings.supervision + depth
+
+
+def _time(state: DemoState) -> float:
+    """Of an iteration without its step [ms]: the second one, for the first may load kernels."""
+    for _ in range(2):
+        body = state.start.leaves()
+        began = time.perf_counter()
+        torch.stack(list(state.energy(body).values())).sum().backward()
+    return (time.perf_counter() - began) * 1000
