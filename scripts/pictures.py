@@ -2,8 +2,8 @@
 
     python scripts/pictures.py [--out docs/images] [NAME ...]
 
-Says of each whether it is as it was; ``demo.gif`` never is to the last pixel, for measured milliseconds stand in it. A
-picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of long measurements
+Says of each whether it is as it was; those of the demo never are to the last pixel, for measured milliseconds stand in
+them. A picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of long measurements
 are not made here: ``MEASURED`` says what draws them, each beside a JSON file of its figures.
 """
 
@@ -30,6 +30,7 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
         ("demo.gif",),
         ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--target", "crossed arms", "--steps", "60"),
     ),
+    (("demo_window.png",), ("scripts/draw_demo_window.py", "--out", "OUT/demo_window.png")),
 )
 
 MEASURED = {

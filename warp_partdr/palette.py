@@ -1,4 +1,4 @@
-"""The colours of body parts, the same in every picture and file.
+"""The colours of body parts and of directions in depth, the same in every picture and file.
 
 Left limbs are warm, right limbs are cool, the middle of the trunk is violet and the head yellow, so sides can be told
 apart without telling red from green; along a limb, the colours grow lighter towards its end. Parts that touch differ by
@@ -35,6 +35,9 @@ _COLOURS: dict[str, tuple[int, int, int]] = {
 }
 PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PART_NAMES)], dtype=np.uint8)
 """RGB of each part label 0 to 20, shape (21, 3); 0 = background."""
+
+DEPTH_COLOURS = np.array([(220, 80, 20), (60, 60, 60), (0, 90, 181)], dtype=np.uint8)
+"""RGB of a direction along z: toward the viewer, neither, away, shape (3, 3)."""
 
 IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
 

@@ -24,7 +24,7 @@ from .fitting import FitResult
 from .keypoints import Keypoints2D
 from .mesh import ellipbody_mesh
 from .metrics import mpjpe, pa_mpjpe
-from .palette import IGNORE_COLOUR, group_colours
+from .palette import DEPTH_COLOURS, IGNORE_COLOUR, group_colours
 from .parameters import BodyParameters
 from .part_files import PartLabels
 from .pictures import blend, draw_keypoints, panels, shade_body
@@ -44,7 +44,6 @@ Image = np.ndarray | torch.Tensor
 _PARTS = "ellipbody20"
 _DPI = 100
 _BETWEEN = ("#0f4890", "#dd6623")  # two bodies, cool and warm
-_DEPTH = ("#2f6fe0", "#303030", "#e8701a")  # toward the viewer, neither, away
 _STAGES = ("#f6f6f6", "#e8edf3")
 
 
@@ -184,7 +183,7 @@ def gradient_field(
     there = np.abs(downhill).max(1) > 0
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
-    colour_map, norm = LinearSegmentedColormap.from_list("depth", _DEPTH), Normalize(-steepest, steepest)
+    colour_map, norm = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255), Normalize(-steepest, steepest)
     u, v = places[there].T
     arrows = axes.quiver(
         u,
@@ -203,7 +202,7 @@ def gradient_field(
     dot = 40 if renderer == "exact" else 10
     axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
     key = float(f"{longest / 2:.1g}")
-    axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=_DEPTH[1])
+    axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
     points_name = "centres" if renderer == "exact" else f"vertices of E{subdivisions}"
     axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {points_name}")

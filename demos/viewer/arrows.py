@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ..palette import DEPTH_COLOURS
+
 _FACES = ((0, 1, 2), (0, 2, 3), (4, 5, 6))  # two triangles a shaft and one a head
 _CORNERS = 7
-_AWAY, _ACROSS, _TOWARD = (np.array(rgb) for rgb in ((0, 90, 181), (60, 60, 60), (220, 80, 20)))  # by z
 
 
 class Arrows:
@@ -54,7 +55,8 @@ class Arrows:
             points[:count, :, 2] = 0.01
             depth = forces[:, 2:]
             share = np.clip(depth / max(float(np.quantile(np.abs(depth), self._strongest)), 1e-12), -1, 1)
-            colours[:count] = np.where(share > 0, _AWAY, _TOWARD) * np.abs(share) + _ACROSS * (1 - np.abs(share))
+            toward, across_only, away = DEPTH_COLOURS.astype(float)
+            colours[:count] = np.where(share > 0, away, toward) * np.abs(share) + across_only * (1 - np.abs(share))
         self._mesh.points = points.reshape(-1, 3)
         np.asarray(self._mesh.cell_data["rgb"])[:] = np.repeat(colours, len(_FACES), axis=0)
         self._mesh.cell_data.GetScalars().Modified()
