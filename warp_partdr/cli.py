@@ -96,8 +96,8 @@ results there are replaced.
 
 
 _QUALITY_HELP = (
-    "Part F1, joint error and time on PartBench's clean people: fast 0.86, 36 mm, half of balanced's time; balanced "
-    "0.89, 49 mm; accurate 0.90, 54 mm, 1.2 times it; of the search 0.87, 48 mm; 0.89, 53 mm; 0.89, 52 mm. "
+    "Part F1, joint error and time on PartBench's clean people: fast 0.86, 36 mm, 0.4 of balanced's time; balanced "
+    "0.88, 39 mm; accurate 0.90, 46 mm, 1.15 times it; of the search 0.87, 48 mm; 0.89, 53 mm; 0.89, 52 mm. "
     "Options for the last stage replace that of the quality."
 )
 
