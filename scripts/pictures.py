@@ -3,8 +3,8 @@
     python scripts/pictures.py [--out docs/images] [NAME ...]
 
 Says of each whether it is as it was; those of the demo never are to the last pixel, for measured milliseconds stand in
-them. A picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of long measurements
-are not made here: ``MEASURED`` says what draws them, each beside a JSON file of its figures.
+them. A picture that can't be made (VTK without OpenGL) is left as it is, and the exit code is 1. Charts of long
+measurements are not made here: ``MEASURED`` says what draws them, each beside a JSON file of its figures.
 """
 
 from __future__ import annotations
