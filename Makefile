@@ -13,7 +13,7 @@ SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help fit test install dev lint format types pictures wheel-check clean
+.PHONY: help fit demo test install dev lint format types pictures wheel-check clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
@@ -24,6 +24,9 @@ fit: out/example/report.json  ## fit the body to the packaged example; the resul
 out/example/report.json: $(VENV)/.installed $(SOURCES)
 	$(BIN)/partdr fit $(EXAMPLE)/photo.png --keypoints $(EXAMPLE)/keypoints.json \
 		--parts $(EXAMPLE)/parts.png --labels cdcl14 --out $(@D)
+
+demo: $(VENV)/.installed-demo  ## open the interactive demo, in a browser where there is no display
+	$(BIN)/partdr demo $(if $(DISPLAY)$(WAYLAND_DISPLAY),,$(if $(filter Linux,$(shell uname)),--web)) --out out/demo
 
 test: $(VENV)/.installed-dev  ## run the tests; PYTEST_ARGS="-k name" chooses
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -75,6 +78,10 @@ $(VENV)/.installed: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "Installing into $(VENV): PyTorch, Warp, VTK and more, a few minutes the first time ..."
 	$(INSTALL) setuptools
 	$(INSTALL) --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.installed-demo: $(VENV)/.installed
+	$(INSTALL) --no-build-isolation --editable '.[demo]'
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

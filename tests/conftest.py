@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import random
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -86,3 +88,12 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"needs {SHARED.name}/ (photos, motion capture) beside the checkout")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def can_draw() -> None:
+    """VTK ends the process where it finds no OpenGL at all, so another process tries."""
+    code = "import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    if done.returncode != 0:
+        pytest.skip(f"VTK can't draw here: {done.stderr.strip().splitlines()[-1:]}")

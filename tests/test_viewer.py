@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -33,15 +32,6 @@ from warp_partdr.viewer.window import Window
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 SMALL = Settings(size=64, steps=40)
-
-
-@pytest.fixture(scope="session")
-def can_draw() -> None:
-    """VTK ends the process where it finds no OpenGL at all, so another process tries."""
-    code = "import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    if done.returncode != 0:
-        pytest.skip(f"VTK can't draw here: {done.stderr.strip().splitlines()[-1:]}")
 
 
 def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:

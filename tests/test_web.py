@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_viewer import can_draw  # noqa: F401  a fixture
 from typer.testing import CliRunner
 
 from warp_partdr.body.template import PART_NAMES
@@ -29,7 +28,7 @@ SIZE = (640, 400)
 
 
 @pytest.fixture
-def window(can_draw, tmp_path):  # noqa: F811
+def window(can_draw, tmp_path):
     pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
     state = DemoState(body_of("t-pose"), target_of(body_of("walking")), Settings(size=64, steps=40))
     made = Window(state, tmp_path / "saved", off_screen=True)
@@ -178,7 +177,7 @@ def test_a_taken_port_is_one_line(window):
             asyncio.run(web.serve(window, "127.0.0.1", port, print))
 
 
-def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):  # noqa: F811
+def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):
     pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
     command = [sys.executable, "-m", "warp_partdr", "demo", "--web", "--port", "0", "--no-browser", "--size", "64"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
