@@ -659,3 +659,27 @@ def test_command_records(can_draw, tmp_path):
     done = CliRunner().invoke(app, ["demo", "--record", str(tmp_path / "out.gif"), "--steps", "2", "--size", "64"])
     assert done.exit_code == 0, done.output
     assert "2 pictures" in done.output
+
+
+def test_film(window, monkeypatch):
+    click(window, "film")
+    for _ in range(3):
+        window.press("n")
+    window.slide(0, window.page()[0].high)
+    click(window, "film")
+    assert window.scene.message == f"5 pictures in {window.folder / 'demo.gif'}"
+    with Image.open(window.folder / "demo.gif") as film:
+        assert film.size == tuple(side // 2 for side in window.scene.plotter.window_size)
+        first = np.asarray(film.convert("RGB")).astype(int)
+        film.seek(film.n_frames - 1)
+        assert (np.abs(np.asarray(film.convert("RGB")) - first).max(-1) > 40).mean() > 0.01
+    monkeypatch.setattr("warp_partdr.viewer.film._MOST", 2)  # then it ends by itself
+    window.press("f")
+    window.press("n")
+    assert not window.controls.film.running
+    assert "2 pictures" in window.scene.message
+    window.folder.joinpath("demo.gif").unlink()
+    window.folder.joinpath("demo.gif").mkdir()
+    window.press("f")
+    window.press("f")
+    assert "Is a directory" in window.scene.message

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..parameters import BodyParameters
 from .buttons import Button
 from .clothing import Clothing
+from .film import FILM, Film
 from .scene import Scene
 from .settings import DRAWN_SIZES, QUALITIES, RendererName, Supervision
 from .sliders import PAGES
@@ -43,6 +44,7 @@ class Controls:
         page: Which of ``PAGES`` of sliders is open.
         part: The part that the rotation sliders turn.
         clothing: Makes the detailed body.
+        film: Pictures for a GIF.
     """
 
     def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None]) -> None:
@@ -51,6 +53,7 @@ class Controls:
         self.page = 0
         self.part = "left_upper_arm"
         self.clothing = Clothing()
+        self.film = Film()
         self._seed = 0
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
@@ -93,6 +96,13 @@ class Controls:
                 Button("   "),
                 Button("save", f"save {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}", "d", self._save),
                 Button("load", f"start from {self._folder / _BODY}", "l", self._load),
+                Button(
+                    "film",
+                    f"begin to film the window; again: write {self._folder / FILM}",
+                    "f",
+                    self._film,
+                    lambda: self.film.running,
+                ),
                 Button("view", "turn the 3D view back to where it was", "r", self.look),
             ],
             [
@@ -274,6 +284,25 @@ class Controls:
         except OSError as error:
             raise InputError(f"{self._folder}: {error.strerror or error}; expected a folder to write to") from error
         self._scene.message = f"saved {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}"
+
+    def _film(self) -> None:
+        if self.film.running:
+            self.finish_film()
+        else:
+            self.film.start()
+            self._scene.message = f"films each change; once more writes {self._folder / FILM}"
+
+    def finish_film(self) -> None:
+        """Write what was filmed.
+
+        Raises:
+            InputError: If it can't be written.
+        """
+        self.film.running = False  # the message below isn't filmed
+        self._scene.message = f"writing {self._folder / FILM} ..."
+        self._redraw()
+        count = self.film.stop(self._folder)
+        self._scene.message = f"{count} pictures in {self._folder / FILM}" if count else "nothing was filmed"
 
     def _load(self) -> None:
         self._state.load(self._folder / _BODY)

@@ -53,9 +53,10 @@ def write(pictures: Sequence[np.ndarray], path: Path) -> None:
         InputError: If the file can't be written.
     """
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         _WRITERS[path.suffix](list(pictures), path)
     except OSError as error:
-        raise InputError(f"--record: {path}: {error.strerror or error}; expected a file that can be written") from error
+        raise InputError(f"{path}: {error.strerror or error}; expected a file that can be written") from error
 
 
 def _write_gif(pictures: list[np.ndarray], path: Path) -> None:

@@ -114,6 +114,9 @@ class Window:
         """Draw the state as it is."""
         self._update()
         self.scene.plotter.render()
+        film = self.controls.film
+        if film.running and not film.take(self.scene.screenshot()):
+            self._try(self.controls.finish_film, measure=False)
 
     def _update(self) -> None:
         page = make_page(self.state, self.controls.part, self.controls.page)
