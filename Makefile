@@ -28,8 +28,8 @@ out/example/report.json: $(VENV)/.installed $(SOURCES)
 demo: $(VENV)/.installed-demo  ## open the interactive demo, in a browser where there is no display
 	$(BIN)/partdr demo $(if $(DISPLAY)$(WAYLAND_DISPLAY),,$(if $(filter Linux,$(shell uname)),--web)) --out out/demo
 
-test: $(VENV)/.installed-dev  ## run the tests; PYTEST_ARGS="-k name" chooses
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: $(VENV)/.installed-dev  ## run the tests, in two processes; PYTEST_ARGS="-k name" chooses
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
 install: $(VENV)/.installed  ## make .venv and install the package into it, editable
 dev: $(VENV)/.installed-dev  ## the same with what tests, linter and type checker need
