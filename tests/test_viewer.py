@@ -25,7 +25,15 @@ from warp_partdr.viewer.scene import Scene
 from warp_partdr.viewer.settings import QUALITIES, Settings
 from warp_partdr.viewer.sliders import PAGES
 from warp_partdr.viewer.state import DemoState
-from warp_partdr.viewer.targets import PRESETS, RANDOM, body_of, read_body, read_target, target_of
+from warp_partdr.viewer.targets import (
+    PRESETS,
+    RANDOM,
+    body_of,
+    network_body,
+    read_body,
+    read_target,
+    target_of,
+)
 from warp_partdr.viewer.trade import Trade
 from warp_partdr.viewer.view import VIEW, seen_as, view_of
 from warp_partdr.viewer.window import Window
@@ -683,3 +691,14 @@ def test_film(window, monkeypatch):
     window.press("f")
     window.press("f")
     assert "Is a directory" in window.scene.message
+
+
+def test_the_network_starts_near_the_target(window):
+    window.press("t")
+    far = window.state.joint_error()
+    window.press("k")
+    assert window.state.joint_error() < 0.5 * far
+    assert window.state.history == []
+    state = make_state(start="t-pose")
+    near = DemoState(network_body(state.target), state.target, SMALL)
+    assert near.part_f1() > state.part_f1() + 0.2

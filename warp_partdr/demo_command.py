@@ -24,7 +24,9 @@ window lists its keys. Bodies by name: t-pose, walking, crossed arms, sitting, r
 
 
 def demo(
-    start: Annotated[str, typer.Option(help="Body to begin with.", metavar="NAME")] = "t-pose",
+    start: Annotated[
+        str, typer.Option(help="Body to begin with; network: what the label network says.", metavar="NAME")
+    ] = "t-pose",
     target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
     seed: Annotated[int, typer.Option(help="Of random bodies.", metavar="N")] = 0,
     body: Annotated[
@@ -96,7 +98,10 @@ def demo(
         raise InputError("--keypoints: none with --photo or --parts; expected the person's 2D keypoints, FILE.json")
     else:
         aim = targets.target_of(targets.body_of(target, seed + 1))
-    first = targets.body_of(start, seed) if body is None else targets.read_body(body)
+    if body is not None:
+        first = targets.read_body(body)
+    else:
+        first = targets.network_body(aim) if start == targets.NETWORK else targets.body_of(start, seed)
     shown = state.DemoState(first, aim, settings)
     if record is not None:
         _record(shown, recording, record, steps)

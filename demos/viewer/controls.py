@@ -21,7 +21,7 @@ from .scene import Scene
 from .settings import DRAWN_SIZES, QUALITIES, RendererName, Supervision
 from .sliders import PAGES
 from .state import DemoState
-from .targets import PRESETS, RANDOM, body_of, target_of
+from .targets import NETWORK, PRESETS, RANDOM, body_of, network_body, target_of
 
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
 _BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
@@ -109,6 +109,12 @@ class Controls:
                 Button("start"),
                 *starts,
                 Button(RANDOM, "start from a random body", "F5", partial(self._start, RANDOM)),
+                Button(
+                    NETWORK,
+                    "start from what the label network says of the target, as partdr fit does",
+                    "k",
+                    lambda: state.reset(network_body(state.target)),
+                ),
             ],
             [Button("target  [t]"), *aims],
             [

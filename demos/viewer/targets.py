@@ -18,6 +18,8 @@ from ..ellipsoids import draw_ellipsoids
 from ..energy import LandmarkGather, Observation
 from ..errors import InputError
 from ..inputs import check_inside, check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
+from ..network.checkpoint import packaged_network
+from ..network.predict import predict_bodies
 from ..observation import LABEL_SIZE, observe
 from ..parameters import BodyParameters
 from ..partbench.poses import draw_pose
@@ -33,6 +35,7 @@ _PRESETS: dict[str, tuple[str | None, int, float]] = {
 }
 PRESETS = tuple(_PRESETS)
 RANDOM = "random"
+NETWORK = "network"  # a start: what the label network says of the target
 _SPREAD = {"lengths": 0.06, "thicknesses": 0.12}  # standard deviation of a random body's sizes, of the mean adult's
 _WIDEST_TURN = 60.0  # [degrees] of a random body
 _PAPER = (250, 250, 250)  # beyond a photo's border
@@ -96,6 +99,11 @@ def body_of(name: str, seed: int = 0) -> BodyParameters:
         orientation=rotation_to_6d(body.global_orient() @ yaw),
         rotations=torch.from_numpy(rotations)[None].float(),
     )
+
+
+def network_body(target: Target) -> BodyParameters:
+    """What the packaged label network says of a target: where ``partdr fit`` starts."""
+    return predict_bodies([target.observation], packaged_network("cpu"))
 
 
 def read_body(path: str | Path) -> BodyParameters:
