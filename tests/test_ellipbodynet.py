@@ -496,3 +496,18 @@ def test_half_precision_gives_bodies_in_float32(examples):
     assert prediction.keypoints.dtype == prediction.bodies.orientation.dtype == torch.float32
     terms = {**body_terms(prediction, examples), **head_terms(prediction, examples)}
     assert all(torch.isfinite(term) for term in terms.values())
+
+
+def test_begins_with_a_trained_network_of_the_same_sizes(tmp_path):
+    config = tiny_run(tmp_path / "out", 1)
+    task = PictureTask(config, rank=0, processes=1, device=torch.device("cpu"))
+    model = task.model()
+    weights = model.state_dict()
+    save_ellipbodynet(tmp_path / "net.safetensors", weights, replace(model.config, backbone="elsewhere"), {})
+    read = task.read(str(tmp_path / "net.safetensors"))
+    assert all(torch.equal(read[name], value) for name, value in weights.items())
+    save_ellipbodynet(tmp_path / "other.safetensors", network().state_dict(), network().config, {})
+    with pytest.raises(InputError, match=r"other\.safetensors: a network of"):
+        task.read(str(tmp_path / "other.safetensors"))
+    with pytest.raises(InputError, match="the package has no EllipBodyNet"):
+        task.read("packaged")

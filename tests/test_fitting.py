@@ -247,6 +247,9 @@ def test_a_stage_holds_depth_where_it_starts():
     held, loose = ((depths(*before, stage) - start).abs().max() for stage in (short, free))
     assert held < 0.01
     assert loose > 2 * held
+    many = FitOptions.at("fast", "search").stages[0], replace(short, bodies=4)
+    with pytest.raises(ValueError, match=r"holds depth, of \d+ bodies; expected one"):
+        fit_body(keypoints, parts, options=replace(options, start="search", stages=many))
 
 
 def test_without_outline_leaves_out_that_stage_alone():

@@ -56,3 +56,9 @@ def test_takes_the_place_of_each_normalisation(device):
     normalise_jointly(model)
     assert [type(module) for module in model.modules()][-1] is JointBatchNorm
     torch.testing.assert_close(dict(model.state_dict()), before)
+
+
+def test_one_sample_a_process_leaves_the_running_statistics_finite(device, group):
+    joint = normalise_jointly(nn.BatchNorm1d(3).to(device))
+    joint(torch.randn(1, 3, device=device))
+    assert all(torch.isfinite(buffer).all() for buffer in joint.buffers())

@@ -37,6 +37,12 @@ def test_a_capture_waits_for_launches_and_launches_for_it():
     assert order == ["launched", "captured"]
 
 
+def test_a_capture_does_not_wait_for_itself():
+    cpu = torch.device("cpu")
+    with on_torch_stream(cpu), pytest.raises(RuntimeError, match="inside on_torch_stream"):
+        capture_graph(lambda: None, cpu)
+
+
 def test_fits_and_pictures_of_two_threads_are_those_of_one():
     keypoints, parts = seen_by(walker())
     options = FitOptions()

@@ -127,8 +127,8 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": f"{here}{os.pathsep}{here.parent}", "OMP_NUM_THREADS": threads}
 
 
-def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
-    numbers = {"steps": 3, "log_every": 3, "clip": float("inf"), "model": {"dropout": 0.0}, "data": {"joint": 16}}
+def train_in_two(tmp_path: Path, numbers: dict) -> list[str]:
+    """What two processes that train together say."""
     with socket.socket() as unused:
         unused.bind(("localhost", 0))
         port = unused.getsockname()[1]
@@ -141,6 +141,12 @@ def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
         processes.append(started)
     said = [process.communicate(timeout=120)[1] for process in processes]
     assert [process.returncode for process in processes] == [0, 0], said
+    return said
+
+
+def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
+    numbers = {"steps": 3, "log_every": 3, "clip": float("inf"), "model": {"dropout": 0.0}, "data": {"joint": 16}}
+    said = train_in_two(tmp_path, numbers)
     assert "no TensorBoard here" in said[0]
     assert "no TensorBoard here" not in said[1]
     train(config(tmp_path / "one", **numbers), device="cpu")
@@ -153,6 +159,15 @@ def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
     assert second == pytest.approx(first, rel=1e-5)
     with pytest.raises(InputError, match="of 2 processes"):
         train(config(tmp_path / "two", **{**numbers, "steps": 5}), resume=True, device="cpu")
+
+
+def test_two_processes_may_normalise_apart(tmp_path):
+    numbers = {"steps": 2, "clip": float("inf"), "model": {"dropout": 0.0}, "data": {"joint": 16}}
+    train_in_two(tmp_path, {**numbers, "joint_normalisation": False})
+    train(config(tmp_path / "one", **numbers), device="cpu")
+    one, two = (newest(tmp_path / name).tensors["model"] for name in ("one", "two"))
+    assert not torch.allclose(two["1.running_mean"], one["1.running_mean"], rtol=1e-3)  # of half of the batch
+    assert all(torch.isfinite(value).all() for value in two.values())
 
 
 def test_begins_with_the_weights_of_another_run(tmp_path, device):

@@ -35,7 +35,17 @@ _MILLIMETRES = 1000.0
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the energy's terms; the first four are the paper's."""
+    """Weights of the energy's terms, a unit of each; the first four terms are the paper's.
+
+    Attributes:
+        proj: Of L_proj [1/px of a crop of 256 px].
+        seg: Of L_seg [1/px of the same].
+        length: Of L_l [1/mm²].
+        thickness: Of L_t [1/mm²].
+        prior: Of the pose's negative log-likelihood [1/nat].
+        limits: Of the squared excess over joint limits [1/rad²].
+        depth: Of the squared distance from ``Energy.depths`` along z [1/mm²]; without those it does nothing.
+    """
 
     proj: float = 1.0
     seg: float = 3e-2

@@ -94,7 +94,7 @@ class FitOptions:
     def labels_first(self) -> FitOptions:
         """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
 
-        With the coverage gradient, whose steps lower the loss, and the weights of the other stages but for L_seg's.
+        With the coverage gradient, whose steps lower the loss, and the default weights but for L_seg's, which is 1.
         """
         return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
 
@@ -265,6 +265,8 @@ class _Fit:
             weights = stage.weights or options.weights
             if stage.size == 0:
                 weights = replace(weights, seg=0.0)
+            if weights.depth > 0 and (count := len(bodies.log_scale)) > 1:
+                raise ValueError(f"stages: {stage.name!r} holds depth, of {count} bodies; expected one body")
             energy = Energy(
                 seen,
                 max(stage.size, 1),
@@ -276,7 +278,7 @@ class _Fit:
                 gradient=stage.gradient,
                 max_distance=stage.max_distance,
                 depth_weight=options.depth_weight,
-                depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,  # the best's
+                depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,
             )
 
             def step(iteration: int, name: str = stage.name, before: int = done) -> None:

@@ -25,7 +25,8 @@ class Stage:
         iterations: Steps of Adam.
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
-        weights: Of the energy's terms in this stage; None takes the fit's. Depth is held to where its best body starts.
+        weights: Of the energy's terms in this stage; None takes the fit's. Depth, which one body alone can
+            have held, is held to where the stage starts.
         gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
         max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
         frozen: Parameters that stay as they are, names of ``BodyParameters``.

@@ -25,6 +25,7 @@ class _Gate:
         self._changed = threading.Condition()
         self._launching = 0
         self._capturing: int | None = None  # a thread
+        self._own = threading.local()  # how often this thread is launching
 
     @contextmanager
     def launching(self) -> Iterator[None]:
@@ -32,16 +33,24 @@ class _Gate:
         with self._changed:
             self._changed.wait_for(lambda: self._capturing in (None, threading.get_ident()))
             self._launching += 1
+        self._own.count = getattr(self._own, "count", 0) + 1
         try:
             yield
         finally:
+            self._own.count -= 1
             with self._changed:
                 self._launching -= 1
                 self._changed.notify_all()
 
     @contextmanager
     def capturing(self) -> Iterator[None]:
-        """One thread, which is not launching yet."""
+        """One thread, which is not launching yet.
+
+        Raises:
+            RuntimeError: If it is: it would wait for itself.
+        """
+        if getattr(self._own, "count", 0):
+            raise RuntimeError("a capture inside on_torch_stream; expected it outside")
         with self._changed:
             self._changed.wait_for(lambda: self._capturing is None and self._launching == 0)
             self._capturing = threading.get_ident()
@@ -58,7 +67,11 @@ launching = _gate.launching
 
 
 def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
-    """What ``launch`` launches, as a graph, and nothing of other threads; not to be called in ``on_torch_stream``."""
+    """What ``launch`` launches, as a graph, and nothing of other threads.
+
+    Raises:
+        RuntimeError: If it is called inside ``on_torch_stream``.
+    """
     with _gate.capturing(), on_torch_stream(device) as where:
         stream, branch = _capture_streams(where)
         with branch_on(branch), wp.ScopedStream(stream), wp.ScopedCapture(where, stream) as capture:

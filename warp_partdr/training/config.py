@@ -50,7 +50,7 @@ class TrainingConfig:
             the package. None begins with random weights.
         joint_normalisation: Batch normalisation with the statistics of all processes' samples, so that the gradients
             are those of the joint batch; without, each process has its own, which costs nothing and is enough for
-            large batches.
+            large batches, and the first one's running statistics are saved.
         learning_rate: At the peak; it rises linearly in the first ``warm_up`` steps, then follows ``schedule``.
         warm_up: Steps.
         schedule: "cosine" falls to ``floor`` over the run, "constant" stays.

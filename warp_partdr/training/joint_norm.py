@@ -51,7 +51,7 @@ class JointBatchNorm(nn.Module):
         mean, variance, count = self._joint_statistics(values.detach())
         with torch.no_grad():
             self.running_mean.lerp_(mean, self.momentum)
-            self.running_var.lerp_(variance * (count / (count - 1)), self.momentum)
+            self.running_var.lerp_(variance * (count / (count - 1).clamp_min(1)), self.momentum)
             self.num_batches_tracked.add_(1)
         normalised: torch.Tensor = _Normalise.apply(values, self.weight, self.bias, mean, variance, count, self.eps)
         return normalised
@@ -59,8 +59,9 @@ class JointBatchNorm(nn.Module):
     def _joint_statistics(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Mean, biased variance and number of samples a channel, of all processes."""
         own = values.numel() // values.shape[1]
-        # With a momentum of 0 the running statistics stay; they tell of what type the new ones are to be.
-        mean, variance = torch.batch_norm_update_stats(values, self.running_mean, self.running_var, 0.0)
+        # What it would update only tells of what type the statistics are to be.
+        unused = torch.empty_like(self.running_mean), torch.empty_like(self.running_var)
+        mean, variance = torch.batch_norm_update_stats(values, *unused, 0.0)
         found = torch.stack([mean, variance, torch.full_like(mean, own)])
         each = found.new_empty(dist.get_world_size(), *found.shape)
         dist.all_gather(list(each), found)

@@ -85,7 +85,8 @@ def _accelerated(config: TrainingConfig, device: str) -> Iterator[Any]:
         mixed_precision=config.precision,
         gradient_accumulation_steps=config.accumulation,
         kwargs_handlers=[
-            # Buffers are the running statistics, which every process has the same of: nothing to send at each step.
+            # Buffers are running statistics, with joint normalisation the same in every process, else each one's own:
+            # nothing to send at each step. Those of the first process are validated, saved and released.
             DistributedDataParallelKwargs(gradient_as_bucket_view=True, broadcast_buffers=False)
         ],
     )

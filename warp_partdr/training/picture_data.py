@@ -112,7 +112,7 @@ class Examples:
         return Examples(**{**moved, "part_groups": self.part_groups})
 
     def rows(self, index: torch.Tensor) -> Examples:
-        """Those of some people."""
+        """Those of some people, by int64 indices, shape (N,)."""
         return Examples(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -211,7 +211,7 @@ class PictureTask:
         if source == PACKAGED_NETWORK:
             raise InputError("initial: packaged; expected a file: the package has no EllipBodyNet")
         network = load_ellipbodynet(source)
-        if network.config != self._saved_config:
+        if replace(network.config, backbone="") != replace(self._saved_config, backbone=""):  # a name or a place
             raise InputError(f"initial: {source}: a network of {network.config}; expected {self._saved_config}")
         return network.state_dict()
 
