@@ -20,6 +20,7 @@ from warp_partdr.metrics import confusion, part_f1
 from warp_partdr.palette import PART_COLOURS
 from warp_partdr.registration import RegistrationOptions
 from warp_partdr.viewer.clothing import Clothing
+from warp_partdr.viewer.film import Film
 from warp_partdr.viewer.record import check_format, frames, write
 from warp_partdr.viewer.scene import Scene
 from warp_partdr.viewer.settings import QUALITIES, Settings
@@ -459,6 +460,13 @@ def test_view_sliders_move_the_picture_by_what_they_say():
         state.set_view("zoom", 1.0)
 
 
+def test_a_view_slider_changes_nothing_but_its_own_number():
+    body = body_of("t-pose")
+    state = DemoState(seen_as(body, view_of(body) | {"scale": 400.0, "shift x": -200.0}), make_state().target, SMALL)
+    state.set_view("shift y", 1e6)
+    assert [state.view()[name] for name in ("scale", "shift x", "shift y")] == pytest.approx([400, -200, 128])
+
+
 @pytest.mark.parametrize("renderer", ["exact", "E0"])
 def test_outlines_are_pulled_toward_the_target(renderer):
     body = body_of("t-pose")
@@ -506,6 +514,87 @@ def test_the_trade_remembers_what_was_tried():
     state.set_length("forearm", 0.3)
     trade.update(measure=False)
     assert trade.rows == {}
+
+
+def test_the_gradient_is_compared_only_where_all_of_it_is_followed():
+    state = make_state()
+    trade = Trade(state)
+    for changes in ({}, {"depth_gradient": False}, {"gradient": "coverage"}, {"supervision": "silhouette"}):
+        state.configure(**changes)
+        trade.update(measure=True)
+    state.configure(supervision="keypoints", depth_gradient=True)
+    trade.update(measure=True)
+    assert [(row.followed, row.angle is not None) for row in trade.rows.values()] == [
+        ("parts + z", True),
+        ("parts", False),  # the angle is that of all of the gradient
+        ("parts", True),  # of coverage nothing can be left out
+        ("silhouette", False),
+        ("keypoints", False),
+    ]
+
+
+def test_rows_are_of_runs_from_the_start(window):
+    """A row that began where another setting had come to would tell of two settings."""
+    window.press("F4")
+    for press, ticks in (("space", 4), ("g", 3), ("g", 0), ("g", 2)):  # back at partdr, which then is behind itself
+        window.press(press)
+        for _ in range(ticks):
+            window.tick()
+    click(window, "partdr")  # is lit
+    click(window, "sitting", "start from")  # so is this; back to the start
+    click(window, "walking", "target:")
+    click(window, "64")
+    assert window.state.history == []
+    assert [(row.drawn, row.iterations) for row in window.trade.rows.values()] == [
+        ("exact, partdr", 4),
+        ("exact, edges", 3),
+        ("exact, coverage", 0),
+    ]
+    for row, gradient in zip(window.trade.rows.values(), ("partdr", "edges"), strict=False):
+        alone = DemoState(body_of("sitting"), target_of(body_of("walking")), replace(SMALL, gradient=gradient))
+        alone.play(row.iterations)
+        assert (row.f1, row.joints) == (alone.part_f1(), alone.joint_error())
+
+
+def test_what_is_lit_goes_on(window):
+    window.press("n")
+    for text, hint in (("partdr", ""), ("64", ""), ("parts", ""), ("exact", "draw with"), ("walking", "target:")):
+        click(window, text, hint)
+        assert len(window.state.history) == 1, text
+
+
+def test_partdrs_z_is_lit_only_where_it_counts(window):
+    def lit() -> bool:
+        return any(button.is_on() for button in window.panel.buttons if button.text == "z gradient")
+
+    assert lit()
+    for text, hint, has in (("coverage", "", False), ("E1", "", True), ("silhouette", "", False), ("parts", "", True)):
+        click(window, text, hint)
+        assert lit() is has is window.state.settings.has_depth, text
+    assert "with z gradient" in window.scene._said()
+    window.press("z")
+    assert "without z gradient" in window.scene._said()
+    window.press("z")
+    click(window, "exact", "draw with")
+    assert "z gradient" not in window.scene._said()
+    window.press("z")
+    assert window.scene.message == "PartDR's z gradient: only of parts, with partdr or E0 to E3"
+    assert window.state.settings.depth_gradient
+
+
+def test_random_bodies_of_buttons_go_on_from_the_seed(can_draw, tmp_path):
+    state = DemoState(body_of(RANDOM, 5), target_of(body_of(RANDOM, 6)), SMALL)
+    window = Window(state, tmp_path, off_screen=True, seed=6)
+    window.press("F5")
+    assert torch.equal(window.state.start.rotations, body_of(RANDOM, 7).rotations)
+    window.scene.close()
+
+
+def test_pictures_are_of_now_where_only_what_is_sent_is_drawn(window):
+    before = window.scene.screenshot()
+    window.scene.plotter.suppress_rendering = True
+    window.press("F4")
+    assert (window.scene.screenshot()[:600, :640] != before[:600, :640]).any()
 
 
 def test_qualities_are_tried_from_the_start_and_told_in_the_table(window):
@@ -559,7 +648,11 @@ def test_more_faults_are_told_in_the_window(window):
     window.press("l")
     assert "body.npz: No such file" in told()
     assert not window.controls.playing
-    window.folder.mkdir()
+    window.press("space")
+    window.press("d")
+    window.tick()
+    assert "saved body.npz" in told()  # it can be read while it plays
+    window.press("space")
     (window.folder / "body.npz").write_bytes(b"PK")
     start = window.state.start
     window.press("l")
@@ -639,7 +732,7 @@ def test_no_opengl_is_one_line(monkeypatch):
 
     monkeypatch.setattr(pyvista, "Plotter", fail)
     with pytest.raises(
-        InputError, match=r"^demo: VTK can't draw here \(no OpenGL\); expected OpenGL .* needs neither$"
+        InputError, match=r"^demo: VTK can't draw here \(no OpenGL\); expected OpenGL: .* needs neither$"
     ):
         Scene(make_state())
 
@@ -648,6 +741,8 @@ def test_no_opengl_is_one_line(monkeypatch):
     ("arguments", "said"),
     [
         ([], "no display"),
+        (["--port", "80"], "--port: without --web; expected both, or neither"),
+        (["--no-browser"], "--no-browser: without --web"),
         (["--record", "out.gif", "--photo", "photo.png"], "--keypoints: none with --photo"),
         (["--record", "out.gif", "--target", "dancing"], "'dancing'; expected one of"),
         (["--record", "out.gif", "--body", "nowhere.npz"], "nowhere.npz: No such file"),
@@ -677,7 +772,7 @@ def test_film(window, monkeypatch):
     click(window, "film")
     assert window.scene.message == f"5 pictures in {window.folder / 'demo.gif'}"
     with Image.open(window.folder / "demo.gif") as film:
-        assert film.size == tuple(side // 2 for side in window.scene.plotter.window_size)
+        assert film.size == (640, 400)
         first = np.asarray(film.convert("RGB")).astype(int)
         film.seek(film.n_frames - 1)
         assert (np.abs(np.asarray(film.convert("RGB")) - first).max(-1) > 40).mean() > 0.01
@@ -689,8 +784,28 @@ def test_film(window, monkeypatch):
     window.folder.joinpath("demo.gif").unlink()
     window.folder.joinpath("demo.gif").mkdir()
     window.press("f")
-    window.press("f")
+    window.press("n")
     assert "Is a directory" in window.scene.message
+    window.folder.joinpath("demo.gif").rmdir()
+    window.press("f")
+    assert "2 pictures" in window.scene.message  # those of before
+
+
+def test_a_film_of_a_window_that_changes_its_size(tmp_path):
+    film = Film()
+    for height, width in ((800, 1281), (900, 1280), (400, 500)):
+        film.take(np.full((height, width, 3), 90, np.uint8))
+    assert film.write(tmp_path) == 3
+    with Image.open(tmp_path / "demo.gif") as written:
+        assert (written.size, written.n_frames) == ((427, 267), 3)
+    assert film.write(tmp_path) == 0
+
+
+def test_a_film_is_written_when_the_window_closes(window):
+    assert window.finish() == ""
+    window.press("f")
+    window.press("n")
+    assert window.finish() == f"{window.folder / 'demo.gif'}: 2 pictures"
 
 
 def test_the_network_starts_near_the_target(window):

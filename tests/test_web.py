@@ -97,8 +97,13 @@ def visit(window: Window, visitor: Callable[[Browser], Coroutine[Any, Any, None]
             assert page.status == 200
             assert b"<script" in page.read()
             async with aiohttp.ClientSession() as session:
+                assert page.headers["X-Frame-Options"] == "DENY"
                 with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
                     await session.ws_connect(line, origin="http://another.page")
+                # a page whose name has come to mean this machine
+                renamed = f"another.page:{port}"
+                with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                    await session.ws_connect(line, origin=f"http://{renamed}", headers={"Host": renamed})
             async with aiohttp.ClientSession() as session, session.ws_connect(line, origin=line[:-3]) as connection:
                 browser = Browser(connection)
                 await browser.call("wslink.hello", {"secret": "wslink-secret"})
@@ -166,6 +171,12 @@ def test_keys_have_names_in_a_browser(window):
     assert len(set(names.values())) == len(names)
     for key, name in names.items():
         assert len(name) == 1 or name[0] == "F" or name in web._BROWSER_NAMES.values(), key
+
+
+def test_where_the_page_is():
+    assert web.page_address("127.0.0.1", 80) == "http://127.0.0.1:80/"
+    assert web.page_address("::1", 80) == "http://[::1]:80/"
+    assert socket.gethostname() in web.page_address("::", 80)
 
 
 def test_a_taken_port_is_one_line(window):

@@ -16,19 +16,23 @@ DEMO_HELP = """Play with a body in a window: change it, and watch it be refined 
 
 Example: `partdr demo`, then the space bar. In a browser: `partdr demo --web`. As a file: `partdr demo --record out.gif`
 
-Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss. The
-window lists its keys. Bodies by name: t-pose, walking, crossed arms, sitting, random.
+Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss.
+Point at a button for what it does and its key. Bodies by name: t-pose, walking, crossed arms, sitting, random.
 
 **A person of your own**: --keypoints and, for more than those, --parts with --labels, as `partdr fit` takes them.
 """
 
 
+_OF_WEB = {"host": "--host", "port": "--port", "browser": "--no-browser"}
+
+
 def demo(
+    context: typer.Context,
     start: Annotated[
         str, typer.Option(help="Body to begin with; network: what the label network says.", metavar="NAME")
     ] = "t-pose",
     target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
-    seed: Annotated[int, typer.Option(help="Of random bodies.", metavar="N")] = 0,
+    seed: Annotated[int, typer.Option(help="Of random bodies, also of those that buttons draw.", metavar="N")] = 0,
     body: Annotated[
         Path | None, typer.Option(help="Begin with a body.npz of `partdr fit` instead.", metavar="FILE.npz")
     ] = None,
@@ -45,7 +49,7 @@ def demo(
     supervision: Annotated[
         str, typer.Option(help="What is followed: keypoints; with them the silhouette, or the parts.", metavar="NAME")
     ] = "parts",
-    depth_gradient: Annotated[bool, typer.Option(help="With PartDR's z gradient, or without.")] = True,
+    depth_gradient: Annotated[bool, typer.Option(help="With PartDR's z gradient of parts, or without.")] = True,
     renderer: Annotated[str, typer.Option(help="exact, or the mesh of a level: E0 to E3.", metavar="NAME")] = "exact",
     gradient: Annotated[
         str, typer.Option(help="Of the exact renderer: partdr, coverage or edges.", metavar="NAME")
@@ -73,6 +77,9 @@ def demo(
     """Play; see ``DEMO_HELP``."""
     if sum((web, record is not None, profile)) > 1:
         raise InputError("--web, --record, --profile: more than one; expected one of them, or none for a window")
+    for name, option in _OF_WEB.items():
+        if not web and (source := context.get_parameter_source(name)) and source.name == "COMMANDLINE":
+            raise InputError(f"{option}: without --web; expected both, or neither")
     if web:
         import_module(".viewer.web", __package__).check_backend()
     elif record is None and not profile and not _has_display():
@@ -97,7 +104,7 @@ def demo(
     elif photo is not None or parts is not None:
         raise InputError("--keypoints: none with --photo or --parts; expected the person's 2D keypoints, FILE.json")
     else:
-        aim = targets.target_of(targets.body_of(target, seed + 1))
+        aim = targets.target_of(targets.body_of(target, seed + 1))  # another than a random start
     if body is not None:
         first = targets.read_body(body)
     else:
@@ -106,15 +113,17 @@ def demo(
     if record is not None:
         _record(shown, recording, record, steps)
         return
-    window = import_module(".viewer.window", __package__).Window(shown, out, off_screen=profile or web)
+    window = import_module(".viewer.window", __package__).Window(shown, out, off_screen=profile or web, seed=seed + 1)
+    if profile:
+        for what, took in window.profile().items():
+            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {size}x{size}")
+        return
     if web:
         _serve(window, host, port, browser and _has_display())
-        return
-    if not profile:
+    else:
         window.show()
-        return
-    for what, took in window.profile().items():
-        typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {size}x{size}")
+    if told := window.finish():
+        typer.echo(told)
 
 
 def _has_display() -> bool:
@@ -124,18 +133,18 @@ def _has_display() -> bool:
 def _serve(window: Any, host: str, port: int, open_browser: bool) -> None:
     import asyncio
     import contextlib
-    import socket
     import webbrowser
 
+    web = import_module(".viewer.web", __package__)
+
     def ready(taken: int) -> None:
-        name = socket.gethostname() if host in ("0.0.0.0", "::") else host
-        address = f"http://{name}:{taken}/"
+        address = web.page_address(host, taken)
         typer.echo(f"{address} shows the demo in a browser; Ctrl+C ends it")
         if open_browser:
             webbrowser.open(address)
 
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(import_module(".viewer.web", __package__).serve(window, host, port, ready))
+        asyncio.run(web.serve(window, host, port, ready))
 
 
 def _record(shown: Any, recording: Any, path: Path, steps: int) -> None:

@@ -36,6 +36,7 @@ class Controls:
         scene: How it is shown; its ``message`` tells what was done.
         folder: Where to save to and load from; made when it is saved to.
         redraw: Draws the window at once, before something that takes long.
+        seed: Of the last random body so far; the next takes the one after.
 
     Attributes:
         rows: The buttons, each row with its label first.
@@ -47,21 +48,21 @@ class Controls:
         film: Pictures for a GIF.
     """
 
-    def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None]) -> None:
+    def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None], seed: int) -> None:
         self._state, self._scene, self._folder, self._redraw = state, scene, folder, redraw
         self.playing = False
         self.page = 0
         self.part = "left_upper_arm"
         self.clothing = Clothing()
         self.film = Film()
-        self._seed = 0
+        self._seed = seed
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
         self.rows = self._make_rows()
         self.keys: dict[str, Callable[[], None]] = {
             **{button.key: button.do for row in self.rows for button in row if button.key and button.do},
             "t": self._next_target,
-            "c": lambda: self._cycle("supervision", get_args(Supervision), again=True),
+            "c": lambda: self._cycle("supervision", get_args(Supervision)),
             "m": lambda: self._cycle("renderer", get_args(RendererName)),
             "g": lambda: self._cycle("gradient", get_args(Gradient)),
             "x": lambda: self._cycle("size", DRAWN_SIZES),
@@ -82,7 +83,7 @@ class Controls:
                 name,
                 f"{', '.join(str(value) for value in changes.values())} px; from the start",
                 f"F{k + 6}",
-                partial(state.configure, again=True, **changes),
+                partial(state.configure, **changes),
                 partial(self._has, **changes),
             )
             for k, (name, changes) in enumerate(QUALITIES.items())
@@ -119,26 +120,26 @@ class Controls:
             [Button("target  [t]"), *aims],
             [
                 Button("follow  [c]"),
-                *self._choices("supervision", get_args(Supervision), "follow {}, from the start", again=True),
+                *self._choices("supervision", get_args(Supervision), "follow {}; from the start"),
                 Button("   "),
                 Button(
                     "z gradient",
-                    "with or without PartDR's gradient in z, from the start",
+                    "with or without PartDR's z gradient (of parts; partdr, E0 to E3); from the start",
                     "z",
-                    lambda: self._cycle("depth_gradient", (True, False), again=True),
-                    lambda: state.settings.depth_gradient,
+                    self._toggle_depth,
+                    lambda: state.settings.has_depth,
                 ),
             ],
             [Button("quality"), *qualities],
             [
                 Button("renderer  [m]"),
-                *self._choices("renderer", get_args(RendererName), "draw with {}"),
+                *self._choices("renderer", get_args(RendererName), "draw with {}; from the start"),
                 Button("   gradient  [g]  "),
-                *self._choices("gradient", get_args(Gradient), "gradient of exact ellipsoids: {}"),
+                *self._choices("gradient", get_args(Gradient), "gradient of exact ellipsoids: {}; from the start"),
             ],
             [
                 Button("size  [x]"),
-                *self._choices("size", DRAWN_SIZES, "pictures of {} pixels a side"),
+                *self._choices("size", DRAWN_SIZES, "pictures of {} pixels a side; from the start"),
                 Button("   show  "),
                 Button(
                     "skeleton",
@@ -176,15 +177,15 @@ class Controls:
             ],
         ]
 
-    def _choices(self, name: str, values: tuple[Any, ...], hint: str, *, again: bool = False) -> list[Button]:
-        """A button for each value of a setting; ``again``: from the start, so that runs can be compared."""
+    def _choices(self, name: str, values: tuple[Any, ...], hint: str) -> list[Button]:
+        """A button for each value of a setting."""
         state = self._state
         return [
             Button(
                 str(value),
                 hint.format(value),
                 "",
-                partial(state.configure, again=again, **{name: value}),
+                partial(state.configure, **{name: value}),
                 partial(self._has, **{name: value}),
             )
             for value in values
@@ -198,16 +199,21 @@ class Controls:
         self._state.step()
 
     def _start(self, name: str) -> None:
+        if self._starts(name):  # with the same start, what was tried from it stays
+            self._state.restart()
+            return
         self._seed += 1
         self._state.reset(body_of(name, self._seed))
 
     def _starts(self, name: str) -> bool:
-        return _same(self._state.start, self._presets[name])
+        return name in self._presets and _same(self._state.start, self._presets[name])
 
     def _targets(self) -> tuple[str, ...]:
         return (*PRESETS, RANDOM) if self._given.truth is not None else ("given", *PRESETS, RANDOM)
 
     def _aim(self, name: str) -> None:
+        if name != RANDOM and self._aims(name):
+            return
         self._seed += 1
         self._state.aim(self._given if name == "given" else target_of(body_of(name, self._seed)))
 
@@ -224,10 +230,17 @@ class Controls:
     def _has(self, **settings: Any) -> bool:
         return all(getattr(self._state.settings, name) == value for name, value in settings.items())
 
-    def _cycle(self, name: str, choices: tuple[Any, ...], *, again: bool = False) -> None:
+    def _cycle(self, name: str, choices: tuple[Any, ...]) -> None:
         """The next choice of a setting."""
         now = choices.index(getattr(self._state.settings, name))
-        self._state.configure(again=again, **{name: choices[(now + 1) % len(choices)]})
+        self._state.configure(**{name: choices[(now + 1) % len(choices)]})
+
+    def _toggle_depth(self) -> None:
+        settings = self._state.settings
+        if settings.offers_depth:
+            self._state.configure(depth_gradient=not settings.depth_gradient)
+        else:
+            self._scene.message = "PartDR's z gradient: only of parts, with partdr or E0 to E3"
 
     def _toggle_skeleton(self) -> None:
         self._scene.skeleton_only = not self._scene.skeleton_only
@@ -292,22 +305,21 @@ class Controls:
         self._scene.message = f"saved {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}"
 
     def _film(self) -> None:
-        if self.film.running:
+        if self.film.running or self.film.waits:
             self.finish_film()
         else:
             self.film.start()
-            self._scene.message = f"films each change; once more writes {self._folder / FILM}"
 
     def finish_film(self) -> None:
         """Write what was filmed.
 
         Raises:
-            InputError: If it can't be written.
+            InputError: If it can't be written; the next time it is tried again.
         """
         self.film.running = False  # the message below isn't filmed
         self._scene.message = f"writing {self._folder / FILM} ..."
         self._redraw()
-        count = self.film.stop(self._folder)
+        count = self.film.write(self._folder)
         self._scene.message = f"{count} pictures in {self._folder / FILM}" if count else "nothing was filmed"
 
     def _load(self) -> None:

@@ -289,8 +289,8 @@ class Scene:
         """What the state is, in words."""
         state, settings = self.state, self.state.settings
         looks = "keypoints" if settings.supervision == "keypoints" else f"keypoints + {settings.supervision}"
-        if settings.supervision == "parts":
-            looks += f", {'with' if settings.depth_gradient else 'without'} z gradient"
+        if settings.offers_depth:
+            looks += f", {'with' if settings.has_depth else 'without'} z gradient"
         measures = [f"iteration {len(state.history)}"]
         if (took := state.milliseconds()) is not None:
             measures.append(f"{took:.1f} ms each")
@@ -307,7 +307,10 @@ class Scene:
 
     def screenshot(self) -> np.ndarray:
         """The picture as it is now, RGB, shape (height, width, 3), uint8."""
-        self.plotter.render()
+        if self.plotter.suppress_rendering:  # in a browser, where else only what is sent is drawn
+            self.plotter.render_window.Render()
+        else:
+            self.plotter.render()
         return np.asarray(self.plotter.screenshot(return_img=True))
 
     def close(self) -> None:
@@ -319,8 +322,8 @@ def no_picture(error: Exception) -> InputError:
     """What is missing where VTK can't draw."""
     reason = " ".join(str(error).split())[:120]
     return InputError(
-        f"demo: VTK can't draw here ({reason}); expected OpenGL (libgl1 or libosmesa6) and, for a window, a display; "
-        "partdr fit needs neither"
+        f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without (libegl1 "
+        "or libosmesa6); partdr fit needs neither"
     )
 
 

@@ -28,7 +28,7 @@ class Settings:
 
     Attributes:
         supervision: Beside the keypoints: nothing, the whole silhouette, or the parts.
-        depth_gradient: Whether PartDR's z gradient counts; it needs parts.
+        depth_gradient: Whether PartDR's z gradient counts where there is one; see ``offers_depth``.
         renderer: "exact" ellipsoids, or their mesh of a level.
         gradient: Of the exact renderer; a mesh has PartDR's alone.
         size: Side of the drawn crop [px].
@@ -66,6 +66,19 @@ class Settings:
     def level(self) -> int | None:
         """Subdivisions of the mesh; None for exact ellipsoids."""
         return None if self.renderer == "exact" else int(self.renderer[1])
+
+    @property
+    def offers_depth(self) -> bool:
+        """Whether PartDR's z gradient can be had: by its rule, which is a mesh's, too, of parts, which hide each other.
+
+        The other gradients have one of their own, where parts pass through each other; it always counts.
+        """
+        return self.supervision == "parts" and (self.level is not None or self.gradient == "partdr")
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether PartDR's z gradient counts."""
+        return self.offers_depth and self.depth_gradient
 
     @property
     def drawn(self) -> str:

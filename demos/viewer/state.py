@@ -73,36 +73,23 @@ class DemoState:
         self.history: list[float] = []
         self._seen: Target | None = None  # what the wanted pictures were made of
         self._wanted_pictures: dict[int, WantedPicture | None] = {}  # by their size
-        self._check_labels(target)
+        _check_labels(self.settings, target)
         self.restart()
 
-    def configure(self, *, again: bool = False, **changes: Any) -> None:
-        """Change some of the ``Settings``; the history begins anew.
+    def configure(self, **changes: Any) -> None:
+        """Change some of the ``Settings`` and go back to the start, so that runs can be compared; else do nothing.
 
         Args:
-            again: Go back to the start, too; else the body stays where it is.
             changes: The new values.
 
         Raises:
             InputError: If a value is none of its choices, or needs labels that the target has not; nothing changes.
         """
-        before = self.settings
-        self.settings = replace(self.settings, **changes)
-        try:
-            self._check_labels(self.target)
-        except InputError:
-            self.settings = before
-            raise
-        if again:
-            self.body = self.start
-        self._begin()
-
-    def _check_labels(self, target: Target) -> None:
-        if self.settings.supervision != "keypoints" and target.observation.labels is None:
-            raise InputError(
-                f"supervision: {self.settings.supervision}, without part labels; expected --parts FILE, or keypoints, "
-                "which need none"
-            )
+        settings = replace(self.settings, **changes)
+        _check_labels(settings, self.target)
+        if settings != self.settings:
+            self.settings = settings
+            self.restart()
 
     def aim(self, target: Target) -> None:
         """Take another target, from the same start.
@@ -110,7 +97,7 @@ class DemoState:
         Raises:
             InputError: If the settings need labels that it has not; nothing changes.
         """
-        self._check_labels(target)
+        _check_labels(self.settings, target)
         self.target = target
         self.restart()
 
@@ -232,8 +219,9 @@ class DemoState:
 
     def set_view(self, name: str, value: float) -> None:
         """Change one of the numbers of ``VIEW``, within its bounds; the edited body is the new start."""
-        names = tuple(VIEW)
-        self.reset(seen_as(self.body, {**self.view(), names[_index("view", names, name)]: value}))
+        _index("view", tuple(VIEW), name)
+        _, low, high = VIEW[name]
+        self.reset(seen_as(self.body, {**self.view(), name: min(max(value, low), high)}))
 
     @torch.no_grad()
     def posed(self) -> Posed:
@@ -358,6 +346,14 @@ class DemoState:
 def _mesh(level: int, groups: tuple[int, ...]) -> PartMesh:
     """With the labels of these groups, whose edges take a moment to find."""
     return ellipbody_mesh(level).relabel(np.array(groups, dtype=np.uint8))
+
+
+def _check_labels(settings: Settings, target: Target) -> None:
+    if settings.supervision != "keypoints" and target.observation.labels is None:
+        raise InputError(
+            f"supervision: {settings.supervision}, without part labels; expected --parts FILE, or keypoints, which "
+            "need none"
+        )
 
 
 def _index(kind: str, names: tuple[str, ...], name: str) -> int:

@@ -30,9 +30,9 @@ class Row:
         followed: What is followed.
         milliseconds: Of an iteration: of one at the start, then the median of the last.
         angle: Between its gradient of L_seg and the derivative of the wrongly labelled area [degrees], at the start;
-            None where the true body isn't known.
+            None where the true body isn't known, and where anything but all that the parts say is followed.
         outline: How far the farthest silhouette of the mesh is from the ellipsoid's [px of 256], at the start.
-        iterations: How many it was followed for.
+        iterations: How many it was followed for from the start, in the longest run.
         f1: Part F1 of the drawn labels then; None without labels.
         joints: How far joints are from the target's then [mm]; None of a photo.
     """
@@ -83,14 +83,16 @@ class Trade:
             while len(self.rows) > _MOST:
                 del self.rows[next(iter(self.rows))]
         self.current = key
-        if state.history:
-            row = self.rows[key]
-            row.milliseconds = state.milliseconds() or row.milliseconds
+        row = self.rows[key]
+        row.milliseconds = state.milliseconds() or row.milliseconds
+        if len(state.history) > row.iterations:  # a run that is repeated goes the same way
             row.iterations, row.f1, row.joints = len(state.history), state.part_f1(), state.joint_error()
 
     def _angle(self) -> float | None:
         target, settings = self.state.target, self.state.settings
-        if target.truth is None or target.posed is None:
+        if target.truth is None or target.posed is None or settings.supervision != "parts":
+            return None
+        if settings.offers_depth and not settings.has_depth:  # it is compared as it is by default
             return None
         if self._truth is None:
             labels = draw_truth(target.truth)
@@ -111,7 +113,7 @@ class Trade:
 
 
 def _key(settings: Settings) -> tuple[str, int, str]:
-    depth = " + z" if settings.supervision == "parts" and settings.depth_gradient else ""
+    depth = " + z" if settings.has_depth else ""
     return settings.drawn, settings.size, settings.supervision + depth
 
 

@@ -43,9 +43,8 @@ def view_of(body: BodyParameters) -> dict[str, float]:
 
 @torch.no_grad()
 def seen_as(body: BodyParameters, view: dict[str, float]) -> BodyParameters:
-    """The body with these numbers of ``VIEW``, each within its bounds."""
-    values = [min(max(view[name], low), high) for name, (_, low, high) in VIEW.items()]
-    scale, x, y, *angles = values
+    """The body with these numbers of ``VIEW``; its bounds are for who sets them."""
+    scale, x, y, *angles = (view[name] for name in VIEW)
     tilt, turn, roll = (
         rotation_from_axis_angle(math.radians(angle) * axis) for angle, axis in zip(angles, (_X, _Y, _Z), strict=True)
     )

@@ -15,6 +15,8 @@ from urllib.parse import urlsplit
 from ..errors import InputError
 from .window import Window
 
+_ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
+_LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 AREA = "demo"  # what messages about the picture are addressed to
 _REST = 0.015  # [s] between a picture and the next step, in which messages come and go
 _QUALITY = 85  # of JPEG; one for all, or each change would be drawn twice
@@ -72,7 +74,7 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
     check_backend()
     asyncio.get_running_loop().set_exception_handler(_pass_over_closed_pages)
     server = _make_page(window)
-    server.controller.on_server_bind.add(lambda wslink: wslink.app.middlewares.append(_make_guard()))
+    server.controller.on_server_bind.add(lambda wslink: wslink.app.middlewares.append(_make_guard(host)))
     server.controller.on_server_ready.add(lambda **_: ready(server.port))
     # thread: signals are asyncio's matter; timeout: the server stays when nobody looks
     options = {"thread": True, "timeout": 0, "open_browser": False, "show_connection_info": False}
@@ -125,15 +127,23 @@ def _make_page(window: Window) -> Any:
     return server
 
 
-def _make_guard() -> Any:
-    """What turns down messages from other pages that are open in the user's browser."""
+def _make_guard(host: str) -> Any:
+    """What turns down messages from other pages that are open in the user's browser.
+
+    Neither may they pass as its own page under another name for this machine (DNS rebinding), nor lie over it.
+    """
     web = import_module("aiohttp.web")
+    names = {host.lower(), *_LOCAL_NAMES}
 
     async def guard(request: Any, handler: Callable[[Any], Any]) -> Any:
+        if host not in _ALL_ADDRESSES and urlsplit(f"//{request.host}").hostname not in names:
+            raise web.HTTPForbidden(text=f"the demo answers to {', '.join(sorted(names))}")
         origin = request.headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc != request.host:
             raise web.HTTPForbidden(text="the demo takes messages from its own page only")
-        return await handler(request)
+        response = await handler(request)
+        response.headers["X-Frame-Options"] = "DENY"
+        return response
 
     return web.middleware(guard)
 
@@ -148,6 +158,12 @@ async def _play(window: Window) -> None:
     while True:
         window.tick()
         await asyncio.sleep(_REST)
+
+
+def page_address(host: str, port: int) -> str:
+    """Where the page is that ``serve`` shows."""
+    name = socket.gethostname() if host in _ALL_ADDRESSES else host
+    return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"
 
 
 def browser_name(key: str) -> str:

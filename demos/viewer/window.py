@@ -13,6 +13,7 @@ from ..body.template import PART_NAMES
 from ..errors import InputError
 from .buttons import Button, Panel
 from .controls import Controls
+from .film import FILM
 from .scene import Scene
 from .settings import QUALITIES
 from .sliders import Slider, SliderColumn, make_page
@@ -35,6 +36,7 @@ class Window:
         state: What is played with.
         folder: Where ``d`` saves to and ``l`` loads from; made when it is saved to.
         off_screen: Without a window, for tests and ``profile``.
+        seed: Of the last random body so far; buttons go on from the one after.
 
     Attributes:
         scene: What is shown.
@@ -47,11 +49,11 @@ class Window:
         InputError: If VTK can't draw here.
     """
 
-    def __init__(self, state: DemoState, folder: Path, *, off_screen: bool = False) -> None:
+    def __init__(self, state: DemoState, folder: Path, *, off_screen: bool = False, seed: int = 0) -> None:
         self.state, self.folder = state, folder
         self.scene = Scene(state, off_screen=off_screen, smooth=False)
         self.trade = Trade(state)
-        self.controls = Controls(state, self.scene, folder, self.refresh)
+        self.controls = Controls(state, self.scene, folder, self.refresh, seed)
         self.keys = self.controls.keys
         plotter = self.scene.plotter
         for key in _PYVISTA_KEYS:
@@ -106,9 +108,9 @@ class Window:
         self._try(lambda: self.controls.pick(part), measure=False)
 
     def tick(self) -> None:
-        """A step, if it plays."""
+        """A step, if it plays; what was told last can still be read meanwhile."""
         if self.controls.playing:
-            self._try(self.state.step)
+            self._try(self.state.step, clear=False)
 
     def refresh(self) -> None:
         """Draw the state as it is."""
@@ -130,8 +132,9 @@ class Window:
         """The sliders that are shown: title, smallest, largest, value, and what setting one does."""
         return make_page(self.state, self.controls.part, self.controls.page).sliders
 
-    def _try(self, action: Callable[[], None], *, measure: bool = True) -> None:
-        self.scene.message = ""
+    def _try(self, action: Callable[[], None], *, measure: bool = True, clear: bool = True) -> None:
+        if clear:
+            self.scene.message = ""
         try:
             action()
             self.trade.update(measure=measure)
@@ -187,6 +190,15 @@ class Window:
                 "which need none"
             )
         self.scene.plotter.show(title="partdr demo")
+
+    def finish(self) -> str:
+        """Write what was filmed when the window is gone; what to tell of it, or nothing.
+
+        Raises:
+            InputError: If it can't be written.
+        """
+        count = self.controls.film.write(self.folder)
+        return f"{self.folder / FILM}: {count} pictures" if count else ""
 
     def profile(self, count: int = 30) -> dict[str, float]:
         """Median time from a change to its drawn picture, by what is changed [ms]."""
