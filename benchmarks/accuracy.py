@@ -129,7 +129,7 @@ def contact_sheet(sample: Sample, result: FitResult) -> Image.Image:
     photo = read_photo(sample.picture)
     shown = LABELS.part_groups[result.draw(sample.target.shape).labels[0].numpy()]
     colours = group_colours(LABELS.part_groups)
-    overlay = draw_overlay(result, sample.keypoints, sample.target.shape, photo).resize(photo.shape[1::-1])
+    overlay = draw_overlay(result, sample.target.shape, photo).resize(photo.shape[1::-1])
     tiles = {
         "photo": Image.fromarray(photo),
         "overlay": overlay,

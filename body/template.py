@@ -40,6 +40,8 @@ PART_NAMES: tuple[str, ...] = (
 )
 NUM_PARTS = len(PART_NAMES)
 
+MEAN_STATURE = 1.63  # [m], of the mean adult of mean_body.json
+
 # Joint 0 is the root; joint k + 1 is the end of bone k. A bone starts where its parent ends.
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis",

@@ -73,7 +73,7 @@ def draw_example(height: int = 400) -> Image.Image:
     views = {
         "photo": Image.fromarray(photo),
         "part labels": Image.fromarray(colours[parts.groups]),
-        "fitted body, with the keypoints": draw_overlay(result, person, photo.shape[:2], photo),
+        "fitted body, with the keypoints": draw_overlay(result, photo.shape[:2], photo),
     }
     width = round(height * photo.shape[1] / photo.shape[0])
     panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}

@@ -538,7 +538,7 @@ def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
     for group, members in enumerate(label_set("cdcl14").groups.values(), start=1):
         image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
     np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
-    line = f"fit photo.png --keypoints k.json --parts p.npy --out out {ALONE}"  # ellipbody20 is the default
+    line = f"fit photo.png --keypoints k.json --parts p.npy --labels ellipbody20 --out out {ALONE}"
     code, _, complaint = run(line)
     assert (code, complaint) == (0, "")
     assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"

@@ -13,8 +13,8 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.ellipsoids import draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation, Weights
 from warp_partdr.errors import InputError
-from warp_partdr.fitting import FitOptions, distinct, fit_body
-from warp_partdr.hypotheses import hypothesize
+from warp_partdr.fitting import FitOptions, fit_body
+from warp_partdr.hypotheses import distinct, hypothesize
 from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters

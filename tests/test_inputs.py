@@ -33,7 +33,7 @@ from warp_partdr.inputs import (
     read_photo,
     select_person,
 )
-from warp_partdr.person import _connected
+from warp_partdr.person import connected
 
 NAN, INF = math.nan, math.inf
 PHOTOS = ("000000032081", "000000203864", "000000468632")
@@ -577,7 +577,7 @@ def test_connected_pixels(seed: int, density: float) -> None:
         if (grown == reached).all():
             break
         reached = grown
-    np.testing.assert_array_equal(_connected(mask, seeds), reached)
+    np.testing.assert_array_equal(connected(mask, seeds), reached)
 
 
 # --- crops -------------------------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def folder(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
     path = tmp_path_factory.mktemp("fit") / "new" / "out"
-    output.save_fit(result, path, keypoints=keypoints, parts=parts, photo=photo)
+    output.save_fit(result, path, photo=photo)
     return path
 
 
@@ -321,13 +321,13 @@ def test_without_any_picture_the_overlay_holds_all_keypoints(
 def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
     result: FitResult, keypoints: Keypoints2D, photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = np.asarray(output.draw_overlay(result, keypoints, photo.shape[:2], photo)).astype(float)
+    whole = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
     monkeypatch.setattr(output, "OVERLAY_SIDE", 256)
-    small = np.asarray(output.draw_overlay(result, keypoints, photo.shape[:2], photo)).astype(float)
+    small = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
     assert small.shape == (256, 192, 3)
     blocks = whole.reshape(256, 2, 192, 2, 3).mean((1, 3))
     assert np.abs(small - blocks).mean() < 6
-    empty = np.asarray(output.draw_overlay(result, keypoints, (10**6, 10**5))).shape
+    empty = np.asarray(output.draw_overlay(result, (10**6, 10**5))).shape
     assert empty == (256, 26, 3)
 
 

@@ -117,8 +117,13 @@ def fit(
         Path | None, typer.Option(help="Part labels: ids as PNG or .npy, or probabilities as .npy.", metavar="FILE")
     ] = None,
     labels: Annotated[
-        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
-    ] = "ellipbody20",
+        str | None,
+        typer.Option(
+            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     model: Annotated[
         str, typer.Option(help=f"Detailed model to end with: {MODEL_HELP}; none skips it.", metavar="NAME")
@@ -188,11 +193,20 @@ def fit(
 ) -> None:
     """Fit a body to one person; see ``_FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
-    from .inputs import check_inside, check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
+    from .inputs import (
+        check_inside,
+        check_sizes,
+        choose_person,
+        label_set_of,
+        read_keypoints,
+        read_parts,
+        read_photo,
+    )
 
+    if labels is not None and parts is None:
+        raise InputError(f"--labels: {labels}, without part labels; expected --parts with it")
     picture = None if photo is None else read_photo(photo)
-    label_set = read_label_set(labels)
-    image = None if parts is None else read_parts(parts, label_set)
+    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
     groups = None if image is None else image.groups
     check_sizes(photo=None if picture is None else picture.shape[:2], parts=None if groups is None else groups.shape)
     people = read_keypoints(keypoints, keypoint_format)
@@ -223,7 +237,12 @@ def fit(
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
     check_folder(out)
-    check_inputs(out, (photo, keypoints, parts, network, Path(labels), Path(model)), (*RESULT_FILES, *DETAILED_FILES))
+    named = (labels, model)
+    check_inputs(
+        out,
+        (photo, keypoints, parts, network, *(Path(name) for name in named if name)),
+        (*RESULT_FILES, *DETAILED_FILES),
+    )
     where = choose_device(device)
     if where == "cpu":
         # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
@@ -258,7 +277,9 @@ def fit(
         _load_kernels(where, options, labels=image is not None)
         result = fit_body(chosen, image, others=others, options=options, device=where, progress=progress)
         progress("writing results", 1, 1)
-        report = save_fit(result, out, keypoints=chosen, parts=image, photo=picture, others=others)
+        report = save_fit(result, out, photo=picture)
+    for warning in result.warnings:
+        typer.echo(f"partdr: warning: {warning}", err=True)
     _summarise(report, out)
     if detailed_model is None:
         return

@@ -44,8 +44,13 @@ def demo(
     ] = None,
     parts: Annotated[Path | None, typer.Option(help="Part labels of the person to reach.", metavar="FILE")] = None,
     labels: Annotated[
-        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
-    ] = "ellipbody20",
+        str | None,
+        typer.Option(
+            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None,
     supervision: Annotated[
         str, typer.Option(help="What is followed: keypoints; with them the silhouette, or the parts.", metavar="NAME")
     ] = "parts",

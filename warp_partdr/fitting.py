@@ -11,29 +11,27 @@ import numpy as np
 import torch
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS
-from .body.labels import BACKGROUND, IGNORE
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
+from .evidence import Evidence, weigh_evidence
 from .fused import minimise
-from .hypotheses import LiftEnergy, hypothesize
+from .hypotheses import LiftEnergy, distinct, hypothesize
 from .keypoints import Keypoints2D
 from .mesh import ellipbody_mesh
 from .network.checkpoint import load_label_network, packaged_network
 from .network.predict import predict_bodies
-from .observation import observe
+from .observation import crop_evidence
 from .parameters import BodyParameters
 from .part_files import PartLabels
+from .plausibility import complaints, poor_labels
 from .pose_prior import PosePrior
 from .posing import Posed
 from .quality import OUTLINE, STAGES, Quality, Stage, Start
 from .refinement import refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
+from .sides import choose_sides
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
-
-# Where a network's body ends farther off, a search is tried too.
-MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes; PartBench's hard people reach 22
-MOST_WRONG = 0.4  # wrong pixels a pixel of the person; PartBench's hard people reach 0.29
 
 Progress = Callable[[str, int, int], None]
 
@@ -118,6 +116,8 @@ class FitResult:
         hypotheses: How many starts there were.
         finalists: Energies at the end of the last stage that compared several bodies, best first.
         start: Where the winner comes from, "network" or "search".
+        evidence: Keypoints and labels that it went by.
+        warnings: What looks wrong, in the input or at the end, a sentence each.
     """
 
     parameters: BodyParameters
@@ -130,6 +130,8 @@ class FitResult:
     hypotheses: int
     finalists: list[float]
     start: Start
+    evidence: Evidence
+    warnings: tuple[str, ...] = ()
 
     @property
     def camera(self) -> WeakPerspective:
@@ -183,6 +185,9 @@ def fit_body(
 ) -> FitResult:
     """Fit EllipBody to one person.
 
+    What contradicts itself is mended where it is clear, and told in ``warnings``: left and right that differ between
+    labels and keypoints are exchanged in the one that seems wrong, and blobs of labels far from any bone are ignored.
+
     Args:
         keypoints: The person's 2D keypoints in the picture.
         parts: The picture's part labels; None fits keypoints alone.
@@ -199,17 +204,24 @@ def fit_body(
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
     options = options or FitOptions.at(quality)
-    trust = options.trust_background
-    seen, crop = observe(keypoints, parts, others=others, trust_background=trust, device=device)
     prior = PosePrior().to(device)
-    fit = _Fit(seen, crop, prior, options, stages_of(options, parts), progress)
+
+    def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
+        seen, crop = crop_evidence(evidence, trust_background=options.trust_background, device=device)
+        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress)
+
+    def glance(evidence: Evidence) -> FitResult:
+        return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
+
+    evidence = choose_sides(weigh_evidence(keypoints, parts, others), glance)
+    fit = start(evidence, options, progress)
     if options.start == "search":
-        return fit.search()
+        return fit.warn(fit.search())
     found = fit.from_network()
-    if not options.search or fit.suits(found):
-        return found
-    again = _Fit(seen, crop, prior, options, _drawn_or_not(options.search, parts), progress).search()
-    return fit.better(found, again)
+    if options.search and fit.complaints(found):
+        stages = _drawn_or_not(options.search, parts)
+        found = fit.better(found, replace(fit, stages=stages).search())
+    return fit.warn(found)
 
 
 @dataclass(frozen=True)
@@ -221,6 +233,7 @@ class _Fit:
     prior: PosePrior
     options: FitOptions
     stages: tuple[Stage, ...]
+    evidence: Evidence
     progress: Progress | None
 
     def search(self) -> FitResult:
@@ -313,18 +326,17 @@ class _Fit:
             hypotheses=hypotheses,
             finalists=finalists,
             start=start,
+            evidence=self.evidence,
         )
 
-    def suits(self, found: FitResult) -> bool:
-        """Whether a body lies where keypoints and labels are, so that nothing else need be tried."""
-        energy, parameters = self._judge(), found.parameters
-        posed = parameters.posed()
-        off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
-        if energy.target is None:
-            return off < MOST_OFF
-        person = ((energy.target != BACKGROUND) & (energy.target != IGNORE)).sum().clamp_min(1)
-        wrong = float(energy.segmentation(parameters, posed) / (2 * person))
-        return off < MOST_OFF and wrong < MOST_WRONG
+    def complaints(self, found: FitResult) -> list[str]:
+        """What the body is too far from to be believed; nothing, if it lies where keypoints and labels are."""
+        return complaints(found.parameters, self._judge())
+
+    def warn(self, found: FitResult) -> FitResult:
+        """The same, with all that looks wrong."""
+        told = [*self.complaints(found), *poor_labels(found.parameters, self._judge())]
+        return replace(found, warnings=(*self.evidence.warnings, *told))
 
     def better(self, found: FitResult, again: FitResult) -> FitResult:
         """The one with the lower energy; times and hypotheses are both's."""
@@ -367,24 +379,3 @@ def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...
 
 def _drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | None) -> tuple[Stage, ...]:
     return tuple(stage for stage in stages if parts is not None or stage.size == 0)
-
-
-def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apart: float = 0.02) -> torch.Tensor:
-    """Indices of the best bodies, best first, leaving out those whose joints lie where a better one's do.
-
-    Args:
-        bodies: B bodies.
-        energies: Shape (B,).
-        count: How many to keep at most.
-        apart: Mean distance of joints below which two bodies are one [m].
-    """
-    order = energies.argsort()
-    joints = bodies.select(order).posed().joints.detach()
-    distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()
-    kept: list[int] = []
-    for i in range(len(order)):
-        if len(kept) == count:
-            break
-        if all(distances[i, j] >= apart for j in kept):
-            kept.append(i)
-    return order[torch.tensor(kept, device=order.device)]

@@ -168,3 +168,24 @@ def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarra
     source, image = source - source.mean(0), image - image.mean(0)
     u, _, vt = np.linalg.svd(image.T @ source)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apart: float = 0.02) -> torch.Tensor:
+    """Indices of the best bodies, best first, leaving out those whose joints lie where a better one's do.
+
+    Args:
+        bodies: B bodies.
+        energies: Shape (B,).
+        count: How many to keep at most.
+        apart: Mean distance of joints below which two bodies are one [m].
+    """
+    order = energies.argsort()
+    joints = bodies.select(order).posed().joints.detach()
+    distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()
+    kept: list[int] = []
+    for i in range(len(order)):
+        if len(kept) == count:
+            break
+        if all(distances[i, j] >= apart for j in kept):
+            kept.append(i)
+    return order[torch.tensor(kept, device=order.device)]

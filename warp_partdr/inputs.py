@@ -8,7 +8,7 @@ from __future__ import annotations
 from .errors import InputError
 from .keypoint_files import parse_keypoints, read_keypoints
 from .keypoints import Keypoints2D, choose_person, person_height
-from .part_files import PartLabels, check_sizes, read_label_set, read_parts, read_photo
+from .part_files import PartLabels, check_sizes, label_set_of, read_label_set, read_parts, read_photo
 from .person import check_inside, crop_keypoints, crop_nearest, crop_size, person_crop, select_person
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "crop_keypoints",
     "crop_nearest",
     "crop_size",
+    "label_set_of",
     "parse_keypoints",
     "person_crop",
     "person_height",

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .agreement import bone_ends, confident_points
 from .body.labels import BACKGROUND, IGNORE
-from .body.template import JOINT_NAMES, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from .body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
 from .person import lower_near
 
@@ -17,7 +18,6 @@ _LIMBS = ("upper_arm", "forearm", "upper_leg", "lower_leg")
 _MISSING = 1 / 3  # share of a bone on background from which on its limb is missing
 _SAMPLES = 64  # points along a bone to tell that share from
 _MARGIN = 0.01  # of the person's height: about how far keypoints are off
-_STATURE = 1.63  # [m], of the mean adult of body/mean_body.json
 
 
 def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarray:
@@ -37,13 +37,12 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     """
     shape = template()
     height = person_height(keypoints)
-    landmarks = keypoints.format.landmarks
-    points = {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
+    points = confident_points(keypoints)
     near = np.zeros(groups.shape, dtype=bool)
     for side in ("left", "right"):
         for limb in _LIMBS:
             part = PART_NAMES.index(f"{side}_{limb}")
-            joints = JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
+            joints = bone_ends(part)
             if not points.keys() >= set(joints):
                 continue
             start, end = (points[joint] for joint in joints)
@@ -53,7 +52,7 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
             if limb == "forearm":
                 hand = SHAPE_INDICES[PART_NAMES.index(f"{side}_hand")][0]
                 end = end + (end - start) * (shape.mean_lengths[hand] / shape.mean_lengths[length])
-            half = shape.mean_thicknesses[thickness] / (2 * _STATURE) + _MARGIN
+            half = shape.mean_thicknesses[thickness] / (2 * MEAN_STATURE) + _MARGIN
             lower_near(near, np.concatenate([start, end]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)
 

@@ -31,7 +31,6 @@ from .keypoints import Keypoints2D, person_height
 from .palette import group_colours
 from .parameters import BodyParameters
 from .part_files import PartLabels
-from .person import select_person
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
 from .registration import Registered
 
@@ -106,34 +105,28 @@ def save_fit(
     result: FitResult,
     folder: str | Path,
     *,
-    keypoints: Keypoints2D,
-    parts: PartLabels | None = None,
     photo: np.ndarray | None = None,
-    others: tuple[Keypoints2D, ...] = (),
 ) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
     Args:
         result: Of ``fit_body``.
         folder: Made if it is not there.
-        keypoints: The fitted person's.
-        parts: The picture's labels, if there were any.
         photo: The picture, shape (H, W, 3), uint8, if there was one.
-        others: Other people's keypoints, as given to the fit.
 
     Returns:
         The report.
     """
-    size = image_size(keypoints, parts, photo)
-    report = make_report(result, keypoints)
+    evidence = result.evidence
+    size = image_size(evidence.keypoints, evidence.picture, photo)
+    report = make_report(result)
     comparison = None
-    if parts is not None:
-        target = select_person(parts.groups, keypoints, others)
-        part_groups = parts.label_set.part_groups
-        shown = part_groups[result.draw(size).labels[0].cpu().numpy()]
-        report |= compare_labels(shown, target, parts.label_set)
-        comparison = panels(target, shown, group_colours(part_groups))
-    overlay = draw_overlay(result, keypoints, size, photo)
+    if evidence.picture is not None:
+        label_set = evidence.picture.label_set
+        shown, target = compared_labels(result, size)
+        report |= compare_labels(shown, target, label_set)
+        comparison = panels(target, shown, group_colours(label_set.part_groups))
+    overlay = draw_overlay(result, size, photo)
     with replacing(Path(folder)) as temporary:
         body_file(result.parameters, result.camera, size).save(temporary / "body.npz")
         _write_json(temporary / "body.json", describe_body(result))
@@ -144,6 +137,16 @@ def save_fit(
         loss_chart(result).save(temporary / "loss.png")
         _write_json(temporary / "report.json", report)
     return report
+
+
+def compared_labels(result: FitResult, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Group ids of the body and of the person's labels, in the picture (H, W) or, if that is large, a smaller one."""
+    zoom = min(1.0, OVERLAY_SIDE / max(size))
+    height, width = (max(round(side * zoom), 1) for side in size)
+    target = result.evidence.target((height, width))
+    camera = _zoomed(result.camera, zoom, (height, width))
+    parts = result.draw((height, width), camera=camera).labels[0].cpu().numpy()
+    return result.evidence.labels.label_set.part_groups[parts], target
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
@@ -191,13 +194,12 @@ def save_registered(
         _write_json(temporary / "registration.json", report)
 
 
-def draw_overlay(
-    result: FitResult, keypoints: Keypoints2D, size: tuple[int, int], photo: np.ndarray | None = None
-) -> Image:
+def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
     """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
     canvas, zoom = _canvas(size, photo)
     shown_size = (canvas.height, canvas.width)
     overlay = _over(canvas, shade_body(result.posed, _zoomed(result.camera, zoom, shown_size), shown_size), 0.72)
+    keypoints = result.evidence.keypoints
     draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
     return overlay
 
@@ -262,8 +264,9 @@ def describe_body(result: FitResult) -> dict[str, Any]:
     }
 
 
-def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
-    """Losses, distance of the keypoints, and times of a fit."""
+def make_report(result: FitResult) -> dict[str, Any]:
+    """Losses, distance of the keypoints, times of a fit, and what looks wrong."""
+    keypoints = result.evidence.keypoints
     sure = keypoints.confident
     names = [name for name, there in zip(keypoints.format.landmarks, sure, strict=True) if there]
     landmarks = LandmarkGather(names, result.camera.scale.device)(result.posed)
@@ -271,6 +274,7 @@ def make_report(result: FitResult, keypoints: Keypoints2D) -> dict[str, Any]:
     distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
     height = person_height(keypoints)
     return {
+        "warnings": list(result.warnings),
         "energy": {name: round(value, 4) for name, value in result.energy.items()},
         "energy_total": round(sum(result.energy.values()), 4),
         "energy_of_finalists": [round(value, 4) for value in result.finalists],

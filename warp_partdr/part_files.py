@@ -6,6 +6,7 @@ or as a network's probability maps (K, H, W) or (H, W, K) (``.npy``), with one c
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from .body.label_sets import LABEL_SETS
 from .body.labels import IGNORE, LabelSet, label_set
 from .errors import InputError
 
@@ -57,6 +59,44 @@ def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
         return label_set(source)
     except ValueError as error:
         raise InputError(str(error)) from error
+
+
+def described_label_set(path: Path) -> LabelSet:
+    """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON ({error}); expected ids and their names") from error
+    if isinstance(data, dict) and "groups" in data:
+        return read_label_set(path)
+    for labels in LABEL_SETS.values():
+        names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
+        if data == names:
+            return labels
+    raise InputError(
+        f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
+        "ids (docs/inputs.md)"
+    )
+
+
+def label_set_of(parts: Path, source: str | None) -> LabelSet:
+    """What the ids of a file of part labels mean: what is named, or else what ``labels.json`` beside it describes.
+
+    Args:
+        parts: The file.
+        source: A label set's name or JSON file; None if none is named.
+
+    Raises:
+        InputError: If there is none, or it is wrong.
+    """
+    if source is not None:
+        return read_label_set(source)
+    beside = parts.with_name("labels.json")
+    if not beside.is_file():
+        raise InputError(
+            f"--labels: missing; expected what the ids of {parts} mean: one of {', '.join(LABEL_SETS)}, or a JSON file"
+        )
+    return described_label_set(beside)
 
 
 def read_photo(path: str | Path) -> np.ndarray:

@@ -85,8 +85,18 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
         lower_near(near, np.array([x, y, x, y]), _LOOSE_REACH * height)
     for other in others:
         near &= distances <= _bone_distances(other, groups.shape, reach)
-    kept = _connected(foreground & near, seeds & near)
+    kept = connected(foreground & near, seeds & near)
     return np.where(foreground & ~kept, IGNORE, groups).astype(np.uint8)
+
+
+def reach_box(keypoints: Keypoints2D) -> Box:
+    """A box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
+    height = person_height(keypoints)
+    reach = np.where(_loose_ends(keypoints), _LOOSE_REACH, _REACH) * height
+    reach = np.maximum(reach, _MIN_SEED_RADIUS)[keypoints.confident, None]
+    points = keypoints.points[keypoints.confident].astype(np.float64)
+    (x0, y0), (x1, y1) = (points - reach).min(axis=0), (points + reach).max(axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
 
 
 def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float) -> np.ndarray:
@@ -138,7 +148,7 @@ def _loose_ends(keypoints: Keypoints2D) -> np.ndarray:
     return loose
 
 
-def _connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The pixels of ``mask`` that hang together with a seed (8 neighbours), shape (H, W), bool.
 
     Works on runs, the unbroken stretches of a row, of which there are few: two runs of neighbouring rows touch if they

@@ -17,7 +17,7 @@ from ..body_file import load_body
 from ..ellipsoids import draw_ellipsoids
 from ..energy import LandmarkGather, Observation
 from ..errors import InputError
-from ..inputs import check_inside, check_sizes, choose_person, read_keypoints, read_label_set, read_parts, read_photo
+from ..inputs import check_inside, check_sizes, choose_person, label_set_of, read_keypoints, read_parts, read_photo
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
 from ..observation import LABEL_SIZE, observe
@@ -137,20 +137,20 @@ def target_of(body: BodyParameters) -> Target:
     return Target(observation, truth=body)
 
 
-def read_target(photo: Path | None, keypoints: Path, parts: Path | None, labels: str) -> Target:
+def read_target(photo: Path | None, keypoints: Path, parts: Path | None, labels: str | None) -> Target:
     """A user's person.
 
     Args:
         photo: The picture, to be shown; may be left out.
         keypoints: 2D keypoints of its people; the largest person is taken.
         parts: Part labels; without, only keypoints can be followed.
-        labels: What the ids of ``parts`` mean.
+        labels: What the ids of ``parts`` mean; None: what labels.json beside them says.
 
     Raises:
         InputError: If a file can't be read, or they don't fit each other.
     """
     picture = None if photo is None else read_photo(photo)
-    image = None if parts is None else read_parts(parts, read_label_set(labels))
+    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
     groups = None if image is None else image.groups
     check_sizes(photo=None if picture is None else picture.shape[:2], parts=None if groups is None else groups.shape)
     people = read_keypoints(keypoints)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..body.label_sets import LABEL_SETS
 from ..body.labels import LabelSet
 from ..errors import InputError
 from ..keypoint_files import read_keypoints
 from ..keypoints import choose_person
-from ..part_files import check_sizes, read_label_set, read_parts, read_photo
+from ..part_files import check_sizes, described_label_set, read_parts, read_photo
 from ..person import select_person
 from .pictures import existing
 from .sample import Sample
@@ -44,7 +42,7 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
         raise InputError(f"{folder}: no pictures; expected a folder of {_LAYOUT}")
     labelled = any(picture.with_suffix(_PARTS).is_file() for picture in pictures)
     if labelled and labels is None:
-        labels = _described(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
+        labels = described_label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
     for picture in pictures:
         people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
         parts = target = None
@@ -67,21 +65,3 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
             target=target,
             picture=picture,
         )
-
-
-def _described(path: Path) -> LabelSet:
-    """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON ({error}); expected ids and their names") from error
-    if isinstance(data, dict) and "groups" in data:
-        return read_label_set(path)
-    for labels in LABEL_SETS.values():
-        names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
-        if data == names:
-            return labels
-    raise InputError(
-        f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
-        "ids (docs/inputs.md)"
-    )
