@@ -205,6 +205,12 @@ BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
     "nobody": (GOOD, lambda: write("k.json", {"people": []}), ["k.json", "nobody"]),
     "photo is no picture": (GOOD, lambda: write("photo.png", "no picture"), ["photo.png", "expected a picture"]),
     "truncated photo": (GOOD, lambda: cut("photo.png", 0.5), ["photo.png", "expected a picture"]),
+    "parts of no label set": (
+        GOOD.replace(" --labels cdcl14", ""),
+        lambda: None,
+        ["--labels: missing", "p.png", "cdcl14"],
+    ),
+    "a label set of no parts": (GOOD.replace(" --parts p.png", ""), lambda: None, ["--labels: cdcl14", "--parts"]),
     "truncated labels": (GOOD, lambda: cut("p.png", 0.5), ["p.png", "expected"]),
     "labels of a suffix": (GOOD.replace("p.png", "k.json"), lambda: None, ["k.json", ".png or .npy"]),
     "labels in colour": (GOOD.replace("p.png", "photo.png"), lambda: None, ["photo.png", "one channel"]),
@@ -468,6 +474,11 @@ def own_labels() -> None:
     np.save("p.npy", np.where(image > 4, 9, np.minimum(image, 2)))
 
 
+def describe_labels() -> None:
+    labels = label_set("cdcl14")
+    write("labels.json", {str(number): labels.class_names.get(number, name) for number, name in labels.ids.items()})
+
+
 TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     "everything": (GOOD, lambda: None),
     "no detailed model": (GOOD, lambda: None),
@@ -483,6 +494,7 @@ TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     ),
     "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
     "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
+    "labels.json beside the parts": (GOOD.replace(" --labels cdcl14", ""), describe_labels),
     "16 bits": (GOOD, lambda: Image.fromarray(ids().astype(np.uint16)).save("p.png")),
     "wide picture": (
         GOOD,
@@ -539,9 +551,18 @@ def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
         image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
     np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
     line = f"fit photo.png --keypoints k.json --parts p.npy --labels ellipbody20 --out out {ALONE}"
-    code, _, complaint = run(line)
-    assert (code, complaint) == (0, "")
+    assert run(line)[0] == 0
     assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"
+
+
+def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
+    mirrored = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left for right, in cdcl14
+    save_ids(np.array(mirrored, dtype=np.uint8)[ids()])
+    code, said, complaint = run(f"fit {GOOD} {ALONE}")
+    told = "labels: left and right exchanged, say the keypoints; taken so"
+    assert (code, complaint.splitlines()[0]) == (0, f"partdr: warning: {told}")
+    assert "partdr:" not in said
+    assert told in json.loads(Path("out", "report.json").read_text())["warnings"]
 
 
 def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:

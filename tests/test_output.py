@@ -299,18 +299,22 @@ def save(tmp_path: Path, result: FitResult, **inputs: Any) -> Path:
     return tmp_path / "out"
 
 
-def test_without_labels_there_is_no_parts_picture(
-    result: FitResult, keypoints: Keypoints2D, photo: np.ndarray, tmp_path: Path
-) -> None:
-    folder = save(tmp_path, result, keypoints=keypoints, photo=photo)
+@pytest.fixture(scope="module")
+def bare(keypoints: Keypoints2D) -> FitResult:
+    """A fit to keypoints alone."""
+    return fit_body(keypoints, options=QUICK)
+
+
+def test_without_labels_there_is_no_parts_picture(bare: FitResult, photo: np.ndarray, tmp_path: Path) -> None:
+    folder = save(tmp_path, bare, photo=photo)
     assert {path.name for path in folder.iterdir()} == set(output.RESULT_FILES) - {"parts.png"}
     assert "parts" not in json.loads((folder / "report.json").read_text())
 
 
 def test_without_any_picture_the_overlay_holds_all_keypoints(
-    result: FitResult, keypoints: Keypoints2D, tmp_path: Path
+    bare: FitResult, keypoints: Keypoints2D, tmp_path: Path
 ) -> None:
-    folder = save(tmp_path, result, keypoints=keypoints)
+    folder = save(tmp_path, bare)
     overlay = pixels(folder / "overlay.png")
     assert (overlay.shape[1::-1] >= keypoints.points.max(0)).all()
     assert (overlay[0, 0] == overlay[0, -1]).all()

@@ -52,9 +52,10 @@ def predict(
     wp.config.log_level = wp.LOG_WARNING
     from .devices import choose_device
     from .energy import REFERENCE_SIZE
+    from .evidence import weigh_evidence
     from .network.checkpoint import load_label_network
     from .network.predict import predict_bodies
-    from .observation import observe
+    from .observation import crop_evidence, observe
     from .output import body_file, check_folder, image_size, replacing
     from .progress import FitProgress
 
@@ -62,13 +63,15 @@ def predict(
     where = choose_device(device)
     model = load_label_network(network, device=where)
     reading = predicting = 0.0
+    told: list[str] = []
     first, _ = observe(samples[0].keypoints, samples[0].parts, others=samples[0].others, device=where)
     predict_bodies([first], model)  # what is set up once counts for no speed
     with FitProgress() as progress, replacing(out) as temporary:
         for start in range(0, len(samples), batch):
             some = samples[start : start + batch]
             started = time.perf_counter()
-            seen = [observe(sample.keypoints, sample.parts, others=sample.others, device=where) for sample in some]
+            evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
+            seen = [crop_evidence(each, device=where) for each in evidence]
             read = time.perf_counter()
             bodies = predict_bodies([observation for observation, _ in seen], model)
             bodies.shift.sum().item()  # waits for the device
@@ -78,7 +81,11 @@ def predict(
                 camera = body.camera(REFERENCE_SIZE).in_full(crop)
                 size = image_size(sample.keypoints, sample.parts, None)
                 body_file(body, camera, size).save(temporary / f"{sample.name}.npz")
+            for sample, each in zip(some, evidence, strict=True):
+                told += [f"partdr: warning: {sample.name}: {warning}" for warning in each.warnings]
             progress("predicting", start + len(some), len(samples))
+    for line in told:
+        typer.echo(line, err=True)
     people = f"{len(samples)} people" if len(samples) > 1 else "1 person"
     typer.echo(
         f"{people}: {len(samples) / predicting:.0f} a second through the network, "
