@@ -26,6 +26,7 @@ from .body.ellipbody import EllipBody
 from .body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES
 from .cameras import WeakPerspective
 from .errors import InputError
+from .result_sets import check_not_in_set, check_result
 
 FORMAT = "warp-partdr body 1"
 _SHAPES: dict[str, tuple[int, ...]] = {
@@ -72,7 +73,12 @@ class BodyFile:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the file."""
+        """Write the file.
+
+        Raises:
+            InputError: If a report beside it says that it is of a fit: that would not be true any more.
+        """
+        check_not_in_set(Path(path))
         arrays = {name: getattr(self, name) for name in _SHAPES}
         np.savez(path, format=np.array(FORMAT), part_names=np.array(PART_NAMES), **arrays)
 
@@ -81,11 +87,16 @@ def load_body(path: str | Path) -> BodyFile:
     """Read a ``body.npz``; nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing or no body file, or holds wrong shapes, NaN or infinity.
+        InputError: If the file is missing or no body file, holds wrong shapes, NaN or infinity, or is of another fit
+            than the report beside it.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {name: np.asarray(archive[name]) for name in (*_SHAPES, "format")}
+        with Path(path).open("rb") as file:
+            check_result(path, file)
+            with np.load(file, allow_pickle=False) as archive:
+                data = {name: np.asarray(archive[name]) for name in (*_SHAPES, "format")}
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected a body.npz of partdr fit") from error
     except Exception as error:  # of many kinds: NumPy, zipfile and zlib each have their own for a damaged file

@@ -19,7 +19,7 @@ from .devices import choose_device
 from .errors import InputError
 from .evaluate_command import evaluate
 from .predict_command import PREDICT_HELP, predict
-from .register_command import MODEL_HELP, REGISTER_HELP, clothe, read_model, register_body
+from .register_command import MODEL_HELP, REGISTER_HELP, clothe, f1_scores, read_model, register_body
 from .train_command import TRAIN_HELP, train
 
 if TYPE_CHECKING:
@@ -220,8 +220,9 @@ def fit(
     wp.config.log_level = wp.LOG_WARNING
     from .fitting import FitOptions, fit_body
     from .kernels.threads import set_num_threads
-    from .output import DETAILED_FILES, RESULT_FILES, check_folder, check_inputs, image_size, save_fit
+    from .output import DETAILED_FILES, RESULT_FILES, image_size, person_labels, save_fit
     from .progress import FitProgress
+    from .result_sets import check_folder, check_inputs
 
     if labels_first and not outline:
         raise InputError("--labels-first: with --no-outline; expected one of the two")
@@ -285,8 +286,9 @@ def fit(
         return
     try:
         with FitProgress() as progress:
-            size = image_size(chosen, image, picture)
-            said = clothe(result.posed, detailed_model, out, result.camera, size, picture, progress=progress)
+            mine = None if image is None else person_labels(image, chosen, others)
+            seen = result.camera, image_size(chosen, image, picture), picture, mine
+            said = clothe(result.posed, detailed_model, out, *seen, progress=progress)
     except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
     typer.echo(said)
@@ -326,8 +328,7 @@ def _summarise(report: dict[str, Any], out: Path) -> None:
         + (f" ({100 * share:.1f} % of the person's height)" if share else ""),
     ]
     if "parts" in report:
-        scores = report["parts"]
-        lines.append(f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}")
+        lines.append(f1_scores(report))
     typer.echo("; ".join(lines))
     typer.echo(f"{out / 'overlay.png'} shows the body, {out / 'body.json'} its measurements")
 

@@ -154,8 +154,8 @@ def _evaluate(
     from .bench.report import TABLE_WIDTH
     from .devices import choose_device
     from .evaluation import METHODS, evaluate, one_thread, tables
-    from .output import check_folder
     from .progress import FitProgress
+    from .result_sets import check_folder
 
     if unknown := set(names or ()) - METHODS.keys():
         raise InputError(f"--method: {', '.join(sorted(unknown))}; expected {', '.join(METHODS)}")

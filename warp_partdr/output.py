@@ -1,15 +1,10 @@
-"""The files that ``partdr fit`` and ``partdr register`` leave.
-
-They are written to a temporary folder first, then moved into place as one.
-"""
+"""The files that ``partdr fit`` and ``partdr register`` leave, a set each (``result_sets``)."""
 
 from __future__ import annotations
 
 import json
 import platform
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,9 +17,9 @@ from .body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
 from .body.template import JOINT_NAMES
 from .body_file import BodyFile
 from .cameras import Crop, WeakPerspective
+from .detailed import detailed_mesh
 from .detailed_files import save_detailed
 from .energy import LandmarkGather
-from .errors import InputError
 from .export import ellipbody_scene
 from .fitting import FitResult
 from .keypoints import Keypoints2D, person_height
@@ -33,72 +28,19 @@ from .parameters import BodyParameters
 from .part_files import PartLabels
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
 from .registration import Registered
+from .render import PartImage, rasterize_parts
+from .result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", "report.json")
+RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (
     *(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")),
-    "registration.json",
+    REGISTRATION_REPORT,
 )
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 _LSP6 = "lsp6"
-
-
-@contextmanager
-def replacing(folder: Path) -> Iterator[Path]:
-    """A temporary folder, whose files take their places in ``folder`` when all are written.
-
-    Files of other names in ``folder`` stay. On an error nothing there changes, and ``folder`` is not made.
-
-    Raises:
-        InputError: If something can't be written.
-    """
-    try:
-        # Inside the folder, or the nearest one above that exists: on the same disk, files can take their places by
-        # renaming alone, and nothing but these two folders need be writable.
-        with tempfile.TemporaryDirectory(dir=_existing(folder), prefix=".partdr-") as scratch:
-            temporary = Path(scratch)
-            yield temporary
-            if taken := [path.name for path in temporary.iterdir() if (folder / path.name).is_dir()]:
-                raise InputError(f"{folder / taken[0]}: a folder; expected a file, or nothing")
-            folder.mkdir(parents=True, exist_ok=True)
-            for path in temporary.iterdir():
-                path.replace(folder / path.name)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}; expected a folder to write to") from error
-
-
-def check_folder(folder: Path) -> None:
-    """Raise before the work starts if results can't be written to ``folder``, which need not exist yet.
-
-    Raises:
-        InputError: If it is a file, or lies where nothing can be written.
-    """
-    try:
-        # Tried, not asked: permissions don't tell everything. Nothing of it stays.
-        with tempfile.TemporaryDirectory(dir=_existing(folder), prefix=".partdr-"):
-            pass
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}; expected a folder to write to") from error
-
-
-def check_inputs(folder: Path, given: Iterable[Path | None], files: Iterable[str]) -> None:
-    """Raise if one of these files, written to ``folder``, would replace a given one.
-
-    Raises:
-        InputError: It names the one that would be replaced.
-    """
-    results = {(folder / name).resolve() for name in files}
-    for path in given:
-        if path is not None and path.resolve() in results:
-            raise InputError(f"--out: {folder}: the result would replace {path}; expected another folder")
-
-
-def _existing(folder: Path) -> Path:
-    """The folder, or the nearest one above it that exists."""
-    return next((path for path in (folder, *folder.parents) if path.exists()), folder)
 
 
 def save_fit(
@@ -127,15 +69,15 @@ def save_fit(
         report |= compare_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
-    with replacing(Path(folder)) as temporary:
+    # A registration that is there clothes another body.
+    with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
         body_file(result.parameters, result.camera, size).save(temporary / "body.npz")
-        _write_json(temporary / "body.json", describe_body(result))
+        (temporary / "body.json").write_text(json.dumps(describe_body(result), indent=1) + "\n")
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
         if comparison is not None:
             comparison.save(temporary / "parts.png")
         loss_chart(result).save(temporary / "loss.png")
-        _write_json(temporary / "report.json", report)
     return report
 
 
@@ -165,8 +107,9 @@ def save_registered(
     size: tuple[int, int],
     *,
     photo: np.ndarray | None = None,
+    labels: PartLabels | None = None,
     seconds: float | None = None,
-) -> None:
+) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``.
 
     Args:
@@ -175,7 +118,11 @@ def save_registered(
         camera: Of the picture.
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there was one.
-        seconds: How long the registration took, for its report.
+        labels: The person's part labels (``person_labels``), of this size, for the report's scores.
+        seconds: How long the registration took, for the report.
+
+    Returns:
+        The report.
     """
     canvas, zoom = _canvas(size, photo)
     model, shown_size = registered.model, (canvas.height, canvas.width)
@@ -187,11 +134,30 @@ def save_registered(
     report: dict[str, Any] = {"model": model.name, "losses": losses}
     if seconds is not None:
         report["seconds"] = round(seconds, 3)
-    with replacing(Path(folder)) as temporary:
+    if labels is not None:
+        drawn = draw_registered(registered, camera, size).labels[0].cpu().numpy()
+        report |= compare_labels(labels.label_set.part_groups[drawn], labels.groups, labels.label_set)
+    with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
         _over(canvas, shown, 0.9).save(temporary / "detailed.png")
-        _write_json(temporary / "registration.json", report)
+    return report
+
+
+def person_labels(parts: PartLabels, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> PartLabels:
+    """The part labels that a fit of one person uses: everybody else's are 255, ignore.
+
+    Raises:
+        InputError: If no labelled pixel lies along the person's bones.
+    """
+    return PartLabels(parts.label_set, select_person(parts.groups, keypoints, others))
+
+
+def draw_registered(registered: Registered, camera: WeakPerspective, size: tuple[int, int]) -> PartImage:
+    """The first body's 20 parts in a picture of (H, W) pixels."""
+    vertices = registered.detailed.vertices[:1].detach()
+    seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
+    return rasterize_parts(seen.project(vertices), detailed_mesh(registered.model), size)
 
 
 def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
@@ -330,7 +296,3 @@ def _versions() -> dict[str, str]:
         "python": platform.python_version(),
         "machine": platform.machine(),
     }
-
-
-def _write_json(path: Path, data: dict[str, Any]) -> None:
-    path.write_text(json.dumps(data, indent=1) + "\n")

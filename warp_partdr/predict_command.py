@@ -18,7 +18,8 @@ Example: `partdr predict pictures --labels cdcl14 --out bodies`
 FOLDER holds N.jpg or N.png, N.keypoints.json and, for all or none, N.parts.png; the largest person of each picture is
 taken. Without --labels, labels.json in the folder says what the part labels are.
 
-**Results** in --out: N.npz for each picture, as body.npz of `partdr fit` (`partdr register` clothes it).
+**Results** in --out: N.npz for each picture, as body.npz of `partdr fit` (`partdr register` clothes it), and
+predictions.json, which names them. Older results of those names are replaced.
 """
 
 
@@ -56,8 +57,9 @@ def predict(
     from .network.checkpoint import load_label_network
     from .network.predict import predict_bodies
     from .observation import crop_evidence, observe
-    from .output import body_file, check_folder, image_size, replacing
+    from .output import body_file, image_size
     from .progress import FitProgress
+    from .result_sets import PREDICTIONS_REPORT, check_folder, replacing
 
     check_folder(out)
     where = choose_device(device)
@@ -66,7 +68,8 @@ def predict(
     told: list[str] = []
     first, _ = observe(samples[0].keypoints, samples[0].parts, others=samples[0].others, device=where)
     predict_bodies([first], model)  # what is set up once counts for no speed
-    with FitProgress() as progress, replacing(out) as temporary:
+    report = {"network": None if network is None else str(network), "people": len(samples)}
+    with FitProgress() as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
         for start in range(0, len(samples), batch):
             some = samples[start : start + batch]
             started = time.perf_counter()

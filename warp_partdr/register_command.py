@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from .body.detailed import DetailedModel
     from .cameras import WeakPerspective
+    from .part_files import PartLabels
     from .posing import Posed
     from .progress import FitProgress
 
@@ -25,7 +26,8 @@ Example: `partdr register out/body.npz --photo photo.png --out detailed`
 
 **Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
 Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
-rotations and position for the model) and registration.json (terms of the loss). Older results there are replaced.
+rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 of the detailed body
+against the labels). Older results there are replaced.
 """
 MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
@@ -36,6 +38,17 @@ def register_body(
     photo: Annotated[
         Path | None, typer.Option(help="The fit's picture, to draw the body over.", metavar="FILE", show_default=False)
     ] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(
+            help="The fit's part labels, to say how well the detailed body fills them.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None,
+    labels: Annotated[
+        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
+    ] = "ellipbody20",
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     inscribed: Annotated[
         bool,
@@ -51,34 +64,63 @@ def register_body(
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from .body_file import load_body
-    from .part_files import check_sizes, read_photo
+    from .part_files import check_sizes, read_label_set, read_parts, read_photo
 
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
     picture = None if photo is None else read_photo(photo)
-    check_sizes(body=(height, width), photo=None if picture is None else picture.shape[:2])
+    image = None if parts is None else read_parts(parts, read_label_set(labels))
+    check_sizes(
+        body=(height, width),
+        photo=None if picture is None else picture.shape[:2],
+        parts=None if image is None else image.groups.shape,
+    )
 
     import torch
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
     from .devices import choose_device
-    from .output import DETAILED_FILES, check_folder, check_inputs
+    from .output import DETAILED_FILES
     from .posing import pose
     from .progress import FitProgress
+    from .result_sets import check_folder, check_inputs
 
     check_folder(out)
-    check_inputs(out, (body, photo, Path(model)), DETAILED_FILES)
+    check_inputs(out, (body, photo, parts, Path(labels), Path(model)), DETAILED_FILES)
     where = choose_device(device)
     if where == "cpu":
         torch.set_num_threads(1)  # as ``fit`` does
     detailed_model = read_model(model, where)
     names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
-    seen = fitted.camera(), (height, width), picture
+    posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
+    person = None if image is None else _labels_of(posed, fitted.camera(), image)
+    seen = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:
-        posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
         said = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
     typer.echo(said)
+
+
+def _labels_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> PartLabels:
+    """The part labels of the person where a body is.
+
+    Raises:
+        InputError: If there are none.
+    """
+    import numpy as np
+
+    from .body.skeletons import skeleton
+    from .energy import LandmarkGather
+    from .keypoints import Keypoints2D
+    from .output import person_labels
+
+    name = "coco17"
+    landmarks = LandmarkGather(skeleton(name).landmarks, posed.joints.device)(posed).cpu()
+    points = camera.project(landmarks)[0, :, :2].numpy()
+    try:
+        return person_labels(parts, Keypoints2D(name, points, np.ones(len(points), dtype=np.float32)))
+    except InputError as error:
+        raise InputError("--parts: no labelled pixel where the body is; expected the labels of its picture") from error
 
 
 def read_model(name: str, device: str) -> DetailedModel:
@@ -102,6 +144,7 @@ def clothe(
     camera: WeakPerspective,
     size: tuple[int, int],
     photo: np.ndarray | None,
+    labels: PartLabels | None,
     *,
     progress: FitProgress,
     inscribed: bool = False,
@@ -116,6 +159,7 @@ def clothe(
         camera: Of the picture.
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there is one.
+        labels: The person's part labels, if there are some.
         progress: Has said yet that kernels are compiled.
         inscribed: Whether the ellipsoids are to lie within the skin.
         grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
@@ -144,5 +188,13 @@ def clothe(
     registered = register(posed, model, options=options, progress=progress)
     seconds = time.perf_counter() - started
     progress("writing results", 1, 1)
-    save_registered(registered, out, camera, size, photo=photo, seconds=seconds)
-    return f"{model.name}: {out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
+    report = save_registered(registered, out, camera, size, photo=photo, labels=labels, seconds=seconds)
+    scores = f"{f1_scores(report)}; " if labels is not None else ""
+    files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
+    return f"{model.name}: {scores}{files}"
+
+
+def f1_scores(report: dict[str, Any]) -> str:
+    """How well a body fills the labels, in words; of a fit's report, or a registration's."""
+    scores = report["parts"]
+    return f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}"

@@ -65,8 +65,8 @@ def partbench(
     from ..bench.report import TABLE_WIDTH
     from ..devices import choose_device
     from ..evaluation import evaluate, one_thread, tables
-    from ..output import check_folder
     from ..progress import FitProgress
+    from ..result_sets import check_folder
     from .methods import METHODS, QUICK, choose_methods
     from .noise import LEVELS
     from .report import findings, write_report
