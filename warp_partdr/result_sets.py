@@ -56,7 +56,9 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
         # renaming alone, and nothing but these two folders need be writable.
         base = _existing(place)
         with _scratch(base) as scratch:
-            temporary = scratch.joinpath(*place.relative_to(base).parts)
+            parts = place.relative_to(base).parts
+            top = base.joinpath(*parts[:1])  # what the temporary folder becomes, if nobody else makes it meanwhile
+            temporary = scratch.joinpath(*parts[1:])
             temporary.mkdir(parents=True, exist_ok=True)
             yield temporary
             if taken := [path.name for path in temporary.iterdir() if (place / path.name).is_dir()]:
@@ -64,7 +66,7 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
             report[FILES] = {path.name: _sha256(path) for path in sorted(temporary.iterdir())}
             (temporary / name).write_text(json.dumps(report, indent=1) + "\n")
             if missing := [path for path in (place, *place.parents) if not path.exists()]:
-                (scratch / missing[-1].relative_to(base)).rename(missing[-1])
+                (scratch / missing[-1].relative_to(top)).rename(missing[-1])
             else:
                 unfinished = place / scratch.name.replace(_WRITING, _UNFINISHED)
                 temporary.rename(unfinished)
