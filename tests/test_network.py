@@ -202,5 +202,7 @@ def test_predict_writes_a_body_for_each_picture(network, tmp_path, monkeypatch, 
         main()
     assert not stopped.value.code
     assert "2 people" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.npz", "b.npz", "predictions.json"}
+    assert json.loads((tmp_path / "out/predictions.json").read_text())["files"].keys() == {"a.npz", "b.npz"}
     bodies = [load_body(tmp_path / f"out/{name}.npz") for name in ("a", "b")]
     assert np.array_equal(bodies[0].rotations, bodies[1].rotations)

@@ -247,14 +247,16 @@ def test_a_process_that_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     older(folder)
     with subprocess.Popen([sys.executable, "-c", CHILD, str(folder)], stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == "replaced one\n"
-        (unfinished,) = folder.glob(".partdr-*")
-        assert passing(folder) == {}
-        other(folder)  # by another process meanwhile
-        assert unfinished.exists()  # is not taken from one that lives
-        assert passing(folder).keys() >= {"a", "b"}
-        child.send_signal(signal.SIGKILL)
+        try:
+            assert child.stdout is not None
+            assert child.stdout.readline() == "replaced one\n"
+            (unfinished,) = folder.glob(".partdr-*")
+            assert passing(folder) == {}
+            other(folder)  # by another process meanwhile
+            assert unfinished.exists()  # is not taken from one that lives
+            assert passing(folder).keys() >= {"a", "b"}
+        finally:
+            child.send_signal(signal.SIGKILL)
     assert sorted((folder / name).read_text() for name in "ab") == ["third", "third"]
     newer(folder)
     assert set(tree(folder)) == {"a", "b", "m", "notes", FIT_REPORT}
