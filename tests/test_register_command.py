@@ -18,7 +18,7 @@ from warp_partdr.cli import app
 from warp_partdr.errors import InputError
 from warp_partdr.fitting import FitOptions, fit_body
 from warp_partdr.inputs import read_keypoints, read_parts, read_photo
-from warp_partdr.output import person_labels, save_fit, save_registered
+from warp_partdr.output import save_fit, save_registered
 from warp_partdr.quality import Stage
 from warp_partdr.registration import RegistrationOptions, RegistrationWeights, register
 
@@ -38,10 +38,10 @@ def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]
     person, parts = read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", LABELS)
     result = fit_body(person, parts, options=FitOptions(stages=(Stage("labels", 2, 4, 0.02, 64),)))
     photo = read_photo(EXAMPLE / "photo.png")
-    save_fit(result, "fit", keypoints=person, parts=parts, photo=photo)
+    save_fit(result, "fit", photo=photo)
     registered = register(result.posed, anny(), options=OPTIONS)
     Image.open(EXAMPLE / "parts.png").save("p.png")
-    return save_registered(registered, "fit", result.camera, photo.shape[:2], labels=person_labels(parts, person))
+    return save_registered(registered, "fit", result.camera, photo.shape[:2], evidence=result.evidence)
 
 
 def call(*options: str) -> str:

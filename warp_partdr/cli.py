@@ -220,7 +220,7 @@ def fit(
     wp.config.log_level = wp.LOG_WARNING
     from .fitting import FitOptions, fit_body
     from .kernels.threads import set_num_threads
-    from .output import DETAILED_FILES, RESULT_FILES, image_size, person_labels, save_fit
+    from .output import DETAILED_FILES, RESULT_FILES, image_size, save_fit
     from .progress import FitProgress
     from .result_sets import check_folder, check_inputs
 
@@ -286,8 +286,7 @@ def fit(
         return
     try:
         with FitProgress() as progress:
-            mine = None if image is None else person_labels(image, chosen, others)
-            seen = result.camera, image_size(chosen, image, picture), picture, mine
+            seen = result.camera, image_size(chosen, image, picture), picture, result.evidence
             said = clothe(result.posed, detailed_model, out, *seen, progress=progress)
     except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from .cameras import Crop, WeakPerspective
 from .detailed import detailed_mesh
 from .detailed_files import save_detailed
 from .energy import LandmarkGather
+from .evidence import Evidence
 from .export import ellipbody_scene
 from .fitting import FitResult
 from .keypoints import Keypoints2D, person_height
@@ -83,12 +83,9 @@ def save_fit(
 
 def compared_labels(result: FitResult, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Group ids of the body and of the person's labels, in the picture (H, W) or, if that is large, a smaller one."""
-    zoom = min(1.0, OVERLAY_SIDE / max(size))
-    height, width = (max(round(side * zoom), 1) for side in size)
-    target = result.evidence.target((height, width))
-    camera = _zoomed(result.camera, zoom, (height, width))
-    parts = result.draw((height, width), camera=camera).labels[0].cpu().numpy()
-    return result.evidence.labels.label_set.part_groups[parts], target
+    zoom, scored = _shown_at(size)
+    parts = result.draw(scored, camera=_zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
+    return result.evidence.labels.label_set.part_groups[parts], result.evidence.target(scored)
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
@@ -107,7 +104,7 @@ def save_registered(
     size: tuple[int, int],
     *,
     photo: np.ndarray | None = None,
-    labels: PartLabels | None = None,
+    evidence: Evidence | None = None,
     seconds: float | None = None,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``.
@@ -118,7 +115,7 @@ def save_registered(
         camera: Of the picture.
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there was one.
-        labels: The person's part labels (``person_labels``), of this size, for the report's scores.
+        evidence: Of the person in that picture, for the report's scores where it has labels.
         seconds: How long the registration took, for the report.
 
     Returns:
@@ -134,23 +131,15 @@ def save_registered(
     report: dict[str, Any] = {"model": model.name, "losses": losses}
     if seconds is not None:
         report["seconds"] = round(seconds, 3)
-    if labels is not None:
-        drawn = draw_registered(registered, camera, size).labels[0].cpu().numpy()
-        report |= compare_labels(labels.label_set.part_groups[drawn], labels.groups, labels.label_set)
+    if evidence is not None and evidence.picture is not None:
+        label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
+        drawn = draw_registered(registered, _zoomed(camera, zoom, scored), scored).labels[0].cpu().numpy()
+        report |= compare_labels(label_set.part_groups[drawn], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
         _over(canvas, shown, 0.9).save(temporary / "detailed.png")
     return report
-
-
-def person_labels(parts: PartLabels, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> PartLabels:
-    """The part labels that a fit of one person uses: everybody else's are 255, ignore.
-
-    Raises:
-        InputError: If no labelled pixel lies along the person's bones.
-    """
-    return PartLabels(parts.label_set, select_person(parts.groups, keypoints, others))
 
 
 def draw_registered(registered: Registered, camera: WeakPerspective, size: tuple[int, int]) -> PartImage:
@@ -171,15 +160,20 @@ def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | N
 
 
 def _canvas(size: tuple[int, int], photo: np.ndarray | None) -> tuple[Image, float]:
-    """The photo, or gray, at most ``OVERLAY_SIDE`` pixels a side, and its pixels a pixel of the picture."""
+    """The photo, or gray, as it is shown, and its pixels a pixel of the picture."""
     from PIL import Image
 
-    zoom = min(1.0, OVERLAY_SIDE / max(size))
-    height, width = (max(round(side * zoom), 1) for side in size)
+    zoom, (height, width) = _shown_at(size)
     canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
     if canvas.size != (width, height):
         canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
     return canvas, zoom
+
+
+def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
+    """Zoom and (H, W) at which a picture of this size is shown and compared: at most ``OVERLAY_SIDE`` px a side."""
+    zoom = min(1.0, OVERLAY_SIDE / max(size))
+    return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
 def _zoomed(camera: WeakPerspective, zoom: float, size: tuple[int, int]) -> WeakPerspective:

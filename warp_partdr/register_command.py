@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from .body.detailed import DetailedModel
     from .cameras import WeakPerspective
+    from .evidence import Evidence
     from .part_files import PartLabels
     from .posing import Posed
     from .progress import FitProgress
@@ -47,8 +48,13 @@ def register_body(
         ),
     ] = None,
     labels: Annotated[
-        str, typer.Option(help="What the ids of --parts mean: a label set's name, or your own JSON.", metavar="NAME")
-    ] = "ellipbody20",
+        str | None,
+        typer.Option(
+            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     inscribed: Annotated[
         bool,
@@ -64,12 +70,12 @@ def register_body(
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from .body_file import load_body
-    from .part_files import check_sizes, read_label_set, read_parts, read_photo
+    from .part_files import check_sizes, label_set_of, read_parts, read_photo
 
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
     picture = None if photo is None else read_photo(photo)
-    image = None if parts is None else read_parts(parts, read_label_set(labels))
+    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
     check_sizes(
         body=(height, width),
         photo=None if picture is None else picture.shape[:2],
@@ -87,22 +93,22 @@ def register_body(
     from .result_sets import check_folder, check_inputs
 
     check_folder(out)
-    check_inputs(out, (body, photo, parts, Path(labels), Path(model)), DETAILED_FILES)
+    check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
     where = choose_device(device)
     if where == "cpu":
         torch.set_num_threads(1)  # as ``fit`` does
     detailed_model = read_model(model, where)
     names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
-    person = None if image is None else _labels_of(posed, fitted.camera(), image)
+    person = None if image is None else _evidence_of(posed, fitted.camera(), image)
     seen = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:
         said = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
     typer.echo(said)
 
 
-def _labels_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> PartLabels:
-    """The part labels of the person where a body is.
+def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Evidence:
+    """The labels of the person where a body is.
 
     Raises:
         InputError: If there are none.
@@ -111,14 +117,14 @@ def _labels_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Part
 
     from .body.skeletons import skeleton
     from .energy import LandmarkGather
+    from .evidence import weigh_evidence
     from .keypoints import Keypoints2D
-    from .output import person_labels
 
     name = "coco17"
     landmarks = LandmarkGather(skeleton(name).landmarks, posed.joints.device)(posed).cpu()
     points = camera.project(landmarks)[0, :, :2].numpy()
     try:
-        return person_labels(parts, Keypoints2D(name, points, np.ones(len(points), dtype=np.float32)))
+        return weigh_evidence(Keypoints2D(name, points, np.ones(len(points), dtype=np.float32)), parts)[0]
     except InputError as error:
         raise InputError("--parts: no labelled pixel where the body is; expected the labels of its picture") from error
 
@@ -144,7 +150,7 @@ def clothe(
     camera: WeakPerspective,
     size: tuple[int, int],
     photo: np.ndarray | None,
-    labels: PartLabels | None,
+    evidence: Evidence | None,
     *,
     progress: FitProgress,
     inscribed: bool = False,
@@ -159,7 +165,7 @@ def clothe(
         camera: Of the picture.
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there is one.
-        labels: The person's part labels, if there are some.
+        evidence: Of the person in that picture, for scores against its labels, if there is some.
         progress: Has said yet that kernels are compiled.
         inscribed: Whether the ellipsoids are to lie within the skin.
         grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
@@ -188,8 +194,8 @@ def clothe(
     registered = register(posed, model, options=options, progress=progress)
     seconds = time.perf_counter() - started
     progress("writing results", 1, 1)
-    report = save_registered(registered, out, camera, size, photo=photo, labels=labels, seconds=seconds)
-    scores = f"{f1_scores(report)}; " if labels is not None else ""
+    report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
+    scores = f"{f1_scores(report)}; " if evidence is not None and evidence.picture is not None else ""
     files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
     return f"{model.name}: {scores}{files}"
 
