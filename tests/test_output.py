@@ -292,16 +292,18 @@ def test_a_detailed_body_that_cannot_be_written_leaves_the_older_one(
     assert (tmp_path / "detailed.glb").read_text() == "old"
 
 
-def test_the_detailed_body_is_scored_by_its_own_mesh(
-    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(output, "OVERLAY_SIDE", 128)  # the picture may be smaller, what is counted is not
+def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, result: FitResult, tmp_path: Path) -> None:
     labels, size = label_set("cdcl14"), (512, 384)
+
+    def score(groups: np.ndarray) -> dict[str, Any]:
+        seen = replace(result.evidence, picture=PartLabels(labels, groups), groups=groups)
+        return output.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
+
     points = result.camera.project(registered.detailed.vertices)
     drawn = rasterize_parts(points, detailed_mesh(registered.model), size).labels[0].numpy()
     target = labels.part_groups[drawn]
     target[:100] = 255  # somebody else
-    report = output.save_registered(registered, tmp_path, result.camera, size, labels=PartLabels(labels, target))
+    report = score(target)
     assert report == json.loads((tmp_path / "registration.json").read_text())
     assert report["parts"]["label_set"] == "cdcl14"
     assert report["parts"]["part_f1"] == report["parts"]["foreground_f1"] == report["parts_lsp6"]["part_f1"] == 1
@@ -310,23 +312,23 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(
     head = target.copy()
     head[100:][drawn[100:] > 0] = 1
     counts = np.bincount((drawn > 0)[100:].ravel())
-    report = output.save_registered(registered, tmp_path, result.camera, size, labels=PartLabels(labels, target))
+    report = score(target)
     background = 2 * counts[0] / (2 * counts[0] + counts[1])
     assert report["parts"]["foreground_f1"] == pytest.approx(background / 2, abs=1e-4)  # nothing of a person there
-    report = output.save_registered(registered, tmp_path, result.camera, size, labels=PartLabels(labels, head))
+    report = score(head)
     assert report["parts"]["foreground_f1"] == 1
     assert report["parts"]["part_f1"] < 0.5
 
 
 def test_a_fit_s_set_ends_the_older_detailed_body(
-    registered: Registered, result: FitResult, keypoints: Keypoints2D, parts: PartLabels, tmp_path: Path
+    registered: Registered, result: FitResult, bare: FitResult, tmp_path: Path
 ) -> None:
-    output.save_fit(result, tmp_path, keypoints=keypoints, parts=parts)
+    output.save_fit(result, tmp_path)
     report = output.save_registered(registered, tmp_path, result.camera, (512, 384))
     assert report["files"].keys() == set(output.DETAILED_FILES) - {"registration.json"}
     assert {path.name for path in tmp_path.iterdir()} == {*output.RESULT_FILES, *output.DETAILED_FILES}
     (tmp_path / "notes").write_text("mine")
-    report = output.save_fit(result, tmp_path, keypoints=keypoints)
+    report = output.save_fit(bare, tmp_path)
     assert report == json.loads((tmp_path / "report.json").read_text())
     assert {path.name for path in tmp_path.iterdir()} == {"notes", *output.RESULT_FILES} - {"parts.png"}
 
