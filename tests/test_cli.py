@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from test_detailed import save_npz
 
-from warp_partdr import cli, fitting, output, progress, quality, registration
+from warp_partdr import cli, fitting, output, progress, quality, registration, result_sets
 from warp_partdr.body.label_sets import LABEL_SETS
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import SKELETONS, convert
@@ -360,7 +360,7 @@ def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, m
         raise PermissionError(13, "Permission denied")
 
     if stage == "before":  # tests may run as root, who is refused nothing
-        monkeypatch.setattr(output.tempfile, "TemporaryDirectory", refuse)
+        monkeypatch.setattr(result_sets, "_scratch", refuse)
         monkeypatch.setattr(fitting, "fit_body", lambda *_, **__: pytest.fail("must be found out before the fit"))
     else:
         monkeypatch.setattr(output, "loss_chart", refuse)
