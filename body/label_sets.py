@@ -37,7 +37,7 @@ def _in_order(names: str, groups: Mapping[str, tuple[str, ...]]) -> dict[str, tu
     return {name: groups[name] for name in names.split()}
 
 
-def _label_set(name: str, groups: Mapping[str, tuple[str, ...]], classes: str) -> LabelSet:
+def _label_set(name: str, of: str, groups: Mapping[str, tuple[str, ...]], classes: str) -> LabelSet:
     """From lines ``id class name = group``; without ``= group`` the class is called as its group."""
     ids: dict[int, str] = {}
     class_names: dict[int, str] = {}
@@ -46,24 +46,62 @@ def _label_set(name: str, groups: Mapping[str, tuple[str, ...]], classes: str) -
         number, _, class_name = words.strip().partition(" ")
         ids[int(number)] = group.strip() or class_name.strip()
         class_names[int(number)] = class_name.strip()
-    return LabelSet(name, dict(groups), ids, class_names)
+    return LabelSet(name, dict(groups), ids, class_names, of=of)
 
 
-def _numbered(name: str, groups: Mapping[str, tuple[str, ...]]) -> LabelSet:
+def _in_turn(classes: str) -> str:
+    """The same lines with ids 0, 1, 2, ... before them."""
+    return "\n".join(f"{number} {line.strip()}" for number, line in enumerate(classes.strip().splitlines()))
+
+
+def _numbered(name: str, of: str, groups: Mapping[str, tuple[str, ...]]) -> LabelSet:
     """Ids are the group ids themselves."""
-    return LabelSet(name, dict(groups), {0: "background", **dict(enumerate(groups, start=1))})
+    return LabelSet(name, dict(groups), {0: "background", **dict(enumerate(groups, start=1))}, of=of)
 
+
+# Sapiens (Goliath classes), in the order of their ids. A sock may be foot or lower leg.
+_SAPIENS = """
+    Background = background
+    Apparel = ignore
+    Face_Neck = head
+    Hair = head
+    Left_Foot = left_foot
+    Left_Hand = left_hand
+    Left_Lower_Arm = left_forearm
+    Left_Lower_Leg = left_lower_leg
+    Left_Shoe = left_foot
+    Left_Sock = ignore
+    Left_Upper_Arm = left_upper_arm
+    Left_Upper_Leg = left_upper_leg
+    Lower_Clothing = ignore
+    Right_Foot = right_foot
+    Right_Hand = right_hand
+    Right_Lower_Arm = right_forearm
+    Right_Lower_Leg = right_lower_leg
+    Right_Shoe = right_foot
+    Right_Sock = ignore
+    Right_Upper_Arm = right_upper_arm
+    Right_Upper_Leg = right_upper_leg
+    Torso = torso
+    Upper_Clothing = ignore
+    Lower_Lip = head
+    Upper_Lip = head
+    Lower_Teeth = head
+    Upper_Teeth = head
+    Tongue = head
+"""
 
 _SETS = (
     # This project's own part labels.
-    _numbered("ellipbody20", {part: (part,) for part in PART_NAMES}),
+    _numbered("ellipbody20", "this project", {part: (part,) for part in PART_NAMES}),
     # The paper's 14 parts of Human3.6M (section 4.1); it gives no order, this one is ours.
-    _numbered("body14", _NECK_ON_HEAD | _LIMB_GROUPS),
+    _numbered("body14", "Human3.6M's parts in the paper", _NECK_ON_HEAD | _LIMB_GROUPS),
     # Silhouettes, also as pictures of 0 and 255.
-    LabelSet("full1", {"person": PART_NAMES}, {0: "background", 1: "person", 255: "person"}),
+    LabelSet("full1", {"person": PART_NAMES}, {0: "background", 1: "person", 255: "person"}, of="silhouettes"),
     # The six parts that UP-3D's LSP annotations are evaluated with, in the order of SPIN's evaluation.
     _numbered(
         "lsp6",
+        "LSP's evaluation in UP-3D",
         {
             **_one_side("left", arm=("upper_arm", "forearm", "hand")),
             **_one_side("right", arm=("upper_arm", "forearm", "hand")),
@@ -76,6 +114,7 @@ _SETS = (
     # SURREAL's SMPL parts merged to 14, as its training code does.
     _numbered(
         "surreal14",
+        "SURREAL",
         _in_order(
             "head torso right_upper_arm right_forearm right_hand left_upper_arm left_forearm left_hand "
             "right_upper_leg right_lower_leg right_foot left_upper_leg left_lower_leg left_foot",
@@ -84,6 +123,7 @@ _SETS = (
     ),
     _label_set(
         "cdcl14",
+        "CDCL",
         _in_order(
             "head torso right_upper_arm left_upper_arm right_forearm left_forearm right_hand left_hand "
             "right_upper_leg left_upper_leg right_lower_leg left_lower_leg right_foot left_foot",
@@ -111,6 +151,7 @@ _SETS = (
     # data set's documentation has them thus.
     _label_set(
         "densepose24",
+        "DensePose-COCO",
         _in_order(
             "torso right_hand left_hand left_foot right_foot right_upper_leg left_upper_leg right_lower_leg "
             "left_lower_leg left_upper_arm right_upper_arm left_forearm right_forearm head",
@@ -147,6 +188,7 @@ _SETS = (
     # LIP. An arm is its bare skin down to the fingertips; a glove or a sock does not tell its side.
     _label_set(
         "lip20",
+        "LIP",
         _NECK_ON_HEAD
         | _one_side("left", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",))
         | _one_side("right", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",)),
@@ -176,6 +218,7 @@ _SETS = (
     # CIHP is LIP but for id 10, the skin of torso and neck.
     _label_set(
         "cihp20",
+        "CIHP",
         _NECK_ON_TORSO
         | _one_side("left", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",))
         | _one_side("right", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",)),
@@ -204,6 +247,7 @@ _SETS = (
     ),
     _label_set(
         "atr18",
+        "ATR",
         _NECK_ON_HEAD
         | _one_side("left", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",))
         | _one_side("right", arm=("upper_arm", "forearm", "hand"), leg=("upper_leg", "lower_leg"), foot=("foot",)),
@@ -231,6 +275,7 @@ _SETS = (
     # Pascal-Person-Part: left and right are one class.
     _label_set(
         "pascal6",
+        "Pascal-Person-Part",
         {
             **_NECK_ON_HEAD,
             "upper_arms": _both("upper_arm"),
@@ -248,45 +293,19 @@ _SETS = (
         6 Lower Legs = lower_legs
         """,
     ),
-    # Sapiens (Goliath classes). A sock may be foot or lower leg.
+    _label_set("sapiens28", "Sapiens, version 1", _NECK_ON_HEAD | _LIMB_GROUPS, _in_turn(_SAPIENS)),
+    # One class more, at id 2, so that all later ids are one higher.
     _label_set(
-        "sapiens28",
+        "sapiens29",
+        "Sapiens2",
         _NECK_ON_HEAD | _LIMB_GROUPS,
-        """
-        0 Background = background
-        1 Apparel = ignore
-        2 Face_Neck = head
-        3 Hair = head
-        4 Left_Foot = left_foot
-        5 Left_Hand = left_hand
-        6 Left_Lower_Arm = left_forearm
-        7 Left_Lower_Leg = left_lower_leg
-        8 Left_Shoe = left_foot
-        9 Left_Sock = ignore
-        10 Left_Upper_Arm = left_upper_arm
-        11 Left_Upper_Leg = left_upper_leg
-        12 Lower_Clothing = ignore
-        13 Right_Foot = right_foot
-        14 Right_Hand = right_hand
-        15 Right_Lower_Arm = right_forearm
-        16 Right_Lower_Leg = right_lower_leg
-        17 Right_Shoe = right_foot
-        18 Right_Sock = ignore
-        19 Right_Upper_Arm = right_upper_arm
-        20 Right_Upper_Leg = right_upper_leg
-        21 Torso = torso
-        22 Upper_Clothing = ignore
-        23 Lower_Lip = head
-        24 Upper_Lip = head
-        25 Lower_Teeth = head
-        26 Upper_Teeth = head
-        27 Tongue = head
-        """,
+        _in_turn(_SAPIENS.replace("Face_Neck", "Eyeglass = head\n    Face_Neck")),
     ),
     # UP-3D ("Unite the People"), in the order of its published code (regions of up_tools/model.py). The ring around a
     # joint goes to the limb that ends there: an elbow to the upper arm, a wrist to the forearm.
     _label_set(
         "up3d31",
+        "UP-3D",
         {"head": ("head",), "neck": ("neck",), "torso": _TRUNK} | _LIMB_GROUPS,
         """
         0 background
@@ -326,3 +345,6 @@ _SETS = (
 )
 
 LABEL_SETS: dict[str, LabelSet] = {labels.name: labels for labels in _SETS}
+
+# For helps: "cdcl14 (CDCL, 15 classes), ...", background counted.
+DESCRIBED = ", ".join(f"{name} ({each.of}, {len(each.channel_ids)} classes)" for name, each in LABEL_SETS.items())

@@ -46,6 +46,7 @@ class LabelSet:
         ids: Source id -> group name, "background" or "ignore".
         class_names: Source id -> the data set's own name of the class, where it differs from the group's.
         left_out: Ellipsoids that are not drawn.
+        of: Whose ids these are: the data set or network, with its version where there are several.
 
     Raises:
         ValueError: If a part is unknown, in two groups, or in one and left out, a group is empty, an id has no such
@@ -57,6 +58,7 @@ class LabelSet:
     ids: Mapping[int, str]
     class_names: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    of: str = ""
 
     def __post_init__(self) -> None:
         if not self.groups:

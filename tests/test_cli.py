@@ -98,6 +98,9 @@ def test_help_teaches(run: Run) -> None:
     assert '{"format": "coco17", "keypoints": [[x, y, confidence], ...]}' in said  # not taken for markup
     for name in (*LABEL_SETS, *SKELETONS, *EVERY_FILE, "--parts", "--person", "--model", "Example"):
         assert name in said, name
+    told = " ".join(said.split())
+    for labels in LABEL_SETS.values():
+        assert f"{labels.name} ({labels.of}, {len(labels.channel_ids)} classes)" in told
     assert max(map(len, said.splitlines())) <= 100
 
 

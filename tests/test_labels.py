@@ -17,7 +17,7 @@ from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.body.template import PART_NAMES
 
 NAMES = list(LABEL_SETS)
-EXPECTED_CLASSES = {"full1": 1, "lip20": 19, "cihp20": 19, "atr18": 17, "sapiens28": 27}
+EXPECTED_CLASSES = {"full1": 1, "lip20": 19, "cihp20": 19, "atr18": 17, "sapiens28": 27, "sapiens29": 28}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -92,6 +92,7 @@ def test_source_ids(name: str) -> None:
         ("atr18", {9: "left_foot", 11: "head", 13: "right_leg", 14: "left_arm", 16: "ignore"}),
         ("pascal6", {1: "head", 2: "torso", 3: "upper_arms", 6: "lower_legs"}),
         ("sapiens28", {2: "head", 5: "left_hand", 9: "ignore", 17: "right_foot", 21: "torso", 27: "head"}),
+        ("sapiens29", {2: "head", 6: "left_hand", 10: "ignore", 18: "right_foot", 22: "torso", 28: "head"}),
         ("up3d31", {1: "right_hand", 8: "torso", 14: "left_hand", 22: "left_upper_leg", 28: "head", 31: "neck"}),
         ("lsp6", {1: "left_arm", 2: "right_arm", 3: "head", 4: "left_leg", 5: "right_leg", 6: "torso"}),
         ("ellipbody20", {1: "left_hip", 8: "head", 20: "right_hand"}),
@@ -99,6 +100,28 @@ def test_source_ids(name: str) -> None:
 )
 def test_meanings(name: str, meanings: dict[int, str]) -> None:
     assert {source: LABEL_SETS[name].ids[source] for source in meanings} == meanings
+
+
+def test_sapiens2_has_one_class_more() -> None:
+    first, second = LABEL_SETS["sapiens28"], LABEL_SETS["sapiens29"]
+    assert second.class_names[2] == "Eyeglass"
+    later = {source - (source > 2): name for source, name in second.class_names.items() if source != 2}
+    assert later == first.class_names
+    assert {source - (source > 2): group for source, group in second.ids.items() if source != 2} == first.ids
+    assert second.groups == first.groups
+
+
+def test_the_table_of_the_docs() -> None:
+    """Name, data set, classes, ids and what is ignored."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "inputs.md").read_text()
+    rows = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in page.splitlines() if "| `" in line]
+    told = {row[0]: (row[1], row[2], row[3], row[5]) for row in rows if row[0] in LABEL_SETS}
+    for name, labels in LABEL_SETS.items():
+        ignored = [
+            f"{source} {labels.class_names[source]}" for source, group in labels.ids.items() if group == "ignore"
+        ]
+        ids = f"0 to {max(labels.channel_ids)}" + (", 255" if 255 in labels.ids else "")
+        assert told[name] == (labels.of, str(len(labels.channel_ids)), ids, ", ".join(ignored))
 
 
 def test_cdcl_has_the_ids_of_the_shared_photos(shared: Path) -> None:

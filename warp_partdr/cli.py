@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .bench_command import bench
-from .body.label_sets import LABEL_SETS
+from .body.label_sets import DESCRIBED
 from .body.skeletons import SKELETONS
 from .demo_command import DEMO_HELP, demo
 from .devices import choose_device
@@ -84,7 +84,7 @@ Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels
 OpenPose's own JSON, COCO annotations, or MMPose predictions. Formats: {", ".join(SKELETONS)}.
 
 **Part labels**, as large as the picture: an image of ids, or a network's probabilities. Label sets:
-{", ".join(LABEL_SETS)}; or a JSON file of your own: `{{"groups": {{"head": ["head", "neck"], ...}}, "ids": {{"0":
+{DESCRIBED}; or a JSON file of your own: `{{"groups": {{"head": ["head", "neck"], ...}}, "ids": {{"0":
 "background", "1": "head", ...}}}}`, whose parts are those of ellipbody20. Id 255 is ignored. Without --parts, the
 keypoints alone are fitted.
 
