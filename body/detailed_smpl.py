@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
+from ..kernels.integers import check_whole
 from .detailed import DetailedModel
 from .template import PART_NAMES
 
@@ -179,9 +180,9 @@ def smpl_model(
     name = check_smpl(arrays, where)
     names = _MODELS[name]
     available = arrays["shapedirs"].shape[2]
-    num_shapes = min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes
-    if not 0 <= num_shapes <= available:
-        raise ValueError(f"num_shapes: {num_shapes}; expected 0 to {available}, as {where} has")
+    num_shapes = check_whole(
+        "num_shapes", min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes, 0, available
+    )
     vertices, weights, regressor = (arrays[key].astype(np.float64) for key in ("v_template", "weights", "J_regressor"))
     directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
     joints = regressor @ vertices

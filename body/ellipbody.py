@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import kinematics
+from ..kernels.integers import check_whole
 from .icosphere import icosphere
 from .template import (
     LENGTH_NAMES,
@@ -33,7 +34,7 @@ LARGEST = 1e12
 _PRECISIONS = {wp.float32: (wp.vec3f, wp.mat33f), wp.float64: (wp.vec3d, wp.mat33d)}
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=32, typed=True)
 def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT_SUBDIVISIONS) -> kinematics.BoneTree:
     """The template's arrays on ``device`` (a Warp device alias such as ``"cuda:0"``) in ``dtype``."""
     vec, mat = _PRECISIONS[dtype]
@@ -48,7 +49,7 @@ def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT
     )
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=4, typed=True)
 def ellipbody_faces(subdivisions: int = DEFAULT_SUBDIVISIONS) -> tuple[np.ndarray, np.ndarray]:
     """Faces of all 20 ellipsoids, (20 F, 3) int32, and the part label 1 to 20 of each, (20 F,) uint8."""
     vertices, faces = icosphere(subdivisions)
@@ -109,6 +110,7 @@ class EllipBody:
             device: Warp device; the current one by default.
             dtype: ``warp.float32`` or ``warp.float64``.
         """
+        batch_size = check_whole("batch_size", batch_size, 0)
         constants = template()
         identity = np.eye(3)
         return cls.from_numpy(
@@ -210,8 +212,7 @@ class EllipBody:
         Raises:
             ValueError: If there is no body ``index``.
         """
-        if not isinstance(index, int) or not 0 <= index < self.batch_size:
-            raise ValueError(f"index: {index}; expected one of {self.batch_size} bodies")
+        index = check_whole("index", index, 0, self.batch_size - 1)
         lengths, thicknesses = self.lengths.numpy()[index], self.thicknesses.numpy()[index]
         measured: dict[str, float] = {}
         for part, (length, first, second) in zip(PART_NAMES, SHAPE_INDICES, strict=True):

@@ -6,18 +6,19 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..kernels.integers import check_whole
+
 MAX_SUBDIVISIONS = 3
 
 
-@lru_cache(maxsize=MAX_SUBDIVISIONS + 1)
+@lru_cache(maxsize=2 * (MAX_SUBDIVISIONS + 1), typed=True)  # so that 1.0 and True are not found as 1
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (N, 3) float64 on the unit sphere and faces (F, 3) int32, outward: F = 20, 80, 320 or 1280.
 
     Raises:
         ValueError: If ``subdivisions`` is not 0, 1, 2 or 3.
     """
-    if subdivisions not in range(MAX_SUBDIVISIONS + 1):
-        raise ValueError(f"subdivisions: {subdivisions!r}; expected 0 to {MAX_SUBDIVISIONS}")
+    subdivisions = check_whole("subdivisions", subdivisions, 0, MAX_SUBDIVISIONS)
     from trimesh.creation import icosphere as make  # loaded when a mesh is asked for
 
     mesh = make(subdivisions=subdivisions)

@@ -21,6 +21,7 @@ The sets themselves are in ``label_sets.py``.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from ..kernels.integers import check_whole
 from .template import NUM_PARTS, PART_NAMES
 
 BACKGROUND = 0
@@ -80,8 +82,7 @@ class LabelSet:
                     raise ValueError(f"{self.name}: {part} is in {owner[part]!r} and {group!r}; expected one group")
                 owner[part] = group
         for source, group in self.ids.items():
-            if not 0 <= source <= MAX_SOURCE_ID:
-                raise ValueError(f"{self.name}: id {source}; expected 0 to {MAX_SOURCE_ID}")
+            check_whole(f"{self.name}: id", source, 0, MAX_SOURCE_ID)
             if group not in self.groups and group not in ("background", "ignore"):
                 expected = ", ".join([*self.groups, "background", "ignore"])
                 raise ValueError(f"{self.name}: id {source} is {group!r}; expected one of {expected}")
@@ -268,10 +269,11 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
             raise ValueError(f"{where}: group {group!r}: {parts!r}; expected a list of part names")
     sources: dict[int, str] = {}
     for key, group in ids.items():
-        try:
-            sources[int(key)] = str(group)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{where}: id {key!r}; expected an integer") from error
+        source = int(key) if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key) else key
+        source = check_whole(f"{where}: id", source, 0, MAX_SOURCE_ID)
+        if source in sources:
+            raise ValueError(f"{where}: id {source} twice; expected one group for it")
+        sources[source] = str(group)
     left_out = data.get("left_out", ())
     if not isinstance(left_out, list | tuple) or not all(isinstance(part, str) for part in left_out):
         raise ValueError(f"{where}: left_out: {left_out!r}; expected a list of part names")

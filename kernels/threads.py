@@ -11,6 +11,8 @@ from types import ModuleType
 
 import warp as wp
 
+from .integers import check_whole
+
 _MIN_BODIES = 2  # a thread; for less, starting it costs more than it saves
 
 _num_threads = 0  # 0: as many as there are cores
@@ -20,12 +22,10 @@ def set_num_threads(count: int) -> None:
     """How many threads share a batch on the CPU device; 0 = as many as there are cores.
 
     Raises:
-        ValueError: If ``count`` is negative.
+        ValueError: If ``count`` is no integer, or negative.
     """
     global _num_threads
-    if count < 0:
-        raise ValueError(f"count: {count}; expected 0 or more")
-    _num_threads = count
+    _num_threads = check_whole("count", count, 0)
 
 
 def get_num_threads() -> int:

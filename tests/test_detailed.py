@@ -463,7 +463,7 @@ def test_load_model_reads_files(num_joints, suffix, tmp_path):
 def test_default_number_of_shapes(tmp_path):
     assert load_model(save_npz(tmp_path / "many.npz")).num_shapes == 10
     assert load_model(save_npz(tmp_path / "few.npz", **smpl_arrays(num_shapes=3))).num_shapes == 3
-    with pytest.raises(ValueError, match="num_shapes: 13; expected 0 to 12"):
+    with pytest.raises(ValueError, match="num_shapes: 13; expected an integer from 0 to 12"):
         load_model(tmp_path / "many.npz", num_shapes=13)
     with pytest.raises(ValueError, match="num_shapes"):
         load_model("anny", num_shapes=3)

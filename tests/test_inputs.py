@@ -305,7 +305,7 @@ def test_choose_person() -> None:
     only_small = paint(small, (200, 200))
     assert choose_person(people, only_small) is small
     for index in (3, -1):
-        with pytest.raises(InputError, match=f"person: {index}; expected 0 to 2"):
+        with pytest.raises(InputError, match=f"person: {index}; expected an integer from 0 to 2"):
             choose_person(people, index=index)
     with pytest.raises(InputError, match="keypoints: nobody; expected at least one person"):
         choose_person([])

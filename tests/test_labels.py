@@ -253,8 +253,10 @@ def test_names(name: str) -> None:
             {"ids": {"0": "background", "1": "hand"}},
             r"id 1 is 'hand'; expected one of head, left_arm, background, ignore",
         ),
-        ({"ids": {"zero": "background"}}, r"id 'zero'; expected an integer"),
-        ({"ids": {"-1": "background"}}, r"id -1; expected 0 to 65535"),
+        ({"ids": {"zero": "background"}}, r"id: 'zero'; expected an integer from 0 to 65535"),
+        ({"ids": {"1.9": "background"}}, r"id: '1.9'; expected an integer from 0 to 65535"),
+        ({"ids": {"0": "background", "00": "head"}}, r"id 0 twice; expected one group for it"),
+        ({"ids": {"-1": "background"}}, r"id: -1; expected an integer from 0 to 65535"),
         ({"ids": {"1": "head"}}, r"ids: none is background; expected one at least"),
     ],
 )
@@ -278,6 +280,15 @@ def test_no_such_set(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(ValueError, match=r"list\.json: list; expected an object with groups and ids"):
         label_set(tmp_path / "list.json")
+
+
+def test_ids_of_python_are_integers() -> None:
+    assert label_set(OWN | {"ids": {0: "background", np.int64(3): "head"}}).ids == {0: "background", 3: "head"}
+    for key in (1.9, True, None):
+        with pytest.raises(ValueError, match="expected an integer from 0 to 65535"):
+            label_set(OWN | {"ids": {0: "background", key: "head"}})
+        with pytest.raises(ValueError, match="expected an integer from 0 to 65535"):
+            LabelSet("mine", {"head": ("head",)}, {0: "background", key: "head"})
 
 
 def test_label_set_checks_itself() -> None:

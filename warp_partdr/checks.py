@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import SupportsIndex
 
 import torch
 
 from .body.ellipbody import LARGEST
+from .kernels.integers import check_whole as check_whole
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
 
@@ -67,8 +69,8 @@ def contiguous(tensor: torch.Tensor) -> torch.Tensor:
     return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
 
 
-def check_image_size(image_size: Sequence[int], batch: int = 1) -> None:
-    """Raise unless ``image_size`` is two positive integers, and so many pictures of that size can be counted.
+def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tuple[int, int]:
+    """``image_size`` as two ints: positive integers of any type, of which so many pictures can be counted.
 
     Raises:
         TypeError: If it is no sequence.
@@ -76,21 +78,18 @@ def check_image_size(image_size: Sequence[int], batch: int = 1) -> None:
     """
     if not isinstance(image_size, Sequence):
         raise TypeError(f"image_size: {type(image_size).__name__}; expected two positive integers (H, W)")
-    if len(image_size) != 2 or not all(isinstance(size, int) and size > 0 for size in image_size):
-        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)")
-    pixels = image_size[0] * image_size[1]
+    try:
+        height, width = (check_whole("image_size", size, 1) for size in image_size)
+    except ValueError:  # also if they are not two
+        raise ValueError(f"image_size: {image_size}; expected two positive integers (H, W)") from None
+    pixels = height * width
     if pixels >= MAX_PICTURE:
-        raise ValueError(f"image_size: 1 pictures of {tuple(image_size)}; expected fewer than 2**28 pixels each")
+        raise ValueError(f"image_size: 1 pictures of {(height, width)}; expected fewer than 2**28 pixels each")
     if batch * pixels >= MAX_PIXELS:
         raise ValueError(
-            f"image_size: {batch} pictures of {tuple(image_size)}; expected fewer than 2**31 pixels, split the batch"
+            f"image_size: {batch} pictures of {(height, width)}; expected fewer than 2**31 pixels, split the batch"
         )
-
-
-def check_whole(name: str, value: int, low: int, high: int) -> None:
-    """Raise ValueError unless ``value`` is an integer from ``low`` to ``high``."""
-    if not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"{name}: {value!r}; expected an integer from {low} to {high}")
+    return height, width
 
 
 def check_near(near: float | None, perspective: bool, default: float) -> float:

@@ -114,9 +114,10 @@ def draw_ellipsoids(
     Raises:
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
     """
+    halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
     tensors, view = _check(ellipsoids, camera, image_size, part_labels, near, validate)
-    check_whole("num_maps", num_maps, 0, MAX_LABEL)
+    num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
     if num_maps == 0:
         with torch.no_grad():
             picture = draw(tensors, view)
@@ -163,6 +164,7 @@ def ellipsoid_label_loss(
     Raises:
         ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
     """
+    halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,), like=("centres", ellipsoids.centres))
     tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
@@ -197,12 +199,8 @@ def _options(
     check_gradient_options(occlusion, max_distance, depth_weight)
     if not 0 < steps_per_pixel <= MAX_STEPS_PER_PIXEL:
         raise ValueError(f"steps_per_pixel: {steps_per_pixel}; expected a positive number up to {MAX_STEPS_PER_PIXEL}")
-    if not 0 <= halvings <= MAX_HALVINGS:
-        raise ValueError(f"halvings: {halvings}; expected 0 to {MAX_HALVINGS}")
     over_farther = occlusion == "depth"
-    return Options(
-        gradient, over_farther, float(max_distance), float(depth_weight), float(steps_per_pixel), int(halvings)
-    )
+    return Options(gradient, over_farther, float(max_distance), float(depth_weight), float(steps_per_pixel), halvings)
 
 
 def _check(
@@ -223,16 +221,16 @@ def _check(
     check_tensor("camera", intrinsics, (batch, 4), dtypes=FLOATS)
     if intrinsics.device != centres.device:
         raise ValueError(f"camera: on {intrinsics.device}; expected {centres.device}, as centres")
-    check_image_size(image_size, batch)
+    height, width = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
-    labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
+    labels = _part_labels(part_labels, count)
     if validate:
         check_finite(centres=centres, axes=axes, semi_axes=semi_axes, camera=intrinsics)
         if not (semi_axes > 0).all():
             raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
     near = check_near(near, camera.perspective, DEFAULT_NEAR)
-    view = _view(image_size[0], image_size[1], near, camera.perspective, labels)
+    view = _view(height, width, near, camera.perspective, labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
     return tensors, view
 
@@ -240,11 +238,12 @@ def _check(
 _view = lru_cache(maxsize=64)(View)
 
 
-@lru_cache(maxsize=64)
-def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
-    labels = tuple(range(1, count + 1)) if given is None else tuple(int(label) for label in given)
-    if len(labels) != count or not all(0 <= label <= 255 for label in labels):
-        raise ValueError(f"part_labels: {list(labels)}; expected {count} labels from 0 to 255")
+def _part_labels(given: Sequence[int] | None, count: int) -> tuple[int, ...]:
+    if given is None:
+        return tuple(range(1, count + 1))
+    labels = tuple(check_whole("part_labels", label, 0, 255) for label in given)
+    if len(labels) != count:
+        raise ValueError(f"part_labels: {len(labels)} of them; expected {count}, as ellipsoids")
     return labels
 
 

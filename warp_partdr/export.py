@@ -8,6 +8,7 @@ import numpy as np
 
 from .body.icosphere import icosphere
 from .body.template import NUM_PARTS, PART_NAMES
+from .kernels.integers import check_whole
 from .palette import PART_COLOURS
 
 if TYPE_CHECKING:
@@ -29,8 +30,13 @@ def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> t
         posed: Bodies in the camera frame [m].
         subdivisions: 0 to 3.
         index: Which body of the batch.
+
+    Raises:
+        ValueError: If there is no such level or body.
     """
     import trimesh
+
+    index = check_whole("index", index, 0, posed.centres.shape[0] - 1)
 
     sphere, faces = icosphere(subdivisions)
     points = posed.vertices(subdivisions)[index].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)

@@ -10,7 +10,7 @@ import torch
 import warp as wp
 
 from .body.template import NUM_PARTS
-from .checks import check_tensor
+from .checks import check_tensor, check_whole
 from .energy import REFERENCE_SIZE, Energy
 from .fused_picture import EllipsoidPicture
 from .kernels.refine_iteration import launch_start, launch_step
@@ -100,7 +100,7 @@ class FusedRefinement:
         renderer: MakeRenderer = EllipsoidPicture,
     ) -> None:
         free = BodyParameters.free(frozen)
-        check_steps(iterations, learning_rate)
+        iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
         energies = _as_list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device

@@ -10,6 +10,7 @@ import numpy as np
 
 from .body.skeletons import Skeleton, skeleton
 from .errors import InputError
+from .kernels.integers import check_whole
 
 MIN_CONFIDENCE = 0.3  # Below it, a keypoint says little about where the person is.
 
@@ -108,9 +109,10 @@ def choose_person(
     if not people:
         raise InputError("keypoints: nobody; expected at least one person")
     if index is not None:
-        if not 0 <= index < len(people):
-            raise InputError(f"person: {index}; expected 0 to {len(people) - 1}")
-        return people[index]
+        try:
+            return people[check_whole("person", index, 0, len(people) - 1)]
+        except ValueError as error:
+            raise InputError(str(error)) from None
     return max(people, key=lambda keypoints: _prominence(keypoints, groups))
 
 

@@ -10,7 +10,7 @@ import torch
 from .body.rotations import rotation_from_6d, rotation_from_axis_angle
 from .body.template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
 from .cameras import WeakPerspective
-from .checks import check_finite, check_tensor
+from .checks import check_finite, check_tensor, check_whole
 from .posing import Posed, pose
 
 ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
@@ -60,6 +60,7 @@ class BodyParameters:
     @classmethod
     def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
         """Mean adults in the rest pose, upright, facing the camera, 2 m high in the crop."""
+        batch_size = check_whole("batch_size", batch_size, 0)
         constants = template()
         facing = torch.tensor([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], device=device)
         return cls(

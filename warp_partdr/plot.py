@@ -268,7 +268,7 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), tilt: f
     """
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
-    check_whole("size", size, 16, 4096)
+    size = check_whole("size", size, 16, 4096)
     views = np.stack(turned_pictures(_first(body), tuple((float(turn), float(tilt)) for turn in turns), size))
     rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
     views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is

@@ -43,9 +43,13 @@ class Stage:
     frozen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_whole("bodies", self.bodies, 1, MAX_PIXELS)
-        check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1)
-        check_steps(self.iterations, self.learning_rate)
+        whole = {
+            "bodies": check_whole("bodies", self.bodies, 1, MAX_PIXELS),
+            "size": check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1),
+            "iterations": check_steps(self.iterations, self.learning_rate),
+        }
+        for name, value in whole.items():  # as ints, which JSON takes
+            object.__setattr__(self, name, value)
 
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids

@@ -67,7 +67,7 @@ def refine(
         ValueError: If ``frozen`` names what is no parameter, or all of them; if ``iterations`` or ``learning_rate`` is
             out of range, or ``start`` holds NaN or infinity.
     """
-    check_steps(iterations, learning_rate)
+    iterations = check_steps(iterations, learning_rate)
     start.check_finite()
     free = BodyParameters.free(frozen)
     bodies = start.leaves(frozen)
@@ -115,11 +115,12 @@ def refine(
     return Refined(best, best_energy, best_terms, torch.stack(history) if history else best_energy[None][:0])
 
 
-def check_steps(iterations: int, learning_rate: float) -> None:
-    """Raise ValueError unless these are a number of steps and a finite rate."""
-    check_whole("iterations", iterations, 0, _MAX_ITERATIONS)
+def check_steps(iterations: int, learning_rate: float) -> int:
+    """The number of steps as an ``int``; raises ValueError unless it is one, and the rate finite."""
+    iterations = check_whole("iterations", iterations, 0, _MAX_ITERATIONS)
     if not 0 <= learning_rate <= _MAX_RATE:
         raise ValueError(f"learning_rate: {learning_rate}; expected 0 to {_MAX_RATE:g}")
+    return iterations
 
 
 def rate_share(step: int, iterations: int, final_rate: float) -> float:

@@ -20,7 +20,7 @@ from .body.growth import MEASURES, UNGROWN, Growth
 from .body.icosphere import icosphere
 from .body.rotations import rotation_from_axis_angle
 from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
-from .checks import check_finite, check_tensor
+from .checks import check_finite, check_tensor, check_whole
 from .kernels import registration as kernels
 from .posing import Posed
 from .refinement import check_steps
@@ -155,7 +155,8 @@ def register(
         ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN or infinity.
     """
     options = options or RegistrationOptions()
-    check_steps(options.iterations, options.learning_rate)
+    iterations = check_steps(options.iterations, options.learning_rate)
+    search_every = check_whole("search_every", options.search_every, 1)
     like = model.rest_vertices
     check_tensor("joints", posed.joints, (None, 21, 3), dtypes=(torch.float32,))
     if like.dtype != torch.float32 or posed.joints.device != like.device:
@@ -181,15 +182,15 @@ def register(
     shares = (1.0, 0.2, 0.05)
     rates = [share * options.learning_rate for share in shares]
     adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(unknowns, rates, strict=True)])
-    falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(options.iterations, 1))
+    falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(iterations, 1))
 
     def turned() -> torch.Tensor:
         rotations = pose.clone()
         rotations[:, free] = pose[:, free] @ rotation_from_axis_angle(turns)
         return rotations
 
-    for iteration in range(options.iterations):
-        searching = iteration % options.search_every == 0
+    for iteration in range(iterations):
+        searching = iteration % search_every == 0
         if searching:
             tailor.grow(shape.detach())
         detailed = model.pose(shape, turned(), translation, stretches=tailor.stretches)
@@ -201,7 +202,7 @@ def register(
         adam.step()
         falling.step()
         if progress is not None:
-            progress("registration", iteration + 1, options.iterations)
+            progress("registration", iteration + 1, iterations)
     with torch.no_grad():
         rotations = turned()
         detailed = model.pose(shape, rotations, translation, stretches=tailor.stretches)

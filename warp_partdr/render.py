@@ -93,9 +93,8 @@ def rasterize_parts(
         ValueError: If a shape, size, dtype or option is wrong, devices differ, or ``vertices`` holds NaN or infinity.
     """
     check_gradient_options(occlusion, max_distance, depth_weight)
-    near = _check(vertices, mesh, image_size, perspective, near, edges, validate)
-    check_whole("num_maps", num_maps, 0, MAX_LABEL)
-    height, width = image_size
+    near, height, width = _check(vertices, mesh, image_size, perspective, near, edges, validate)
+    num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
     if num_maps == 0:
         with torch.no_grad():
             labels, depth, face_index = _rasterize(
@@ -157,7 +156,7 @@ def label_loss(
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
     check_gradient_options(occlusion, max_distance, depth_weight)
-    near = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
+    near, _, _ = _check(vertices, mesh, tuple(target.shape[1:]), perspective, near, edges, validate)
     weights = weight_table(label_weights, vertices.device, validate)
     if validate and not torch.compiler.is_compiling():
         strange = (target > mesh.num_labels) & (target != IGNORE_LABEL)
@@ -245,19 +244,19 @@ def _check(
     near: float | None,
     edges: str,
     validate: bool,
-) -> float:
-    """Check what both entry points share; returns the near plane."""
+) -> tuple[float, int, int]:
+    """Check what both entry points share; returns the near plane and the picture's height and width."""
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
-    check_image_size(image_size, vertices.shape[0])
+    height, width = check_image_size(image_size, vertices.shape[0])
     if edges not in ("silhouette", "all"):
         raise ValueError(f"edges: {edges!r}; expected 'silhouette' or 'all'")
     if validate and not torch.compiler.is_compiling():
         check_finite(vertices=vertices)
     if mesh.num_vertices > vertices.shape[1]:
         raise ValueError(f"vertices: {vertices.shape[1]} a body; expected {mesh.num_vertices} or more, as the mesh")
-    return check_near(near, perspective, DEFAULT_NEAR)
+    return check_near(near, perspective, DEFAULT_NEAR), height, width
 
 
 def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
