@@ -138,7 +138,7 @@ class EllipBody:
         """Copy arrays of shape (B, 3, 3), (B, 3), (B, 20, 3, 3), (B, 12) and (B, 15) to a device.
 
         Raises:
-            ValueError: If a shape differs, or a value is not finite or beyond 1e12.
+            ValueError: If a shape differs, a value is not finite or beyond 1e12, or a rotation is none.
         """
         if dtype not in _PRECISIONS:
             raise ValueError(f"dtype: {dtype}; expected warp.float32 or warp.float64")
@@ -162,6 +162,8 @@ class EllipBody:
                 raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
             if value.size and np.abs(value).max() > LARGEST:
                 raise ValueError(f"{name}: holds {np.abs(value).max():g}; expected numbers up to {LARGEST:g}")
+            if name in ("global_orient", "rotations") and (fault := _rotation_fault(value)):
+                raise ValueError(f"{name}: {fault}")
             arrays[name] = wp.array(np.ascontiguousarray(value), dtype=warp_type, device=device)
         return cls(**arrays)
 
@@ -223,3 +225,11 @@ class EllipBody:
                 kind = THICKNESS_NAMES[thickness].split()[-1]
                 measured[f"{name} {kind}"] = float(thicknesses[thickness])
         return measured
+
+
+def _rotation_fault(matrices: np.ndarray) -> str | None:
+    import torch  # only where bodies come from outside: the rest of this module needs Warp alone
+
+    from .rotations import rotation_fault
+
+    return rotation_fault(torch.from_numpy(matrices.astype(np.float64)))

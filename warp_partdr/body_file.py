@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 from .body.ellipbody import EllipBody
+from .body.rotations import rotation_fault
 from .body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES
 from .cameras import WeakPerspective
 from .errors import InputError
@@ -87,8 +88,8 @@ def load_body(path: str | Path) -> BodyFile:
     """Read a ``body.npz``; nothing in it is ever unpickled.
 
     Raises:
-        InputError: If the file is missing or no body file, holds wrong shapes, NaN or infinity, or is of another fit
-            than the report beside it.
+        InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity or what is no rotation, or
+            is of another fit than the report beside it.
     """
     try:
         with Path(path).open("rb") as file:
@@ -117,6 +118,8 @@ def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
         values = values.astype(np.int64 if whole else np.float32)
     if not np.isfinite(values).all():
         raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {shape}")
+    if shape[-2:] == (3, 3) and (fault := rotation_fault(torch.from_numpy(values))):
+        raise InputError(f"{where}: {name}: {fault}")
     if name in _POSITIVE and values.min() <= 0:
         raise InputError(f"{where}: {name}: {values.min():g}; expected positive numbers")
     return values

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import SupportsIndex
 
 import torch
 
 from .body.ellipbody import LARGEST
+from .body.rotations import ROTATION_TOLERANCE, rotation_error, rotation_fault
 from .kernels.integers import check_whole as check_whole
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
@@ -110,12 +111,40 @@ def check_finite(**tensors: torch.Tensor) -> None:
 
     Synchronises with the device, once for all of them.
     """
+    check_numbers(tensors)
+
+
+def check_numbers(
+    tensors: Mapping[str, torch.Tensor],
+    *,
+    rotations: Collection[str] = (),
+    frames: Collection[str] = (),
+    positive: Collection[str] = (),
+) -> None:
+    """Raise ValueError if a tensor holds other numbers than it may; waits for the device once for all of them.
+
+    Args:
+        tensors: By name; finite, and not larger than the kernels' float32 can reckon with.
+        rotations: Which of them are of rotations, shape (..., 3, 3).
+        frames: Which of them have orthonormal columns: rotations, or what mirrors too.
+        positive: Which of them are greater than 0.
+    """
     with torch.no_grad():
         norms = [torch.linalg.vector_norm(tensor, dtype=torch.float64) for tensor in tensors.values()]
-        if torch.stack(norms).sum() <= LARGEST:
+        wrong = [~(torch.stack(norms).sum() <= LARGEST)]
+        for names, mirrored in ((rotations, False), (frames, True)):
+            wrong += [~(rotation_error(tensors[n], mirrored=mirrored) <= ROTATION_TOLERANCE).all() for n in names]
+        wrong += [~(tensors[name] > 0).all() for name in positive]
+        if not torch.stack(wrong).any():
             return
         for name, tensor in tensors.items():  # which one, if any: many numbers may just add up to so much
             if not torch.isfinite(tensor).all():
                 raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
             if (tensor.abs() > LARGEST).any():
                 raise ValueError(f"{name}: holds {tensor.abs().max():g}; expected numbers up to {LARGEST:g}")
+        for name in (*rotations, *frames):
+            if fault := rotation_fault(tensors[name], mirrored=name in frames):
+                raise ValueError(f"{name}: {fault}")
+        for name in positive:
+            if not (tensors[name] > 0).all():
+                raise ValueError(f"{name}: {float(tensors[name].min()):g}; expected positive lengths")

@@ -11,7 +11,7 @@ from typing import Any, get_args
 import torch
 
 from .cameras import Camera
-from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole
+from .checks import FLOATS, check_image_size, check_near, check_numbers, check_tensor, check_whole
 from .ellipsoid_passes import (
     Gradient,
     Options,
@@ -61,7 +61,8 @@ class Ellipsoids:
 
     Attributes:
         centres: Shape (B, P, 3) [m].
-        axes: Rotation matrices, axes as columns, shape (B, P, 3, 3).
+        axes: Orthonormal axes as columns, shape (B, P, 3, 3): rotations, or reflections (determinant -1), which make
+            the same ellipsoids.
         semi_axes: Shape (B, P, 3) [m].
     """
 
@@ -106,7 +107,8 @@ def draw_ellipsoids(
         steps_per_pixel: "coverage": how densely outlines are walked, and, rounded up, on how many rows and columns a
             pixel creases are looked for; at most 64. Outlines get longer steps where they would take more than 2**22.
         halvings: "coverage": how often a step is halved to find where on it the cost changes.
-        validate: Look for NaN, infinity and axes that are not positive; on CUDA that waits for the device.
+        validate: Look for NaN, infinity, axes that are not orthonormal and lengths that are not positive; on CUDA that
+            waits for the device.
 
     Returns:
         The picture.
@@ -156,7 +158,7 @@ def ellipsoid_label_loss(
         depth_weight: The paper's lambda of the z gradient.
         steps_per_pixel: How densely borders are sampled.
         halvings: How often a step is halved.
-        validate: Look for NaN, infinity and axes that are not positive.
+        validate: As in ``draw_ellipsoids``.
 
     Returns:
         The loss of each body [pixels of maps], shape (B,), and the picture, which is drawn when it is first looked at.
@@ -226,9 +228,8 @@ def _check(
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
     labels = _part_labels(part_labels, count)
     if validate:
-        check_finite(centres=centres, axes=axes, semi_axes=semi_axes, camera=intrinsics)
-        if not (semi_axes > 0).all():
-            raise ValueError(f"semi_axes: {float(semi_axes.min())}; expected positive lengths")
+        numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
+        check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
     near = check_near(near, camera.perspective, DEFAULT_NEAR)
     view = _view(height, width, near, camera.perspective, labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())

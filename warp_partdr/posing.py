@@ -10,7 +10,7 @@ import warp as wp
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
 from .body.template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
-from .checks import check_finite, check_tensor, contiguous
+from .checks import check_numbers, check_tensor, contiguous
 from .kernels import kinematics
 from .streams import on_torch_stream
 
@@ -54,17 +54,17 @@ def pose(
     Args:
         global_orient: Rotation of the whole body, shape (B, 3, 3).
         translation: Position of the pelvis [m], shape (B, 3).
-        rotations: Local rotation of each bone, shape (B, 20, 3, 3). Rotations are trusted to be rotations:
-            ``rotation_from_6d`` and ``rotation_from_axis_angle`` make some.
+        rotations: Local rotation of each bone, shape (B, 20, 3, 3); ``rotation_from_6d`` and
+            ``rotation_from_axis_angle`` make some.
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
-        validate: Look for NaN and infinity; on CUDA that waits for the device.
+        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
 
     Returns:
         The posed bodies; float32 or float64, as the arguments.
 
     Raises:
-        ValueError: If a shape, dtype or device does not fit the others, or something is NaN or infinite.
+        ValueError: If a shape, dtype or device does not fit the others, or something is NaN, infinite or no rotation.
     """
     check_tensor("global_orient", global_orient, (None, 3, 3), dtypes=tuple(_WARP_TYPES))
     batch = global_orient.shape[0]
@@ -78,7 +78,8 @@ def pose(
     for name, (tensor, shape) in shapes.items():
         check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
     if validate:
-        check_finite(**{name: tensor for name, (tensor, _) in shapes.items()})
+        numbers = {name: tensor for name, (tensor, _) in shapes.items()}
+        check_numbers(numbers, rotations=("global_orient", "rotations"))
     return Posed(*_Bones.apply(global_orient, translation, rotations, lengths, thicknesses))
 
 

@@ -20,7 +20,7 @@ from .body.growth import MEASURES, UNGROWN, Growth
 from .body.icosphere import icosphere
 from .body.rotations import rotation_from_axis_angle
 from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
-from .checks import check_finite, check_tensor, check_whole
+from .checks import check_numbers, check_tensor, check_whole
 from .kernels import registration as kernels
 from .posing import Posed
 from .refinement import check_steps
@@ -152,7 +152,8 @@ def register(
         progress: Told the stage, how many iterations are done and how many there are.
 
     Raises:
-        ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN or infinity.
+        ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN, infinity or what
+            is no rotation.
     """
     options = options or RegistrationOptions()
     iterations = check_steps(options.iterations, options.learning_rate)
@@ -167,9 +168,7 @@ def register(
     sizes = {"joints": (21, 3), "rotations": (20, 3, 3), "centres": (20, 3), "axes": (20, 3, 3), "semi_axes": (20, 3)}
     for name, size in sizes.items():
         check_tensor(name, getattr(posed, name), (batch, *size), dtypes=(torch.float32,), like=("joints", posed.joints))
-    check_finite(**vars(posed))
-    if not (posed.semi_axes > 0).all():
-        raise ValueError(f"semi_axes: {float(posed.semi_axes.min())}; expected positive lengths")
+    check_numbers(vars(posed), rotations=("rotations",), frames=("axes",), positive=("semi_axes",))
     posed = Posed(*(tensor.detach().contiguous() for tensor in vars(posed).values()))
     shape = shape_from_lengths(model, posed) if start is None else start.shape.detach().clone()
     pose, translation = pose_from_ellipbody(model, posed, shape)
