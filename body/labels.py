@@ -20,7 +20,6 @@ The sets themselves are in ``label_sets.py``.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +30,8 @@ from typing import Any
 import numpy as np
 
 from ..kernels.integers import check_whole
+from .errors import shown
+from .json_files import read_json
 from .template import NUM_PARTS, PART_NAMES
 
 BACKGROUND = 0
@@ -246,12 +247,7 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
     path = Path(source)
     if path.suffix != ".json" and not path.is_file():
         raise ValueError(f"labels: {str(source)!r}; expected one of {', '.join(LABEL_SETS)}, or a JSON file")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}; expected a label set in JSON") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: not JSON ({error}); expected a label set") from error
+    data = read_json(path, "a label set in JSON")
     if not isinstance(data, Mapping):
         raise ValueError(f"{path}: {type(data).__name__}; expected an object with groups and ids")
     return _from_json(data, str(path))
@@ -266,7 +262,7 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
         )
     for group, parts in groups.items():
         if not isinstance(parts, list | tuple) or not all(isinstance(part, str) for part in parts):
-            raise ValueError(f"{where}: group {group!r}: {parts!r}; expected a list of part names")
+            raise ValueError(f"{where}: group {group!r}: {shown(parts)}; expected a list of part names")
     sources: dict[int, str] = {}
     for key, group in ids.items():
         source = int(key) if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key) else key
@@ -276,7 +272,7 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
         sources[source] = str(group)
     left_out = data.get("left_out", ())
     if not isinstance(left_out, list | tuple) or not all(isinstance(part, str) for part in left_out):
-        raise ValueError(f"{where}: left_out: {left_out!r}; expected a list of part names")
+        raise ValueError(f"{where}: left_out: {shown(left_out)}; expected a list of part names")
     try:
         return LabelSet(
             name=str(data.get("name", Path(where).stem)),

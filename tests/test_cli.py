@@ -324,7 +324,7 @@ BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
     "a keypoint very far away, no picture": (
         "--keypoints k.json --out out",
         lambda: change_keypoints(lambda rows: rows[9].__setitem__(0, 1e30)),
-        ["keypoints", "left_wrist", "1e+30"],
+        ["k.json", "left_wrist", "1e+30"],
     ),
     "keypoints beside the labels": (
         GOOD,

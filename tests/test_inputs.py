@@ -215,7 +215,8 @@ def changed(joint: int, row: Any) -> list[Any]:
         (changed(4, [INF, 1, 0.5]), "keypoint 4 (right_ear): [inf, 1, 0.5]; expected finite numbers"),
         (changed(4, [3, 1, NAN]), "keypoint 4 (right_ear): [3, 1, nan]; expected finite numbers"),
         (changed(4, [10**400, 1, 1]), "keypoint 4 (right_ear): [inf, 1, 1]; expected finite numbers"),
-        (changed(4, [1e300, 1, 1]), "keypoints beyond float32; expected pixels"),
+        (changed(4, [1e300, 1, 1]), "keypoint 4 (right_ear): [1e+300, 1]; expected pixels, up to 1e+06"),
+        ([rows(17), changed(4, [1, -1e30, 1])], "person 1: keypoint 4 (right_ear): [1, -1e+30]; expected pixels"),
         (changed(4, ["1", 1, 1]), "keypoint 4 (right_ear): '1'; expected numbers"),
         (changed(4, [True, 1, 1]), "keypoint 4 (right_ear): True; expected numbers"),
         (changed(0, [1, 1, 37.5]), "keypoint 0 (nose): confidence 37.5; expected 0 to 1"),
@@ -416,7 +417,7 @@ def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
         (soft() * NAN, "values from nan to nan; expected probabilities, 0 to 1"),
         (soft() - 1, "values from -0.933333 to -0.933333; expected probabilities"),
         (soft(scale=7.5), "class probabilities add up to 7.5 to 7.5; expected 1 at each pixel"),
-        (np.array([[None, {}]]), "Object arrays cannot be loaded"),
+        (np.array([[None, {}]]), "holds pickled Python objects, which could run code"),
     ],
 )
 def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> None:

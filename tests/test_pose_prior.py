@@ -243,9 +243,9 @@ def test_files_that_are_no_prior_are_named(tmp_path: Path) -> None:
     broken = tmp_path / "broken.npz"
     np.savez(broken, **(arrays | {"means": arrays["means"] * np.nan}))
     for path, message in (
-        (text, "not a NumPy archive"),
-        (other, "no 'whitening'"),
-        (array, "no 'means'"),
+        (text, "not readable"),
+        (other, "no array whitening, "),
+        (array, "not readable"),
         (wrong, "means has shape"),
         (broken, "means is not finite"),
     ):

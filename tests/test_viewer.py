@@ -248,7 +248,7 @@ def test_bad_names(tmp_path):
     with pytest.raises(InputError, match="expected one of hip"):
         make_state().set_length("nose", 1.0)
     (tmp_path / "broken.npz").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"broken\.npz: not a body file"):
+    with pytest.raises(InputError, match=r"broken\.npz: not readable"):
         read_body(tmp_path / "broken.npz")
     with pytest.raises(InputError, match="expected a file in a folder that is there"):
         make_state().save(tmp_path / "nowhere" / "body.npz")
@@ -656,7 +656,7 @@ def test_more_faults_are_told_in_the_window(window):
     (window.folder / "body.npz").write_bytes(b"PK")
     start = window.state.start
     window.press("l")
-    assert "not a body file" in told()
+    assert "not readable" in told()
     assert window.state.start is start
     window.press("n")
     assert window.scene.message == ""

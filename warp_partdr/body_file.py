@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from .body.array_files import read_npz
 from .body.ellipbody import EllipBody
 from .body.rotations import rotation_fault
 from .body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES
@@ -40,6 +41,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "camera_translation": (2,),
     "image_size": (2,),
 }
+_MAX_BYTES = 1_000_000  # of all arrays when unpacked; a body has 2 kB
 _POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
 
@@ -91,18 +93,8 @@ def load_body(path: str | Path) -> BodyFile:
         InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity or what is no rotation, or
             is of another fit than the report beside it.
     """
-    try:
-        with Path(path).open("rb") as file:
-            check_result(path, file)
-            with np.load(file, allow_pickle=False) as archive:
-                data = {name: np.asarray(archive[name]) for name in (*_SHAPES, "format")}
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; expected a body.npz of partdr fit") from error
-    except Exception as error:  # of many kinds: NumPy, zipfile and zlib each have their own for a damaged file
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a body file ({reason}); expected a body.npz of partdr fit") from error
+    data = read_npz(path, (*_SHAPES, "format"), expected="a body.npz of partdr fit", most=_MAX_BYTES)
+    check_result(path)
     if str(found := data.pop("format")) != FORMAT:
         raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
     return BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})

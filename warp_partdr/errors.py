@@ -1,10 +1,4 @@
-"""The error that a user's input raises."""
+"""The error that a user's input raises; where it can be raised from everywhere is below ``body``."""
 
-from __future__ import annotations
-
-
-class InputError(ValueError):
-    """A file or an option that can't be used: one line that names it, what it was and what was expected.
-
-    The command line prints it without a traceback and exits with code 2.
-    """
+from .body.errors import InputError as InputError
+from .body.errors import shown as shown

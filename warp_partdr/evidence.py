@@ -13,12 +13,11 @@ from .body.labels import BACKGROUND, IGNORE, LabelSet
 from .body.landmarks import mirror_name
 from .cameras import Crop
 from .errors import InputError
-from .keypoints import Keypoints2D
+from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_files import PartLabels
 from .person import Box, crop_keypoints, crop_nearest, reach_box, select_person
 from .stray_labels import ignore_stray_labels
 
-LARGEST_PLACE = 1e6  # [px] of a keypoint
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px
 _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids mean something else

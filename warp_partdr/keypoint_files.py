@@ -14,18 +14,20 @@ or NaN for all their numbers, and, where no confidences are given, those at exac
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .body.json_files import read_json
 from .body.skeletons import SKELETONS
-from .errors import InputError
-from .keypoints import Keypoints2D
+from .errors import InputError, shown
+from .keypoints import LARGEST_PLACE, Keypoints2D
 
 # Spellings of a format, without case, blanks and punctuation.
 _ALIASES: dict[str, str] = {
@@ -43,6 +45,7 @@ _ALIASES: dict[str, str] = {
     "mpii": "mpii16",
 }
 _BY_COUNT: dict[int, str] = {17: "coco17", 25: "body25", 33: "blazepose33", 14: "lsp14", 16: "mpii16"}
+_NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.
 _MAX_NORMALISED = 1.5  # MediaPipe's coordinates in shares of the picture's size go a little beyond it.
 _MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
@@ -58,12 +61,7 @@ def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list
     Raises:
         InputError: If the file can't be read or understood, or nobody in it has usable keypoints.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; expected keypoints in JSON") from error
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON ({error}); expected keypoints in JSON") from error
+    data = read_json(path, "keypoints in JSON")
     return parse_keypoints(data, keypoint_format, name=str(path))
 
 
@@ -77,19 +75,26 @@ def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str 
     entries = _people(data, name)
     if not entries:
         raise InputError(f"{name}: nobody in it; expected keypoints of at least one person")
-    people: list[Keypoints2D] = []
-    reasons: list[str] = []
-    for index, entry in enumerate(entries):
-        where = name if len(entries) == 1 else f"{name}: person {index}"
-        keypoints = _person(entry, given, where)
-        reason = _why_unusable(keypoints)
-        if reason is None:
-            people.append(keypoints)
-        else:
-            reasons.append(f"{where}: {reason}")
+    places = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
+    alike: dict[tuple[str, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
+    numbers: list[list[float]] = []
+    for index, (entry, where) in enumerate(zip(entries, places, strict=True)):
+        fmt, width, values = _person(entry, given, where)
+        alike.setdefault((fmt, width), []).append(index)
+        numbers.append(values)
+    people: dict[int, Keypoints2D] = {}
+    reasons: dict[int, str] = {}
+    for (fmt, width), group in alike.items():
+        table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
+        points, confidence = _checked(table, fmt, [places[index] for index in group])
+        for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
+            if reason is None:
+                people[index] = Keypoints2D(fmt, points[row], confidence[row])
+            else:
+                reasons[index] = f"{places[index]}: {reason}"
     if not people:
         raise InputError(reasons[0])
-    return people
+    return [people[index] for index in sorted(people)]
 
 
 def _format_name(text: str, where: str) -> str:
@@ -128,7 +133,7 @@ def _people_of_list(entries: Sequence[Any], name: str, fmt: Any) -> list[Mapping
             people.append({**common, **entry})
         else:
             raise InputError(f"{name}: person {index}: {type(entry).__name__}; expected an object or a list")
-    images = {json.dumps(person["image_id"]) for person in people if "image_id" in person}
+    images = {str(person["image_id"]) for person in people if isinstance(person.get("image_id"), int | str)}
     if len(images) > 1:
         raise InputError(f"{name}: people of {len(images)} pictures; expected those of one")
     return people
@@ -144,7 +149,8 @@ def _holds_people(values: Any) -> bool:
     )
 
 
-def _person(entry: Mapping[str, Any], given: str | None, where: str) -> Keypoints2D:
+def _person(entry: Mapping[str, Any], given: str | None, where: str) -> tuple[str, int, list[float]]:
+    """Format, numbers a keypoint, and these numbers, one keypoint after the other; null is NaN."""
     key = "keypoints" if "keypoints" in entry else "pose_keypoints_2d"
     values = entry.get(key)
     if not isinstance(values, list):
@@ -166,16 +172,23 @@ def _person(entry: Mapping[str, Any], given: str | None, where: str) -> Keypoint
         if not isinstance(scores, list) or len(scores) != len(rows):
             raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
         rows = [[*row[:2], score] for row, score in zip(rows, scores, strict=True)]
-    return _keypoints(fmt, rows, where)
+    width, values = len(rows[0]), list(chain.from_iterable(rows))
+    if set(map(type, values)) <= _NUMBERS:
+        with suppress(OverflowError):
+            return fmt, width, list(map(float, values))
+    landmarks = SKELETONS[fmt].landmarks
+    names = [f"{where}: keypoint {joint} ({landmark})" for joint, landmark in enumerate(landmarks)]
+    return fmt, width, [_number(value, names[index // width]) for index, value in enumerate(values)]
 
 
 def _rows(values: list[Any], fmt: str | None, where: str) -> list[list[Any]]:
     """Rows [x, y] or [x, y, confidence] from such rows (or null) or from a flat list."""
-    if any(isinstance(value, list) for value in values):
-        widths = {len(value) for value in values if isinstance(value, list)}
-        if widths not in ({2}, {3}) or not all(value is None or isinstance(value, list) for value in values):
+    kinds = set(map(type, values))
+    if list in kinds:
+        widths = {len(value) for value in values if type(value) is list}
+        if widths not in ({2}, {3}) or not kinds <= {list, type(None)}:
             raise InputError(f"{where}: rows of {_listed(widths)} numbers; expected [x, y] or [x, y, confidence] each")
-        return [[None] * max(widths) if value is None else value for value in values]
+        return values if len(kinds) == 1 else [[None] * max(widths) if value is None else value for value in values]
     counts = {len(SKELETONS[fmt])} if fmt else set(_BY_COUNT)
     for width in (3, 2):
         if len(values) % width == 0 and len(values) // width in counts:
@@ -189,53 +202,63 @@ def _listed(numbers: set[int]) -> str:
     return " or ".join(map(str, sorted(numbers)))
 
 
-def _keypoints(fmt: str, rows: list[list[Any]], where: str) -> Keypoints2D:
-    points = np.zeros((len(rows), 2))
-    confidence = np.zeros(len(rows))
-    for joint, row in enumerate(rows):
-        name = f"{where}: keypoint {joint} ({SKELETONS[fmt].landmarks[joint]})"
-        numbers = [_number(value, name) for value in row]
-        if not _is_missing(numbers):
-            if not all(map(math.isfinite, numbers)):
-                raise InputError(f"{name}: [{', '.join(f'{value:g}' for value in numbers)}]; expected finite numbers")
-            points[joint], confidence[joint] = numbers[:2], numbers[2] if len(numbers) == 3 else 1.0
-    if np.isin(confidence, (0, 1, 2)).all() and (confidence == 2).any():
-        confidence /= 2  # COCO's visibilities: 1 = labelled, but hidden.
-    for joint in np.flatnonzero((confidence < 0) | (confidence > _MAX_CONFIDENCE)).tolist():
-        landmark = SKELETONS[fmt].landmarks[joint]
-        raise InputError(f"{where}: keypoint {joint} ({landmark}): confidence {confidence[joint]:g}; expected 0 to 1")
-    with np.errstate(over="ignore"):  # Infinity is refused later.
-        return Keypoints2D(fmt, points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32))
-
-
 def _number(value: Any, name: str) -> float:
     """A float; null is NaN."""
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{name}: {value!r}; expected numbers")
+        raise InputError(f"{name}: {shown(value)}; expected numbers")
     try:
         return float(value)
     except OverflowError:
         return math.inf
 
 
-def _is_missing(numbers: list[float]) -> bool:
-    x, y = numbers[:2]
-    if len(numbers) == 3:
-        return numbers[2] == 0 or all(map(math.isnan, numbers))
-    return (math.isnan(x) and math.isnan(y)) or (x == 0 and y == 0)
+def _checked(table: np.ndarray, fmt: str, places: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3)."""
+
+    def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
+        for person, joint in np.argwhere(wrong)[:1].tolist():
+            landmark = SKELETONS[fmt].landmarks[joint]
+            raise InputError(f"{places[person]}: keypoint {joint} ({landmark}): {found(table[person, joint])}")
+
+    def listed(row: np.ndarray) -> str:
+        return f"[{', '.join(f'{value:g}' for value in row)}]"
+
+    points, unknown = table[..., :2], np.isnan(table).all(axis=-1)
+    confidence = table[..., 2] if table.shape[-1] == 3 else np.ones(table.shape[:2])
+    missing = unknown | ((confidence == 0) if table.shape[-1] == 3 else (points == 0).all(axis=-1))
+    refuse(~missing & ~np.isfinite(table).all(axis=-1), lambda row: f"{listed(row)}; expected finite numbers")
+    points = np.where(missing[..., None], 0.0, points)
+    confidence = np.where(missing, 0.0, confidence)
+    visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
+    confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
+    refuse((confidence < 0) | (confidence > _MAX_CONFIDENCE), lambda row: f"confidence {row[2]:g}; expected 0 to 1")
+    refuse(
+        (np.abs(points) > LARGEST_PLACE).any(axis=-1),
+        lambda row: f"{listed(row[:2])}; expected pixels, up to {LARGEST_PLACE:g}",
+    )
+    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32)
 
 
-def _why_unusable(keypoints: Keypoints2D) -> str | None:
-    points = keypoints.points[keypoints.visible]
-    if not len(points):
+def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None]:
+    """What is wrong with each of N people's keypoints, None where nothing is."""
+    visible = confidence[..., None] > 0
+    lowest = np.where(visible, points, np.inf).min(axis=1)
+    highest = np.where(visible, points, -np.inf).max(axis=1)
+    extents = (highest - lowest).max(axis=1)
+    largest = np.maximum(-lowest, highest).max(axis=1)
+    return [
+        _why(*each)
+        for each in zip(visible.any(axis=(1, 2)).tolist(), extents.tolist(), largest.tolist(), lowest, strict=True)
+    ]
+
+
+def _why(anything: bool, extent: float, largest: float, corner: np.ndarray) -> str | None:
+    if not anything:
         return "no visible keypoint; expected some with confidence above 0"
-    if not np.isfinite(points).all():
-        return "keypoints beyond float32; expected pixels"
-    extent = np.ptp(points, axis=0).max()
-    if extent > 0 and np.abs(points).max() <= _MAX_NORMALISED:
+    if extent > 0 and largest <= _MAX_NORMALISED:
         return "all keypoints between 0 and 1; expected pixels, not shares of the picture's size"
     if extent < _MIN_EXTENT:
-        return f"all visible keypoints in one point ({points[0, 0]:g}, {points[0, 1]:g}); expected a person"
+        return f"all visible keypoints in one point ({corner[0]:g}, {corner[1]:g}); expected a person"
     return None

@@ -12,7 +12,10 @@ from .body.skeletons import Skeleton, skeleton
 from .errors import InputError
 from .kernels.integers import check_whole
 
+LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
 MIN_CONFIDENCE = 0.3  # Below it, a keypoint says little about where the person is.
+
+_FIELDS = ("points", "confidence")
 
 # Straight chains of rigid bones, whose length in the picture tells the scale, with their length as a share of the
 # stature (mean adult of body/mean_body.json). The short ones serve only where no long one is to be seen.
@@ -59,8 +62,13 @@ class Keypoints2D:
     @property
     def confident(self) -> np.ndarray:
         """Whether each keypoint is to be relied on, shape (J,): confidence of 0.3 and more, or any if none has that."""
-        sure = self.confidence >= MIN_CONFIDENCE
-        return sure if sure.any() else self.visible
+        return confident(self.confidence[None])[0]
+
+
+def confident(confidence: np.ndarray) -> np.ndarray:
+    """``Keypoints2D.confident`` of several people: confidences (N, J) to flags (N, J)."""
+    sure = confidence >= MIN_CONFIDENCE
+    return np.where(sure.any(axis=1, keepdims=True), sure, confidence > 0)
 
 
 def person_height(keypoints: Keypoints2D) -> float:
@@ -69,16 +77,35 @@ def person_height(keypoints: Keypoints2D) -> float:
     A bone seen at an angle looks shorter than it is, so the upper quartile of what the bones say counts, and a bent or
     cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
     """
-    for bones in (_LONG_BONES, _SHORT_BONES):
-        pairs, shares = _bones(keypoints.skeleton, tuple(bones.items()))
-        usable = keypoints.confident[pairs].all(axis=1)
-        if usable.any():
-            ends = keypoints.points[pairs[usable]]
-            heights = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / shares[usable]
-            if heights.max() > 0:
-                return float(np.quantile(heights, 0.75))
-    points = keypoints.points[keypoints.confident]
-    return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    return float(_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
+
+
+def _heights(name: str, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """``person_height`` of N people with one skeleton: points (N, J, 2) and confidence (N, J), shape (N,)."""
+    sure = confident(confidence)
+    low, high = (np.where(sure[..., None], points, end) for end in (np.inf, -np.inf))
+    heights = np.where(sure.any(axis=1), (high.max(axis=1) - low.min(axis=1)).max(axis=1), 0.0).astype(np.float64)
+    for bones in (_SHORT_BONES, _LONG_BONES):  # the long ones have the last word
+        pairs, shares = _bones(name, tuple(bones.items()))
+        found = np.linalg.norm(points[:, pairs[:, 0]] - points[:, pairs[:, 1]], axis=-1) / shares
+        found = np.where(sure[:, pairs].all(axis=-1), found, -np.inf)
+        told = found.max(axis=1) > 0
+        heights[told] = _upper_quartile(found[told])
+    return heights
+
+
+def _upper_quartile(values: np.ndarray) -> np.ndarray:
+    """Of each row (N, K), leaving out what is -inf; as ``numpy.quantile``, which has no way to leave out, quickly."""
+    values = np.sort(values, axis=1)
+    count = (values > -np.inf).sum(axis=1)
+    place = 0.75 * (count - 1)
+    first = values.shape[1] - count + np.floor(place).astype(int)
+    low, high = (
+        np.take_along_axis(values, np.minimum(index, values.shape[1] - 1)[:, None], axis=1)[:, 0]
+        for index in (first, first + 1)
+    )
+    share = place - np.floor(place)
+    return np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share))
 
 
 @lru_cache
@@ -113,15 +140,20 @@ def choose_person(
             return people[check_whole("person", index, 0, len(people) - 1)]
         except ValueError as error:
             raise InputError(str(error)) from None
-    return max(people, key=lambda keypoints: _prominence(keypoints, groups))
+    scores = np.zeros(len(people))
+    for name in {keypoints.skeleton for keypoints in people}:
+        rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == name]
+        points, confidence = (np.stack([getattr(people[row], field) for row in rows]) for field in _FIELDS)
+        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(name, points, confidence)
+    return people[int(scores.argmax())]
 
 
-def _prominence(keypoints: Keypoints2D, groups: np.ndarray | None) -> float:
-    weight = keypoints.confidence
-    if groups is not None:
-        height, width = groups.shape
-        columns, rows = np.floor(keypoints.points).astype(np.int64).T
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        shown = groups[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-        weight = weight * np.where(inside & (shown != 0), 1.0, 0.1)
-    return float(weight.mean()) * person_height(keypoints)
+def _weights(points: np.ndarray, confidence: np.ndarray, groups: np.ndarray | None) -> np.ndarray:
+    """How much each keypoint says for its person, shape (N, J)."""
+    if groups is None:
+        return confidence
+    height, width = groups.shape
+    columns, rows = np.moveaxis(np.floor(points).astype(np.int64), -1, 0)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    shown = groups[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+    return confidence * np.where(inside & (shown != 0), 1.0, 0.1)

@@ -6,17 +6,27 @@ or as a network's probability maps (K, H, W) or (H, W, K) (``.npy``), with one c
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .body.array_files import Header, read_npy
+from .body.json_files import read_json
 from .body.label_sets import LABEL_SETS
 from .body.labels import IGNORE, LabelSet, label_set
 from .errors import InputError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+# [px], of a photo or label image: 134 megapixels, with room in memory for what is made of them.
+LARGEST_PICTURE = 2**27
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.
 _SUM_TOLERANCE = 1e-2
@@ -63,10 +73,7 @@ def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
 
 def described_label_set(path: Path) -> LabelSet:
     """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON ({error}); expected ids and their names") from error
+    data = read_json(path, "ids and their names")
     if isinstance(data, dict) and "groups" in data:
         return read_label_set(path)
     for labels in LABEL_SETS.values():
@@ -103,15 +110,37 @@ def read_photo(path: str | Path) -> np.ndarray:
     """A picture as it is meant to be seen (turned as its EXIF data says), shape (H, W, 3), uint8.
 
     Raises:
-        InputError: If the file can't be read.
+        InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
     """
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
+
+    with _opened(path, "a picture") as image:
+        return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+
+
+@contextmanager
+def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
+    """A picture of which the header alone is read yet; of whatever goes wrong with it, an InputError."""
+    from PIL import Image
 
     try:
-        with Image.open(path) as image:
-            return np.array(ImageOps.exif_transpose(image).convert("RGB"))
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: {_reason(error)}; expected a picture") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # PIL's, of large pictures and odd metadata
+            with Image.open(path) as image:
+                _check_pixels(path, image.width * image.height)
+                yield image
+    except InputError:
+        raise
+    except Image.DecompressionBombError as error:
+        _check_pixels(path, 2 * (Image.MAX_IMAGE_PIXELS or 0) + 1)
+        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+    except (OSError, ValueError, SyntaxError, MemoryError) as error:
+        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+
+
+def _check_pixels(path: str | Path, pixels: int) -> None:
+    if pixels > LARGEST_PICTURE:
+        raise InputError(f"{path}: more than {LARGEST_PICTURE / 1e6:.0f} megapixels; expected a smaller picture")
 
 
 def check_sizes(**sizes: tuple[int, int] | None) -> None:
@@ -134,14 +163,14 @@ def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
         labels: The label set that its ids belong to.
 
     Raises:
-        InputError: If the file can't be read, is no label image, has ids outside the set, shows nobody, or, in a set
-            of several groups, a single part.
+        InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
+            shows nobody, or, in a set of several groups, a single part.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".png":
         array = _read_png(path)
     elif suffix == ".npy":
-        array = _read_npy(path)
+        array = _read_npy(path, len(labels.channel_ids))
     else:
         raise InputError(f"{path}: {suffix or 'no suffix'}; expected .png or .npy part labels")
     if not array.size:
@@ -160,35 +189,29 @@ def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
 
 
 def _read_png(path: str | Path) -> np.ndarray:
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
-                raise InputError(
-                    f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)"
-                )
-            return np.array(image).astype(np.int32)
-    except InputError:
-        raise
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: {_reason(error)}; expected a PNG of part labels") from error
+    with _opened(path, "a PNG of part labels") as image:
+        if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
+            raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
+        return np.array(image).astype(np.int32)
 
 
-def _read_npy(path: str | Path) -> np.ndarray:
-    try:
-        with open(path, "rb") as file:
-            array = np.lib.format.read_array(file, allow_pickle=False)
-    except Exception as error:  # of many kinds: NumPy hands a damaged header to Python's own parser
-        raise InputError(f"{path}: {_reason(error)}; expected a .npy array of part labels") from error
-    if array.dtype.kind not in "biuf":
-        raise InputError(f"{path}: {array.dtype}; expected integers, or probabilities")
-    return array
+def _read_npy(path: str | Path, channels: int) -> np.ndarray:
+    def check(header: Header) -> None:
+        shape, dtype = header
+        if dtype.kind not in "biuf":
+            raise InputError(f"{path}: {dtype}; expected integers, or probabilities")
+        _check_pixels(path, math.prod(shape) // (channels if len(shape) == 3 else 1))
+
+    return read_npy(path, expected="a .npy array of part labels", check=check)
 
 
 def _reason(error: BaseException) -> str:
     """One line for what went wrong with a file."""
-    return (error.strerror or str(error)) if isinstance(error, OSError) else " ".join(str(error).split())
+    return (
+        (error.strerror or str(error))
+        if isinstance(error, OSError)
+        else " ".join(str(error).split()) or type(error).__name__
+    )
 
 
 def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:

@@ -7,14 +7,14 @@ can, as far as anything can. ``scripts/learn_pose_prior.py`` learns ``assets/pos
 
 from __future__ import annotations
 
-import zipfile
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import torch
 
+from .body.array_files import read_npz
 from .body.template import LOCKED_PARTS, NUM_PARTS, PART_NAMES
 from .errors import InputError
 
@@ -80,9 +80,7 @@ class PosePrior(torch.nn.Module):
             InputError: If the file isn't such a prior.
         """
         super().__init__()
-        source = resources.files(__package__).joinpath("assets/pose_prior.npz") if path is None else Path(path)
-        with source.open("rb") as file:
-            data = _read(file, str(source))
+        data = _read(resources.files(__package__).joinpath("assets/pose_prior.npz") if path is None else Path(path))
 
         order, sign = mirror_features()
         means, whitening = data["means"], data["whitening"]
@@ -177,25 +175,22 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
 }
 
 
-def _read(file: IO[bytes], name: str) -> dict[str, np.ndarray]:
+def _read(path: Path | Traversable) -> dict[str, np.ndarray]:
     """The file's arrays as float64, checked."""
     wanted = "a file of scripts/learn_pose_prior.py"
-    try:
-        archive = np.load(file, allow_pickle=False)
-    except (ValueError, OSError, zipfile.BadZipFile):
-        raise InputError(f"{name}: not a NumPy archive; expected {wanted}") from None
-    missing = [key for key in _SHAPES if key not in getattr(archive, "files", ())]
-    if missing:
-        raise InputError(f"{name}: no {missing[0]!r} in it; expected {wanted}")
-    data = {key: archive[key].astype(np.float64) for key in _SHAPES}
+    data: dict[str, np.ndarray] = {}
+    for key, values in read_npz(path, tuple(_SHAPES), expected=wanted).items():
+        if values.dtype.kind != "f":
+            raise InputError(f"{path}: {key} is of {values.dtype}; expected {wanted}")
+        data[key] = values.astype(np.float64)
     sizes: dict[str, int] = {}
     for key, shape in _SHAPES.items():
         length = len(data[key]) if data[key].ndim else 0
         expected = tuple(sizes.setdefault(size, length) if isinstance(size, str) else size for size in shape)
         if data[key].shape != expected:
-            raise InputError(f"{name}: {key} has shape {data[key].shape}; expected {expected}")
+            raise InputError(f"{path}: {key} has shape {data[key].shape}; expected {expected}")
         if not np.isfinite(data[key]).all():
-            raise InputError(f"{name}: {key} is not finite; expected {wanted}")
+            raise InputError(f"{path}: {key} is not finite; expected {wanted}")
     return data
 
 

@@ -18,7 +18,6 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +72,11 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
                 _take_places(unfinished, name, outdates)
 
 
-def check_result(path: str | Path, file: BufferedReader | None = None) -> None:
+def check_result(path: str | Path) -> None:
     """Raise if a file of results is not of the same run as the report beside it; one without a report is its own.
 
     Args:
         path: The file.
-        file: The same, open, so that what is checked is what is read.
 
     Raises:
         InputError: If the report has another SHA-256 of it, or a run that replaced files here was ended.
@@ -89,7 +87,7 @@ def check_result(path: str | Path, file: BufferedReader | None = None) -> None:
         digest = _named(path.parent / report).get(path.name)
         if digest is None:
             continue
-        if _sha256(path, file) != digest:
+        if _sha256(path) != digest:
             raise InputError(
                 f"{path}: not of the same run as {report} beside it, which has another SHA-256 of it; expected the "
                 "files of one run, or this one in a folder of its own"
@@ -226,14 +224,9 @@ def _named(report: Path) -> dict[str, str]:
     )
 
 
-def _sha256(path: Path, file: BufferedReader | None = None) -> str:
-    """Of a file's bytes; one that is open is at its start again afterwards."""
-    if file is None:
-        with path.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
-    digest = hashlib.file_digest(file, "sha256").hexdigest()
-    file.seek(0)
-    return digest
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

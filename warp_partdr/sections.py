@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from .errors import InputError
+from .errors import InputError, shown
 
 Section = TypeVar("Section")
 
@@ -26,7 +26,7 @@ def read_section(kind: type[Section], values: object, where: str = "") -> Sectio
         InputError: If a key is unknown, missing or of another type.
     """
     if not isinstance(values, Mapping):
-        raise InputError(f"{where or 'config'}: {_shown(values)}; expected a table")
+        raise InputError(f"{where or 'config'}: {shown(values)}; expected a table")
     known = {field.name: field for field in fields(kind) if field.init}  # type: ignore[arg-type]
     for key in values:
         if key not in known:
@@ -61,7 +61,7 @@ def _read(kind: Any, value: Any, where: str) -> Any:
         return float(value)
     elif isinstance(kind, type) and type(value) is kind:
         return value
-    raise InputError(f"{where}: {_shown(value)}; expected {_name(kind)}")
+    raise InputError(f"{where}: {shown(value)}; expected {_name(kind)}")
 
 
 def _read_union(kinds: tuple[Any, ...], value: Any, where: str) -> Any:
@@ -78,10 +78,6 @@ def _read_union(kinds: tuple[Any, ...], value: Any, where: str) -> Any:
 
 def _join(where: str, key: object) -> str:
     return f"{where}.{key}" if where else str(key)
-
-
-def _shown(value: object) -> str:
-    return repr(value)[:60]
 
 
 def _name(kind: Any) -> str:

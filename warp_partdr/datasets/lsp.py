@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..body.array_files import read_npz
 from ..body.labels import LabelSet, label_set
 from ..body.skeletons import skeleton
 from ..errors import InputError
 from ..keypoints import Keypoints2D
 from ..part_files import read_parts
-from .arrays import read_npz
 from .pictures import existing, read_mask
 from .sample import Sample
 from .spin import read_spin

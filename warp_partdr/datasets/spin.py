@@ -27,13 +27,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ..body.array_files import read_npz
 from ..body.labels import LabelSet
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..errors import InputError
 from ..keypoint_files import read_keypoints
 from ..keypoints import Keypoints2D
 from ..part_files import read_parts
-from .arrays import Shape, check_arrays, read_npz
+from .arrays import MAX_BYTES, Shape, check_arrays
 from .pictures import existing, read_mask
 from .sample import Sample, SmplFit
 
@@ -89,7 +90,8 @@ def read_spin(
     Raises:
         InputError: If a file or an array that is needed is missing or wrong.
     """
-    arrays = read_npz(path, _REQUIRED, tuple(_SHAPES.keys() - set(_REQUIRED)), expected=expected)
+    optional = tuple(_SHAPES.keys() - set(_REQUIRED))
+    arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
     if "pose" in arrays and arrays["pose"].ndim == 2 and arrays["pose"].shape[1] == 72:
         arrays["pose"] = arrays["pose"].reshape(-1, 24, 3)
     rows = check_arrays(arrays, _SHAPES, path)

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
+from ..body.json_files import parse_json
 from ..errors import InputError
 from ..sections import read_section
 
@@ -75,8 +76,8 @@ class NetworkFiles(Generic[Config]):
                 if metadata.get("format") != self._kind:
                     raise InputError(f"{path}: format {metadata.get('format')!r}; expected {self._wanted}")
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  no mapping
-            config = read_section(self._config, json.loads(metadata["config"]))
-            about: dict[str, Any] = json.loads(metadata.get("about", "{}"))
+            config = read_section(self._config, parse_json(metadata["config"], f"{path}: config", self._wanted))
+            about: dict[str, Any] = parse_json(metadata.get("about", "{}"), f"{path}: about", self._wanted)
         except InputError as error:
             raise error if str(error).startswith(str(path)) else self._refused(path, error) from None
         except OSError as error:

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..body.json_files import parse_json
 from ..errors import InputError
 from .trees import join_tensors, split_tensors
 
@@ -99,7 +100,8 @@ def load_checkpoint(place: Path) -> Checkpoint:
     from safetensors.torch import load_file
 
     try:
-        about = json.loads((place / _STATE).read_text(encoding="utf-8"))
+        state = place / _STATE
+        about = parse_json(state.read_text(encoding="utf-8"), str(state), f"{_EXPECTED}; {_remedy(place)}")
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise InputError(f"{place}: of another format; expected {_EXPECTED}")
         tensors = {}

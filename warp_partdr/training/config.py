@@ -166,7 +166,7 @@ def read_config(source: str | Path, overrides: Sequence[str] = ()) -> TrainingCo
     except OSError as error:
         expected = f"a .toml file, or one of {', '.join(packaged_configs())}"
         raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error
-    except ValueError as error:  # TOMLDecodeError and UnicodeDecodeError are such
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
         raise InputError(f"{name}: {error}; expected TOML") from error
     for override in overrides:
         _set(values, override)
@@ -201,7 +201,7 @@ def _set(values: dict[str, Any], override: str) -> None:
         raise InputError(f"--set: {override}; expected key=value")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         value = text.strip()
     for name in tables:
         table = values.setdefault(name, {})

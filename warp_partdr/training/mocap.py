@@ -19,7 +19,6 @@ the two skeletons' different rest poses:
 from __future__ import annotations
 
 import gzip
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..body.json_files import read_json
 from ..body.template import LOCKED_PARTS, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
 
 # Clips that nothing may learn from: the expmap data set's own test split, and some clips of each other source.
@@ -343,7 +343,7 @@ def _read_expmap(folder: Path, trunk_pitch: dict[str, float] = WALKING_PITCH) ->
     """Clips of ``cmu_expmap.npz``: root translation and 38 exponential maps a frame, row-vector kinematics."""
     if not (folder / "cmu_expmap.npz").is_file():
         return
-    skeleton = json.loads((folder / "cmu_expmap.json").read_text())
+    skeleton = read_json(folder / "cmu_expmap.json", "the skeleton of cmu_expmap.npz")
     names, parents = skeleton["joints"], skeleton["parents"]
     offsets = np.array(skeleton["offsets_mm"])
     with np.load(folder / "cmu_expmap.npz", allow_pickle=False) as data:
@@ -453,7 +453,7 @@ def _read_deepmimic(folder: Path) -> Iterator[Clip]:
     flip = np.outer([-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0])
     rest = {"left": arm_down, "right": arm_down * flip}
     for path in sorted(folder.glob("humanoid3d_*.txt")):
-        frames = np.array(json.loads(path.read_text())["Frames"], dtype=np.float64)
+        frames = np.array(read_json(path, "a clip of DeepMimic")["Frames"], dtype=np.float64)
         local: dict[str, np.ndarray] = {}
         for (joint, width), end in zip(_DEEPMIMIC_CHANNELS.items(), ends, strict=True):
             channels = frames[:, end - width : end]

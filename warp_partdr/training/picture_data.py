@@ -17,7 +17,7 @@ from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import NUM_PARTS
 from ..datasets import Sample, read_folder, read_human36m, read_lsp, read_pw3d
 from ..errors import InputError
-from ..evidence import LARGEST_PLACE
+from ..keypoints import LARGEST_PLACE
 from ..network.landmarks import LANDMARKS, network_keypoints
 from ..observation import CROP_MARGIN
 from ..part_files import check_sizes, read_label_set, read_photo

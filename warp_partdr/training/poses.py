@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..body.array_files import read_npz
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PART_NAMES, template
 from ..errors import InputError
@@ -52,8 +53,8 @@ class PoseBank:
             held_out: Those that are kept from training, instead of those to train on.
 
         Raises:
-            InputError: If the file is no such file, or holds none of these poses.
-            FileNotFoundError: If the folder holds no clips, or there is no such file.
+            InputError: If there is no such file, or it holds none of these poses.
+            FileNotFoundError: If the folder holds no clips.
         """
         data = _frames(source) if Path(source).is_dir() else _unpack(source)
         chosen = data["held_out"] == held_out
@@ -93,16 +94,14 @@ def _frames(folder: Path | str) -> dict[str, np.ndarray]:
 
 def _unpack(path: Path | str) -> dict[str, np.ndarray]:
     shapes = {"rotations": (NUM_PARTS, 3), "ups": (3,), "held_out": ()}
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {name: archive[name] for name in shapes}
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # zipfile, zlib and NumPy have many names for a broken file
-        raise InputError(f"{path}: {error}; expected a file of pack_poses, or a folder of clips") from None
+    data = read_npz(path, tuple(shapes), expected="a file of pack_poses, or a folder of clips")
     for name, shape in shapes.items():
         values = data[name]
-        if values.shape != (len(data["held_out"]), *shape) or not np.isfinite(values).all():
+        if (
+            values.dtype.kind not in "fb"
+            or values.shape != (len(data["held_out"]), *shape)
+            or not np.isfinite(values).all()
+        ):
             raise InputError(f"{path}: {name} of shape {values.shape}; expected finite numbers (N, *{shape})")
     return data
 
