@@ -48,7 +48,7 @@ def load_model(
     if path.suffix in (".pkl", ".pickle"):
         raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")
     if path.suffix == ".npz":
-        arrays = read_npz(path, (), ARRAYS, expected=_EXPECTED, most=MAX_BYTES)
+        arrays = read_npz(path, (), tuple(ARRAYS), expected=_EXPECTED, most=MAX_BYTES)
     elif path.suffix == ".safetensors":
         arrays = _read_safetensors(path)
     else:

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from test_detailed import save_npz
 
-from warp_partdr import cli, fitting, output, progress, quality, registration, result_sets
+from warp_partdr import __version__, cli, fitting, output, progress, quality, registration, result_sets
 from warp_partdr.body.label_sets import LABEL_SETS
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import SKELETONS, convert
@@ -104,11 +104,16 @@ def test_help_teaches(run: Run) -> None:
     assert max(map(len, said.splitlines())) <= 100
 
 
-def test_help_is_quick(tmp_path: Path) -> None:
+def test_version(run: Run) -> None:
+    assert run("--version") == (0, f"partdr {__version__}\n", "")
+
+
+@pytest.mark.parametrize("line", ["fit --help", "--version"])
+def test_help_is_quick(line: str, tmp_path: Path) -> None:
     """It loads none of the large packages."""
     heavy = {"torch", "warp", "pyvista", "PIL", "trimesh", "matplotlib"}
     code = (
-        f"import sys; sys.argv = ['partdr', 'fit', '--help']\nfrom warp_partdr import cli\n"
+        f"import sys; sys.argv = ['partdr', *{line.split()}]\nfrom warp_partdr import cli\n"
         f"try: cli.main()\nexcept SystemExit as left: sys.exit(left.code or repr({heavy} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=60)

@@ -46,3 +46,4 @@ def test_python_runs(page, tmp_path):
     command = [sys.executable, "-P", "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
+    assert {path.name for path in tmp_path.iterdir()} <= {"warp_partdr", "out"}, "a page leaves files where it is run"

@@ -26,10 +26,12 @@ def test_it_is_kept_without_outputs():
 
 
 @pytest.mark.slow
-def test_it_runs(monkeypatch):
+def test_it_runs_anywhere(monkeypatch, tmp_path):
+    """Nothing of it lies beside it, and it leaves nothing behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     notebook = read()
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOK.parent)}}).execute()
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert list(tmp_path.iterdir()) == []
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     faults = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
     assert faults == []

@@ -184,4 +184,5 @@ else:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_EXPORTS})
+    """Public names alone, not the submodules that happen to be loaded."""
+    return list(__all__)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from . import __version__
 from .bench_command import bench
 from .body.label_sets import DESCRIBED
 from .body.skeletons import SKELETONS
@@ -102,8 +103,18 @@ _QUALITY_HELP = (
 )
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"partdr {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def _root() -> None:
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
     """Differentiable rendering of body parts, and reconstruction of human pose and shape."""
 
 

@@ -248,14 +248,12 @@ def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None
     highest = np.where(visible, points, -np.inf).max(axis=1)
     extents = (highest - lowest).max(axis=1)
     largest = np.maximum(-lowest, highest).max(axis=1)
-    return [
-        _why(*each)
-        for each in zip(visible.any(axis=(1, 2)).tolist(), extents.tolist(), largest.tolist(), lowest, strict=True)
-    ]
+    seen = np.any(visible, axis=(1, 2))
+    return [_why(*each) for each in zip(seen, extents, largest, lowest, strict=True)]
 
 
-def _why(anything: bool, extent: float, largest: float, corner: np.ndarray) -> str | None:
-    if not anything:
+def _why(seen: np.bool_, extent: np.floating[Any], largest: np.floating[Any], corner: np.ndarray) -> str | None:
+    if not seen:
         return "no visible keypoint; expected some with confidence above 0"
     if extent > 0 and largest <= _MAX_NORMALISED:
         return "all keypoints between 0 and 1; expected pixels, not shares of the picture's size"
