@@ -21,6 +21,7 @@ from .ellipsoid_passes import (
     gradients,
     loss_recipe,
 )
+from .errors import check_type
 from .later import DrawnLater
 from .loss_graph import Shapes, find_label_loss, split_rows
 from .mesh import MAX_LABEL
@@ -168,8 +169,10 @@ def ellipsoid_label_loss(
     """
     halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
-    check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,), like=("centres", ellipsoids.centres))
+    check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
     tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
+    if target.device != ellipsoids.centres.device:
+        raise ValueError(f"target: on {target.device}; expected {ellipsoids.centres.device}, as centres")
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
     weights = weight_table(label_weights, target.device, validate)
@@ -214,6 +217,8 @@ def _check(
     validate: bool,
 ) -> tuple[_Tensors, View]:
     """What both entry points share."""
+    check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
+    check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
     centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
     check_tensor("centres", centres, (None, None, 3), dtypes=FLOATS)
     batch, count = centres.shape[:2]

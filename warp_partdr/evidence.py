@@ -12,7 +12,7 @@ from .agreement import LIMBS, compare_sides, disagreement
 from .body.labels import BACKGROUND, IGNORE, LabelSet
 from .body.landmarks import mirror_name
 from .cameras import Crop
-from .errors import InputError
+from .errors import InputError, check_each, check_type
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_files import PartLabels
 from .person import Box, crop_keypoints, crop_nearest, reach_box, select_person
@@ -103,6 +103,7 @@ def weigh_evidence(
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
+    _check_types(keypoints, parts, others)
     _check_places(keypoints)
     if parts is None:
         return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
@@ -120,6 +121,13 @@ def weigh_evidence(
     if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
         return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
     return [seen]
+
+
+def _check_types(keypoints: Keypoints2D, parts: PartLabels | None, others: Sequence[Keypoints2D]) -> None:
+    """Raise TypeError unless these are what a fit takes."""
+    check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
+    check_type("parts", parts, PartLabels | None, "of read_parts")
+    check_each("others", others, Keypoints2D, "of read_keypoints")
 
 
 def _check_places(keypoints: Keypoints2D) -> None:

@@ -14,6 +14,7 @@ from .body.ellipbody import DEFAULT_SUBDIVISIONS
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
+from .errors import check_type
 from .evidence import Evidence, weigh_evidence
 from .fused import minimise
 from .hypotheses import LiftEnergy, distinct, hypothesize
@@ -202,7 +203,9 @@ def fit_body(
 
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+        TypeError: If an argument is of another type.
     """
+    check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
     options = options or FitOptions.at(quality)
     prior = PosePrior().to(device)
 

@@ -12,6 +12,7 @@ import warp as wp
 from .body.template import NUM_PARTS
 from .checks import check_tensor, check_whole
 from .energy import REFERENCE_SIZE, Energy
+from .errors import check_type
 from .fused_picture import EllipsoidPicture
 from .kernels.refine_iteration import launch_start, launch_step
 from .kernels.refine_state import (
@@ -293,7 +294,12 @@ def minimise(
     """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh.
 
     On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
+
+    Raises:
+        TypeError: If ``start`` are no bodies, or ``energy`` is none.
     """
+    check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
+    check_type("energy", energy, Energy, "of an observation")
     start.check_finite()
     if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
         return refine(

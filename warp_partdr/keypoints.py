@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from .body.skeletons import Skeleton, skeleton
-from .errors import InputError
+from .errors import InputError, check_each, check_type
 from .kernels.integers import check_whole
 
 LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
@@ -132,7 +132,12 @@ def choose_person(
 
     Raises:
         InputError: If there is nobody, or ``index`` is out of range.
+        TypeError: If ``people`` are no keypoints, or ``groups`` no array.
     """
+    check_each("people", people, Keypoints2D, "of read_keypoints")
+    check_type("groups", groups, np.ndarray | None, "of PartLabels")
+    if groups is not None and groups.ndim != 2:
+        raise InputError(f"groups: shape {groups.shape}; expected (H, W)")
     if not people:
         raise InputError("keypoints: nobody; expected at least one person")
     if index is not None:

@@ -19,6 +19,7 @@ from .cameras import Crop, WeakPerspective
 from .detailed import detailed_mesh
 from .detailed_files import save_detailed
 from .energy import LandmarkGather
+from .errors import check_type
 from .evidence import Evidence
 from .export import ellipbody_scene
 from .fitting import FitResult
@@ -58,7 +59,12 @@ def save_fit(
 
     Returns:
         The report.
+
+    Raises:
+        TypeError: If an argument is of another type.
     """
+    check_type("result", result, FitResult, "of fit_body")
+    check_type("photo", photo, np.ndarray | None, "of read_photo")
     evidence = result.evidence
     size = image_size(evidence.keypoints, evidence.picture, photo)
     report = make_report(result)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from .checks import check_whole
+from .errors import check_type
 from .parameters import BodyParameters
 
 LEARNING_RATE = 1e-2  # the paper's
@@ -68,6 +69,7 @@ def refine(
             out of range, or ``start`` holds NaN or infinity.
     """
     iterations = check_steps(iterations, learning_rate)
+    check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
     start.check_finite()
     free = BodyParameters.free(frozen)
     bodies = start.leaves(frozen)

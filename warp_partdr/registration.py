@@ -21,6 +21,7 @@ from .body.icosphere import icosphere
 from .body.rotations import rotation_from_axis_angle
 from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
 from .checks import check_numbers, check_tensor, check_whole
+from .errors import check_type
 from .kernels import registration as kernels
 from .posing import Posed
 from .refinement import check_steps
@@ -155,6 +156,10 @@ def register(
         ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN, infinity or what
             is no rotation.
     """
+    check_type("posed", posed, Posed, "of pose, or FitResult.posed")
+    check_type("model", model, DetailedModel, "of load_model, or anny()")
+    check_type("start", start, Registered | None, "of register")
+    check_type("options", options, RegistrationOptions | None, "such as RegistrationOptions()")
     options = options or RegistrationOptions()
     iterations = check_steps(options.iterations, options.learning_rate)
     search_every = check_whole("search_every", options.search_every, 1)

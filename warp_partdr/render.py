@@ -16,6 +16,7 @@ import torch
 import warp as wp
 
 from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole, contiguous
+from .errors import check_type
 from .kernels import part_gradient, rasterize
 from .kernels.side_stream import launch_side_by_side
 from .kernels.threads import launch_in_slices
@@ -247,6 +248,7 @@ def _check(
 ) -> tuple[float, int, int]:
     """Check what both entry points share; returns the near plane and the picture's height and width."""
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
+    check_type("mesh", mesh, PartMesh, "such as ellipbody_mesh()")
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
     height, width = check_image_size(image_size, vertices.shape[0])

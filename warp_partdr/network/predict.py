@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from ..energy import Observation, resize_nearest
+from ..errors import check_each, check_type
 from ..parameters import BodyParameters
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, map_shares
 from .landmarks import network_keypoints
@@ -38,7 +39,15 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
 
     Returns:
         N bodies in their crops.
+
+    Raises:
+        TypeError: If these are no observations, or no network.
+        ValueError: If there is no observation.
     """
+    check_each("observations", observations, Observation, "of observe")
+    check_type("network", network, LabelNetwork, "of load_label_network")
+    if not observations:
+        raise ValueError("observations: none; expected at least one")
     inputs = [network_inputs(seen, network.config.size) for seen in observations]
     shares, keypoints = (torch.stack(values) for values in zip(*inputs, strict=True))
     return network(shares.contiguous(memory_format=torch.channels_last), keypoints).parameters()

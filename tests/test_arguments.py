@@ -1,0 +1,88 @@
+"""Arguments of another type are named at the border, with where the right ones come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import warp_partdr
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.errors import check_each, check_type
+from warp_partdr.fused import minimise
+from warp_partdr.inputs import choose_person, parse_keypoints, read_label_set
+from warp_partdr.mesh import ellipbody_mesh
+from warp_partdr.network.predict import predict_bodies
+from warp_partdr.observation import observe
+from warp_partdr.output import save_fit
+from warp_partdr.parameters import BodyParameters
+from warp_partdr.part_files import PartLabels
+from warp_partdr.refinement import refine
+from warp_partdr.registration import register
+
+PEOPLE = parse_keypoints([[[10.0 + k, 20.0 + 2 * k] for k in range(17)]] * 2)
+PERSON = PEOPLE[0]
+PARTS = PartLabels(read_label_set("cdcl14"), np.ones((64, 64), dtype=np.uint8))
+BODY = BodyParameters.mean(1)
+CAMERA = WeakPerspective(torch.tensor([4.0]), torch.tensor([[4.0, 4.0]]))
+OUT = Path("never")
+
+CALLS: list[tuple[Callable[[], Any], str]] = [
+    (lambda: warp_partdr.fit_body(np.zeros((17, 3))), "keypoints: ndarray; expected Keypoints2D.*read_keypoints"),
+    (lambda: warp_partdr.fit_body(PEOPLE), "keypoints: list; expected Keypoints2D.*choose_person"),
+    (lambda: warp_partdr.fit_body(None), "keypoints: NoneType; expected Keypoints2D"),
+    (lambda: warp_partdr.fit_body(PERSON, PARTS.groups), "parts: ndarray; expected PartLabels or None, of read_parts"),
+    (lambda: warp_partdr.fit_body(PERSON, others=PERSON), "others: Keypoints2D; expected a sequence of Keypoints2D"),
+    (lambda: warp_partdr.fit_body(PERSON, others=[PERSON, 3]), r"others\[1\]: int; expected Keypoints2D"),
+    (lambda: warp_partdr.fit_body(PERSON, options="fast"), "options: str; expected FitOptions or None, such as"),
+    (lambda: observe(np.zeros((17, 3)), None), "keypoints: ndarray; expected Keypoints2D"),
+    (lambda: choose_person(PERSON), "people: Keypoints2D; expected a sequence of Keypoints2D"),
+    (lambda: choose_person([np.zeros((17, 3))]), r"people\[0\]: ndarray; expected Keypoints2D"),
+    (lambda: choose_person(PEOPLE, PARTS), "groups: PartLabels; expected ndarray or None"),
+    (lambda: save_fit(BODY, OUT, keypoints=PERSON), "result: BodyParameters; expected FitResult, of fit_body"),
+    (lambda: register(BODY, warp_partdr.anny()), "posed: BodyParameters; expected Posed"),
+    (lambda: register(BODY.posed(), "anny"), "model: str; expected DetailedModel, of load_model"),
+    (lambda: register(BODY.posed(), warp_partdr.anny(), start=BODY), "start: BodyParameters; expected Registered"),
+    (lambda: register(BODY.posed(), warp_partdr.anny(), options=3), "options: int; expected RegistrationOptions"),
+    (lambda: refine(BODY.posed(), dict), "start: Posed; expected BodyParameters"),
+    (lambda: minimise(BODY.posed(), dict), "start: Posed; expected BodyParameters"),
+    (lambda: minimise(BODY, dict), "energy: type; expected Energy"),
+    (lambda: predict_bodies(PERSON, None), "observations: Keypoints2D; expected a sequence of Observation"),
+    (lambda: predict_bodies([PERSON], None), r"observations\[0\]: Keypoints2D; expected Observation, of observe"),
+    (lambda: predict_bodies([], "network.safetensors"), "network: str; expected LabelNetwork, of load_label_network"),
+    (lambda: warp_partdr.draw_ellipsoids(BODY, CAMERA, (8, 8)), "ellipsoids: BodyParameters; expected Ellipsoids or"),
+    (lambda: warp_partdr.draw_ellipsoids(BODY.posed(), 3.0, (8, 8)), "camera: float; expected WeakPerspective or"),
+    (
+        lambda: warp_partdr.ellipsoid_label_loss(BODY, CAMERA, torch.zeros(1, 8, 8, dtype=torch.uint8)),
+        "ellipsoids: BodyParameters; expected Ellipsoids or Posed",
+    ),
+    (
+        lambda: warp_partdr.rasterize_parts(torch.zeros(1, 240, 3), ellipbody_mesh(0).faces, (8, 8)),
+        "mesh: Tensor; expected PartMesh",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "says"), CALLS, ids=[says.split(";")[0] for _, says in CALLS])
+def test_other_types_are_named(call: Callable[[], Any], says: str) -> None:
+    with pytest.raises(TypeError, match=f"^{says}"):
+        call()
+    assert not OUT.exists()
+
+
+def test_no_observation_is_refused() -> None:
+    with pytest.raises(ValueError, match="observations: none"):
+        predict_bodies([], warp_partdr.load_label_network())
+
+
+def test_messages() -> None:
+    check_type("value", None, int | None, "of somewhere")
+    check_each("values", (1, 2), int, "of somewhere")
+    with pytest.raises(TypeError, match=r"^value: str; expected int or None, of somewhere$"):
+        check_type("value", "1", int | None, "of somewhere")
+    with pytest.raises(TypeError, match=r"^values: str; expected a sequence of str, of somewhere$"):
+        check_each("values", "12", str, "of somewhere")
