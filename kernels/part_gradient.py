@@ -17,7 +17,6 @@ from .triangles import (
     covers,
     depth_at,
     depth_key,
-    double_area,
     edge_values,
     first_pixel,
     key_face,
@@ -157,6 +156,15 @@ def all_wrong(gradient: Any, b: int, label: int):
     )
 
 
+@wp.func
+def side_of(p0: wp.vec3, p1: wp.vec3, q: wp.vec3):
+    """Which side of an edge a face with the vertex q lies on: 1, -1, or 0 for one that is seen edge-on."""
+    # two products, not their difference, which a fused multiply-add rounds once: not to 0 where q is p1
+    left = (p1[0] - p0[0]) * (q[1] - p0[1])
+    right = (p1[1] - p0[1]) * (q[0] - p0[0])
+    return wp.where(left > right, 1, 0) - wp.where(left < right, 1, 0)
+
+
 @wp.kernel
 def find_silhouettes(
     first_body: int,
@@ -168,7 +176,7 @@ def find_silhouettes(
     size: wp.vec2i,  # width, height
     gradient: Any,
     counts: wp.array2d[wp.uint64],  # (B, 16), zeroed  MODIFIED: column 0, edges in the high half, lines in the low one
-    silhouettes: wp.array2d[wp.vec2i],  # (B, E)  OUTPUT: edge + 1, negative where ``side`` is; lines of those before it
+    silhouettes: wp.array2d[wp.vec2i],  # (B, E)  OUTPUT: edge and its sides as one number; lines of those before it
 ):
     """List the edges that bound their part, where it is wrong: few of all, and they do all the work."""
     thread = wp.tid()
@@ -178,18 +186,15 @@ def find_silhouettes(
     p0 = points[ends[0]]
     p1 = points[ends[1]]
     q = points[ends[4]]
-    side = double_area(p0, p1, q)  # which side of the edge the face lies on
+    side = side_of(p0, p1, q)
+    other_side = side
     nearest = wp.min(wp.min(p0[2], p1[2]), q[2])
     if ends[3] >= 0:
         r = points[ends[5]]
-        other_side = double_area(p0, p1, r)
+        other_side = side_of(p0, p1, r)
         nearest = wp.min(nearest, r[2])
-        if side * other_side < 0.0:
-            return  # the faces lie on either side: no silhouette
-        if side == 0.0:
-            side = other_side
-    if side == 0.0 or nearest <= near:
-        return
+    if side + other_side == 0 or nearest <= near:
+        return  # the faces lie on either side: no silhouette
     wrong = all_wrong(gradient, b, int(face_labels[ends[2]]))
     rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
     columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
@@ -197,9 +202,8 @@ def find_silhouettes(
     if lines > 0:
         # one number, so that lines are counted in the order of the list
         before = wp.atomic_add(counts, b, 0, (wp.uint64(1) << wp.uint64(32)) + wp.uint64(lines))
-        edge = thread % threads
-        signed = wp.where(side > 0.0, edge + 1, -edge - 1)
-        silhouettes[b, int(before >> wp.uint64(32))] = wp.vec2i(signed, int(before & wp.uint64(0xFFFFFFFF)))
+        edge_and_sides = 8 * (thread % threads) + side + other_side + 2
+        silhouettes[b, int(before >> wp.uint64(32))] = wp.vec2i(edge_and_sides, int(before & wp.uint64(0xFFFFFFFF)))
 
 
 @wp.func
@@ -217,12 +221,6 @@ def last_before(found: wp.array[wp.vec2i], count: int, line: int):
 
 
 @wp.func
-def add_pull(pulls: wp.vec2, value: float, distance: float):
-    """Add a pixel's gradient over its distance; that of one less than a pixel away is noted, too."""
-    return wp.vec2(wp.where(distance < 1.0, value, pulls[0]), pulls[1] + value / wp.max(distance, 1.0))
-
-
-@wp.func
 def reach_out(
     picture: wp.array[wp.uint8],
     depth: wp.array[float],
@@ -236,8 +234,8 @@ def reach_out(
     left: int,  # how many there are
     distance: float,  # of the first [px]
 ):
-    """What pulls an edge out: the gradient of a pixel less than one away, and of all, each over its distance."""
-    pulls = wp.vec2()
+    """What pulls an edge out: the gradient of each pixel over its distance."""
+    pull = float(0.0)
     while left > 0:
         # both loads before anything hangs on them, so that they wait together
         shown = int(picture[at])
@@ -250,11 +248,11 @@ def reach_out(
             if over_farther and not switches:
                 switches = depth[at] > edge_depth
             if switches:
-                pulls = add_pull(pulls, value, distance)
+                pull += value / wp.max(distance, 1.0)
         at += step
         distance += 1.0
         left -= 1
-    return pulls
+    return pull
 
 
 @wp.func
@@ -271,7 +269,7 @@ def draw_in(
     distance: float,
 ):
     """What pushes an edge in, likewise."""
-    pulls = wp.vec2()
+    pull = float(0.0)
     while left > 0:
         shown = int(picture[at])
         value = gradient_at(asked, at, label, True)
@@ -280,11 +278,11 @@ def draw_in(
         if all_edges:
             if face_index[at] != face:
                 break
-        pulls = add_pull(pulls, wp.where(shown == label, value, 0.0), distance)
+        pull += wp.where(shown == label, value, 0.0) / wp.max(distance, 1.0)
         at += step
         distance += 1.0
         left -= 1
-    return pulls
+    return pull
 
 
 @wp.kernel(launch_bounds=_PUSH_EDGES_BOUNDS)
@@ -326,7 +324,8 @@ def push_edges(
         line = task - wp.where(outward, 0, lines)
         silhouette = found[last_before(found, count, line)]
         line -= silhouette[1]
-        ends = edges[wp.abs(silhouette[0]) - 1]
+        ends = edges[silhouette[0] >> 3]
+        sides = (silhouette[0] & 7) - 2
         face = ends[2]
         label = int(face_labels[face])
         p0 = vertices[b, ends[0]]
@@ -347,7 +346,7 @@ def push_edges(
             q1 = along_and_across(axis, p1)
             length = q1[1] - q0[1]
             inward = 1
-            if (length > 0.0) == ((silhouette[0] > 0) == (axis == 0)):
+            if (length > 0.0) == ((sides > 0) == (axis == 0)):
                 inward = -1
             step = wp.where(outward, -inward, inward)
             last = wp.where(axis == 0, wrong[2], wrong[0])
@@ -384,16 +383,15 @@ def push_edges(
             pixel = wp.where(outward, outside, inside)
             pixel = wp.where(step > 0, wp.max(pixel, 0), wp.min(pixel, count_along - 1))
             distance = wp.abs(float(pixel) + 0.5 - crossing)
-            nearness = 1.0 / wp.max(distance, 1.0e-6)  # of the first pixel
             left = (last - pixel) * step + 1
             if float(left) > max_distance - distance:
                 left = int(wp.floor(max_distance - distance)) + 1
             if not going:
                 left = 0
             at = start + pixel * pitch
-            pulls = wp.vec2()
+            pull = float(0.0)
             if outward:
-                pulls = reach_out(
+                pull = reach_out(
                     picture,
                     flat(depth[b]),
                     asked,
@@ -407,18 +405,16 @@ def push_edges(
                     distance,
                 )
             else:
-                pulls = draw_in(
+                pull = draw_in(
                     picture, flat(face_index[b]), asked, label, all_edges, face, at, step * pitch, left, distance
                 )
-            # 1 / (x1 - x0) of eq. 10: a vertex moves by distance / weight, a pixel at least
-            far = pulls[1] - pulls[0]
-            by0 = pulls[0] * wp.clamp(w0 * nearness, 0.0, 1.0) + far * w0
-            by1 = pulls[0] * wp.clamp(w1 * nearness, 0.0, 1.0) + far * w1
-            by = wp.vec2(by0, by1) * float(-inward)
-            pull_x += wp.where(axis == 0, by, wp.vec2())
-            pull_y += wp.where(axis == 0, wp.vec2(), by)
+            pull *= float(-inward)
+            ends_pull = wp.vec2(w0 * pull, w1 * pull)  # by how much either moves the crossing
+            pull_x += wp.where(axis == 0, ends_pull, wp.vec2())
+            pull_y += wp.where(axis == 0, wp.vec2(), ends_pull)
 
-        factor = weight_of(gradient, b, label)
+        # an edge of a face that is seen edge-on counts half, for the face has another where the part ends as well
+        factor = weight_of(gradient, b, label) * 0.5 * float(wp.abs(sides))
         for k in range(2):
             if pull_x[k] != 0.0:
                 wp.atomic_add(grad_vertices, b, ends[k], 0, factor * pull_x[k])
@@ -519,9 +515,10 @@ def push_depths(
         back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
         front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
         delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
+        amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-        add_depth(grad_vertices, back_face, back, b, back_weights, delta_z, -amount)
-        add_depth(grad_vertices, front_face, front, b, front_weights, delta_z, amount)
+        add_depth(grad_vertices, back_face, back, b, back_weights, -amount)
+        add_depth(grad_vertices, front_face, front, b, front_weights, amount)
 
 
 @wp.func
@@ -531,19 +528,18 @@ def add_depth(
     t: Triangle,
     b: int,
     weights: wp.vec3,
-    delta_z: float,
     amount: float,
 ):
-    """Share ``amount`` among a face's vertices. Δ(M0, Q) / Δ(M0, v_k) in eq. 12 is the barycentric weight of v_k."""
+    """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
     i1 = index[1]
     i2 = index[2]
     if t.flipped == 1:
         i1 = index[2]
         i2 = index[1]
-    w = weights / ((weights[0] + weights[1] + weights[2]) * delta_z)
-    wp.atomic_add(grad_vertices, b, index[0], 2, amount * wp.log(w[0] + 1.0))
-    wp.atomic_add(grad_vertices, b, i1, 2, amount * wp.log(w[1] + 1.0))
-    wp.atomic_add(grad_vertices, b, i2, 2, amount * wp.log(w[2] + 1.0))
+    shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
+    wp.atomic_add(grad_vertices, b, index[0], 2, shares[0])
+    wp.atomic_add(grad_vertices, b, i1, 2, shares[1])
+    wp.atomic_add(grad_vertices, b, i2, 2, shares[2])
 
 
 # Registered up front: an overload that appears later would compile the module again.

@@ -11,9 +11,10 @@ Forward
 
 Backward, x and y. Here g^i(P) is the loss gradient of part i's map at pixel P; the result is linear in g.
     3. An edge counts where it bounds its part: it belongs to one face, or its two faces lie on the same side of it.
+       Where one of two is seen edge-on, it counts half: of the edges before and behind that face, which lie on one
+       line, one would count if it turned a little, the other if it turned the other way.
     4. Along every pixel row (for x) and column (for y) whose centre line it crosses, the edge moves straight along that
-       line; a vertex with weight w at the crossing moves the crossing by w times its own way. So the way to a pixel at
-       distance d from the crossing is d / w, and at least one pixel: max(d / w, 1).
+       line. The crossing's way to a pixel at distance d is d, and at least one pixel: max(d, 1).
     5. Where the first pixel outside shows the same label, the edge lies inside its own part's picture: it does nothing.
     6. Outward, pixels up to the picture's border, or to the next pixel that shows the part, switch on (dI = +1) if
        they show background. Inward, pixels up to the first that shows background switch off (dI = -1) if they show the
@@ -21,16 +22,18 @@ Backward, x and y. Here g^i(P) is the loss gradient of part i's map at pixel P; 
        A pixel that shows another part gives 0 and does not end the walk (eq. 11). With ``over_farther`` that holds for
        occluders only: outward, a part that lies farther away than the edge at its crossing counts as background does.
        ``max_distance`` [px] ends both walks.
-    7. The derivative is dI / (x1 - x0) (eq. 10), signed by the direction, for both ends of the edge.
+    7. The crossing's derivative is the sum of g dI / (x1 - x0) (eq. 10), signed by the direction. A vertex with weight
+       w at the crossing moves it by w times its own way, so by the chain rule either end gets w times that: together,
+       the derivative of the edge as a whole, however finely a mesh divides it.
     8. ``all_edges`` is NMR's rule: each face's edges alone, where the pixel just inside shows that face; outward over
        all background to the border, inward over the pixels of this very face.
 
 Backward, z
     9. At a pixel P that shows part j, for a part i != j with faces behind it, the nearest such face f_i and the face
-       f_j that shows exchange places: A^i(P) gains 1. By eq. 12, each vertex of f_i gets
-       dI/dz = -lambda log(w / dz + 1), with w its barycentric weight in 3D (Delta(M0, Q) / Delta(M0, v_k) is just that)
-       and dz >= 1e-4 m the depth between the two. The vertices of f_j get +lambda log(w / dz + 1) with their own
-       weights: a push and its counter-push. Both are multiplied with g^i(P).
+       f_j that shows exchange places: A^i(P) gains 1. The point of f_i that is seen at P gets
+       dI/dz = -lambda log(1 / dz + 1), with dz >= 1e-4 m the depth between the two, and the point of f_j
+       +lambda log(1 / dz + 1): a push and its counter-push. Each vertex gets w times its face's, with w its barycentric
+       weight in 3D (Delta(M0, Q) / Delta(M0, v_k) of eq. 12 is just that). Both are multiplied with g^i(P).
 """
 
 from __future__ import annotations
@@ -166,10 +169,8 @@ def edge_gradient(
     p = vertices[list(edge)]
     if min(p[:, 2].min(), *(vertices[o][2] for _, o in sides)) <= near:
         return grad
-    which = [np.sign(cross(p[0], p[1], vertices[o])) for _, o in sides]
-    if len(which) == 2 and which[0] * which[1] < 0:  # choice 3
-        return grad
-    side = next((s for s in which if s), 0)
+    counted = np.mean([np.sign(cross(p[0], p[1], vertices[o])) for _, o in sides])  # choice 3: +-1, +-1/2 or 0
+    side = np.sign(counted)
     if side == 0:
         return grad
     face = sides[0][0]
@@ -212,7 +213,7 @@ def edge_gradient(
                 if (shown == part and not all_edges) or abs(positions[pixel] - crossing) > max_distance:
                     break
                 if shown == 0 or (shown != part and depths[line, pixel] > edge_depth):
-                    slope = slope + wanted[line, pixel] * -toward / moves(positions[pixel] - crossing, weights)
+                    slope = slope + wanted[line, pixel] * -toward / max(abs(positions[pixel] - crossing), 1)
             for pixel in inside:
                 shown = lines[line, pixel]
                 if shown == 0 or (all_edges and faces_on[line, pixel] != face):
@@ -220,16 +221,9 @@ def edge_gradient(
                 if abs(positions[pixel] - crossing) > max_distance:
                     break
                 if shown == part:
-                    slope = slope - wanted[line, pixel] * toward / moves(positions[pixel] - crossing, weights)
-            for vertex, share in zip(edge, np.broadcast_to(slope, 2), strict=True):
-                grad[vertex, axis] += share
+                    slope = slope - wanted[line, pixel] * toward / max(abs(positions[pixel] - crossing), 1)
+            grad[list(edge), axis] += abs(counted) * slope * weights
     return grad
-
-
-def moves(distance, weights):
-    """|x1 - x0| of the two end vertices (choice 4)."""
-    with np.errstate(divide="ignore"):
-        return np.maximum(abs(distance) / weights, 1.0)
 
 
 def depth_gradient(vertices, faces, face_labels, labels, face_index, g, perspective, near, depth_weight):
@@ -252,7 +246,7 @@ def depth_gradient(vertices, faces, face_labels, labels, face_index, g, perspect
             if part > len(g):
                 continue
             delta_z = max(depth - front_depth, MIN_DELTA_Z)
-            amount = g[part - 1, row, column] * depth_weight
-            np.add.at(grad, face, -amount * np.log(weights / delta_z + 1))
-            np.add.at(grad, front, amount * np.log(front_weights / delta_z + 1))
+            amount = depth_weight * g[part - 1, row, column] * np.log(1 / delta_z + 1)
+            np.add.at(grad, face, -amount * weights)
+            np.add.at(grad, front, amount * front_weights)
     return grad
