@@ -349,8 +349,8 @@ RESOLUTION = {  # least cosine of the two gradients, and how much their lengths 
     "coverage": (0.995, 0.06),
     "edges": (0.985, 0.1),
     "partdr": (0.99, 0.5),
-    "mesh silhouette": (0.98, 0.4),
-    "mesh all": (0.96, 0.7),
+    "mesh silhouette": (0.99, 0.5),
+    "mesh all": (0.99, 0.7),
 }
 
 
