@@ -12,7 +12,7 @@ import warp as wp
 
 from .ellipsoid_borders import front_at, line_root, outline_end
 from .ellipsoids import Seen, Silhouette, in_box, inside_at, middle_at
-from .part_gradient import MIN_DELTA_Z
+from .push_z import MIN_DELTA_Z
 from .surface_forces import (
     BLOCK,
     Ellipsoid,

@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.kernels import part_gradient, rasterize
+from warp_partdr.kernels import map_gradient, push_xy, push_z, rasterize
 from warp_partdr.kernels.threads import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render import label_loss, rasterize_parts
@@ -359,16 +359,17 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     want = results()
     threads = []
     if how == "lanes":
-        for module in (rasterize, part_gradient):
+        for module in (rasterize, push_z):
             monkeypatch.setattr(module, "row_lane_bits", lambda count, device: 2)
     elif how == "threads":
-        real, shared = part_gradient.launch_bodies, {"push_edges": 37, "push_depths": 5}
+        real, shared = rasterize.launch_bodies, {"push_edges": 37, "push_depths": 5}
 
         def launch(kernel: wp.Kernel, batch: int, count: int, *rest: object) -> None:
             threads.append(shared.get(kernel.key, count))
             real(kernel, batch, threads[-1], *rest)
 
-        monkeypatch.setattr(part_gradient, "launch_bodies", launch)
+        for module in (push_xy, push_z):
+            monkeypatch.setattr(module, "launch_bodies", launch)
     else:
         monkeypatch.setattr(rasterize, "_MAX_THREADS", 4000)
     have = results()
@@ -384,14 +385,14 @@ def test_hidden_pixels_serve_again(device):
     vertices, mesh = body_scene(3, size, device, subdivisions=1, batch=2)
     points = torch.from_numpy(vertices).to(device)
     image = rasterize_parts(points, mesh, size)
-    gradient = part_gradient.DenseGradient()
+    gradient = map_gradient.DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
-    hidden = part_gradient.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
+    hidden = push_z.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
     grads = torch.zeros(2, points.shape[1], 3, device=device)
     sums = []
     for label in (4, 7, 4, 7):
         gradient.wanted = label
-        part_gradient.launch_push_depths(
+        push_z.launch_push_depths(
             wp.from_torch(points, dtype=wp.vec3),
             wp.from_torch(mesh.faces, dtype=wp.vec3i),
             wp.from_torch(mesh.face_labels),

@@ -308,13 +308,13 @@ def _load_kernels(device: str, options: FitOptions, *, labels: bool) -> None:
     """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
     import warp as wp
 
-    from .kernels import ellipsoid_picture, ellipsoids, kinematics, part_gradient, rasterize, refine_state, targets
+    from .kernels import ellipsoid_picture, ellipsoids, kinematics, push_xy, push_z, rasterize, refine_state, targets
 
     modules: list[Any] = [kinematics, rasterize]
     if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
         modules.append(refine_state.MODULE)
     if labels and options.renderer == "mesh":
-        modules.append(part_gradient)
+        modules += [push_xy, push_z]
     elif labels and device == "cpu":
         gradients = sorted({stage.gradient for stage in options.stages if stage.size})
         modules += [targets, ellipsoids, ellipsoid_picture]

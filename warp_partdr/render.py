@@ -17,7 +17,7 @@ import warp as wp
 
 from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole, contiguous
 from .errors import check_type
-from .kernels import part_gradient, rasterize
+from .kernels import map_gradient, push_xy, push_z, rasterize
 from .kernels.side_stream import launch_side_by_side
 from .kernels.threads import launch_in_slices
 from .later import DrawnLater
@@ -268,7 +268,7 @@ def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
 def _launch(work: Callable[[slice], None], like: torch.Tensor) -> None:
     """Let ``work`` launch its kernels on the tensor's device and stream, for all of the batch."""
     with on_torch_stream(like.device) as device:
-        launch_in_slices(work, like.shape[0], wp.get_device(device), modules=(rasterize, part_gradient))
+        launch_in_slices(work, like.shape[0], wp.get_device(device), modules=(rasterize, push_xy, push_z))
 
 
 _Launch = Callable[[], None]
@@ -383,7 +383,7 @@ def _prepare_gradient(
         "grad_vertices": grad_screen,
     }
     push_edges = partial(
-        part_gradient.launch_push_edges,
+        push_xy.launch_push_edges,
         screen,
         mesh_labels,
         _wp(edges, wp.int32),
@@ -392,16 +392,16 @@ def _prepare_gradient(
         over_farther=over_farther,
         max_distance=max_distance,
         depth=_wp(depth, wp.float32),
-        found=part_gradient.SilhouetteList.make(screen.shape[0], edges.shape[0], screen.device),
+        found=push_xy.SilhouetteList.make(screen.shape[0], edges.shape[0], screen.device),
     )
     push_depths = partial(
-        part_gradient.launch_push_depths,
+        push_z.launch_push_depths,
         screen,
         _wp(faces, wp.vec3i),
         mesh_labels,
         **view,
         depth_weight=depth_weight,
-        hidden=part_gradient.HiddenPixels.make(keys),
+        hidden=push_z.HiddenPixels.make(keys),
     )
 
     def launch() -> None:
@@ -435,7 +435,7 @@ def _maps_backward(saved: tuple[torch.Tensor, ...], grad_maps: torch.Tensor, opt
     grad_maps = grad_maps.float()
 
     def turns(part: slice) -> Iterator[Any]:
-        gradient = part_gradient.DenseGradient()
+        gradient = map_gradient.DenseGradient()
         gradient.maps = _wp(grad_maps[part], wp.float32)
         for wanted in range(1, grad_maps.shape[1] + 1):
             gradient.wanted = wanted
@@ -504,9 +504,9 @@ def _prepare_compare(
 
 def _label_target(
     target: torch.Tensor, weights: torch.Tensor, scale: torch.Tensor, extents: torch.Tensor
-) -> part_gradient.LabelTarget:
+) -> map_gradient.LabelTarget:
     """The loss gradient where L_seg's own is ``scale``."""
-    gradient = part_gradient.LabelTarget()
+    gradient = map_gradient.LabelTarget()
     gradient.target = _wp(target, wp.uint8)
     gradient.label_weights = _wp(weights, wp.float32)
     gradient.scale = _wp(scale, wp.float32)
@@ -533,7 +533,7 @@ class _LossRecipe:
     edges: torch.Tensor
     options: tuple[int, float, bool, bool, bool, float, float]
 
-    modules = rasterize, part_gradient
+    modules = rasterize, push_xy, push_z
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
         return math.prod(rasterize.pixel_lanes((batch, height, width), device.type == "cpu")[1:])

@@ -18,7 +18,7 @@ from ..ellipsoid_passes import Gradient
 from ..ellipsoids import ellipsoid_label_loss
 from ..fused import FusedRefinement
 from ..fused_picture import EllipsoidPicture
-from ..kernels import kinematics, part_gradient, rasterize
+from ..kernels import kinematics, map_gradient, push_xy, push_z, rasterize
 from ..kernels.ellipsoid_picture import launch_draw
 from ..kernels.ellipsoids import Seen, launch_see
 from ..kernels.refine_state import Ellipsoids
@@ -122,10 +122,10 @@ class MeshRun:
         self._face_index = wp.full(shape, -9, dtype=wp.int32, device=where)
         lanes = rasterize.pixel_lanes(shape, where.is_cpu)
         self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
-        self._found = part_gradient.SilhouetteList.make(scene.batch_size, self._edges.shape[0], where)
-        self._hidden = part_gradient.HiddenPixels.make(self._zbuffer.keys)
+        self._found = push_xy.SilhouetteList.make(scene.batch_size, self._edges.shape[0], where)
+        self._hidden = push_z.HiddenPixels.make(self._zbuffer.keys)
         self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
-        self._target = target = part_gradient.LabelTarget()
+        self._target = target = map_gradient.LabelTarget()
         target.target = _wp(scene.targets, wp.uint8)
         target.label_weights = _wp(weight_table(None, device), wp.float32)
         target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
@@ -149,7 +149,7 @@ class MeshRun:
         )
         self._grad.zero_()
         push_edges = partial(
-            part_gradient.launch_push_edges,
+            push_xy.launch_push_edges,
             vertices,
             face_labels,
             self._edges,
@@ -163,7 +163,7 @@ class MeshRun:
             grad_vertices=self._grad,
         )
         push_depths = partial(
-            part_gradient.launch_push_depths,
+            push_z.launch_push_depths,
             vertices,
             faces,
             face_labels,
