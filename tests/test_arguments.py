@@ -43,7 +43,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: choose_person(PERSON), "people: Keypoints2D; expected a sequence of Keypoints2D"),
     (lambda: choose_person([np.zeros((17, 3))]), r"people\[0\]: ndarray; expected Keypoints2D"),
     (lambda: choose_person(PEOPLE, PARTS), "groups: PartLabels; expected ndarray or None"),
-    (lambda: save_fit(BODY, OUT, keypoints=PERSON), "result: BodyParameters; expected FitResult, of fit_body"),
+    (lambda: save_fit(BODY, OUT), "result: BodyParameters; expected FitResult, of fit_body"),
     (lambda: register(BODY, warp_partdr.anny()), "posed: BodyParameters; expected Posed"),
     (lambda: register(BODY.posed(), "anny"), "model: str; expected DetailedModel, of load_model"),
     (lambda: register(BODY.posed(), warp_partdr.anny(), start=BODY), "start: BodyParameters; expected Registered"),
