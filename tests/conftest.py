@@ -6,6 +6,7 @@ import os
 import random
 import subprocess
 import sys
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -80,6 +81,18 @@ def _seeds() -> None:
 def rng() -> np.random.Generator:
     """A seeded generator."""
     return np.random.default_rng(0)
+
+
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Registrations take two steps where nothing else is asked for."""
+    from warp_partdr import registration
+
+    @dataclass(frozen=True)
+    class FewSteps(registration.RegistrationOptions):
+        iterations: int = 2
+
+    monkeypatch.setattr(registration, "RegistrationOptions", FewSteps)
 
 
 @pytest.fixture(scope="session")

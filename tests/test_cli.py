@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -48,10 +47,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], few_steps: None) -> Run:
     """Call the command with a line of arguments, and few iterations: exit code, stdout, stderr."""
     monkeypatch.setitem(quality.STAGES["network"], "balanced", QUICK)
-    monkeypatch.setattr(registration, "RegistrationOptions", partial(RegistrationOptions, iterations=2))
 
     def call(line: str, **environment: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["partdr", *line.split()])

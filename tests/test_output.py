@@ -315,7 +315,13 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
     report = score(target)
     background = 2 * counts[0] / (2 * counts[0] + counts[1])
     assert report["parts"]["foreground_f1"] == pytest.approx(background / 2, abs=1e-4)  # nothing of a person there
+    assert report["parts"]["left_out"] is None
+    left = head.copy()
+    left[100:150][drawn[100:150] == 0] = 1
+    beyond, inside = (drawn[100:150] == 0).sum(), (drawn[100:] > 0).sum()
+    assert score(left)["parts"]["left_out"] == pytest.approx(beyond / (beyond + inside), abs=1e-4)
     report = score(head)
+    assert report["parts"]["left_out"] == 0
     assert report["parts"]["foreground_f1"] == 1
     assert report["parts"]["part_f1"] < 0.5
 

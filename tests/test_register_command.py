@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,26 +19,25 @@ from warp_partdr.fitting import FitOptions, fit_body
 from warp_partdr.inputs import read_keypoints, read_parts, read_photo
 from warp_partdr.output import save_fit, save_registered
 from warp_partdr.quality import Stage
-from warp_partdr.registration import RegistrationOptions, RegistrationWeights, register
+from warp_partdr.registration import RegistrationWeights, register
 
 EXAMPLE = Path(__file__).parents[1] / "warp_partdr" / "assets" / "example"
 LABELS = label_set("cdcl14")
-OPTIONS = RegistrationOptions(RegistrationWeights.fitted(), iterations=2, growth=False)
 
 
 @pytest.fixture
-def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_steps: None) -> dict[str, object]:
     """A fit of the packaged example in the folder ``fit``, and the report of its detailed body; p.png holds labels."""
     from warp_partdr.body.anny import anny
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registration, "RegistrationOptions", partial(RegistrationOptions, iterations=2))
     torch.set_num_threads(1)
     person, parts = read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", LABELS)
     result = fit_body(person, parts, options=FitOptions(stages=(Stage("labels", 2, 4, 0.02, 64),)))
     photo = read_photo(EXAMPLE / "photo.png")
     save_fit(result, "fit", photo=photo)
-    registered = register(result.posed, anny(), options=OPTIONS)
+    options = registration.RegistrationOptions(RegistrationWeights.fitted(), growth=False)
+    registered = register(result.posed, anny(), options=options)
     Image.open(EXAMPLE / "parts.png").save("p.png")
     return save_registered(registered, "fit", result.camera, photo.shape[:2], evidence=result.evidence)
 
@@ -72,7 +70,8 @@ def test_it_says_what_the_fit_said(fitted: dict[str, object]) -> None:
         assert expected["pixels"].pop("ignored", 0) == 0
         assert abs(found["foreground_f1"] - expected["foreground_f1"]) < 2e-3
         assert abs(found["part_f1"] - expected["part_f1"]) < 2e-3
-        assert f"foreground F1 {found['foreground_f1']:.3f}, part F1 {found['part_f1']:.3f}; new" in said
+        assert f"foreground F1 {found['foreground_f1']:.3f}, part F1 {found['part_f1']:.3f}, " in said
+        assert f"{100 * found['left_out']:.0f} % of the person left out; new" in said
 
 
 def test_labels_of_another_picture_are_refused(fitted: dict[str, object]) -> None:

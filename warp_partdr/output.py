@@ -269,6 +269,7 @@ def compare_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> d
 
 def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
     counts = metrics.confusion(shown, target, len(names) + 1)
+    person = (target != BACKGROUND) & (target != IGNORE)
     each = metrics.f1_scores(counts)
     return {
         "foreground_f1": round(metrics.part_f1(metrics.foreground_counts(counts)), 4),
@@ -278,8 +279,10 @@ def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> di
             name: None if np.isnan(score) else round(float(score), 4)
             for name, score in zip(("background", *names), each, strict=True)
         },
+        # F1's mean over person and background hides it.
+        "left_out": round(float((shown == BACKGROUND)[person].mean()), 4) if person.any() else None,
         "pixels": {
-            "person": int(((target != BACKGROUND) & (target != IGNORE)).sum()),
+            "person": int(person.sum()),
             "ignored": int((target == IGNORE).sum()),
         },
     }
