@@ -147,4 +147,4 @@ def check_numbers(
                 raise ValueError(f"{name}: {fault}")
         for name in positive:
             if not (tensors[name] > 0).all():
-                raise ValueError(f"{name}: {float(tensors[name].min()):g}; expected positive lengths")
+                raise ValueError(f"{name}: {float(tensors[name].min())}; expected positive lengths")

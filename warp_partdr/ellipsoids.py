@@ -218,7 +218,8 @@ def _check(
 ) -> tuple[_Tensors, View]:
     """What both entry points share."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
-    check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
+    if not hasattr(camera, "intrinsics"):  # any other camera that has them will do
+        check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
     centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
     check_tensor("centres", centres, (None, None, 3), dtypes=FLOATS)
     batch, count = centres.shape[:2]
