@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import signal
 import socket
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
@@ -37,47 +39,81 @@ def window(can_draw, tmp_path):
 
 
 class Browser:
-    """What the page's script does, as far as it matters here."""
+    """What the page's scripts do, as far as it matters here."""
 
-    def __init__(self, socket: Any) -> None:
+    def __init__(self, session: Any, connection: Any, address: str) -> None:
         from wslink.chunking import UnChunker
 
-        self._socket, self._numbers, self._join = socket, itertools.count(), UnChunker()
+        self.address = address
+        self.told: list[dict] = []  # of each picture that came
+        self._session, self._connection, self._numbers, self._join = session, connection, itertools.count(), UnChunker()
         self._join.set_max_message_size(2**24)
+        self._rate = 0.0
 
-    async def call(self, method: str, *args: Any) -> Any:
-        """Send a message and wait for its answer."""
+    @classmethod
+    @asynccontextmanager
+    async def open(cls, address: str, size: tuple[int, int] = SIZE) -> AsyncIterator[Browser]:
+        import aiohttp
+
+        async with (
+            aiohttp.ClientSession(headers={"Origin": address}) as session,
+            session.ws_connect(f"{address}/ws") as connection,
+        ):
+            browser = cls(session, connection, address)
+            await browser.call("wslink.hello", {"secret": "wslink-secret"})
+            await browser.call("trame.rca.size", web.AREA, "browser", {"w": size[0], "h": size[1], "p": 1})
+            yield browser
+
+    async def send(self, method: str, *args: Any) -> str:
+        """Send a message; the number that its answer will bear."""
         import msgpack
         from wslink.chunking import generate_chunks
 
         number = f"{'system' if method == 'wslink.hello' else 'rpc'}:browser:{next(self._numbers)}"
         message = {"wslink": "1.0", "id": number, "method": method, "args": list(args), "kwargs": {}}
         for chunk in generate_chunks(msgpack.packb(message), 0):
-            await self._socket.send_bytes(chunk)
+            await self._connection.send_bytes(chunk)
+        return number
+
+    async def call(self, method: str, *args: Any) -> Any:
+        """Send a message and wait for its answer."""
+        number = await self.send(method, *args)
         while (answer := await self._receive()).get("id") != number:
             pass
         assert "error" not in answer, answer
         return answer.get("result")
 
+    async def press(self, key: str) -> None:
+        await self.call("trame.trigger", "press", [key], {})
+
     async def picture(self) -> np.ndarray:
-        """The next one that is sent."""
+        """The next one, asked for as the page does."""
         import io
 
         from PIL import Image
 
-        while True:
-            result = (await self._receive()).get("result")
-            if isinstance(result, dict) and result.get("name") == web.AREA:
-                return np.asarray(Image.open(io.BytesIO(result["content"])))
+        clock = asyncio.get_running_loop().time
+        asked, shown = clock(), self.told[-1] if self.told else {"number": 0, "quality": 0}
+        async with self._session.post(f"{self.address}/picture", json={**shown, "rate": self._rate}) as answer:
+            assert answer.status == 200
+            file = await answer.read()
+        self.told.append({**json.loads(answer.headers["X-Picture"]), "size": len(file)})
+        self._rate = len(file) / max(clock() - asked - self.told[-1]["waited"], 0.001)
+        return np.asarray(Image.open(io.BytesIO(file)))
 
     async def mouse(self, kind: str, x: float, y: float) -> None:
         event = {"x": round(x), "y": round(y), "w": SIZE[0], "h": SIZE[1]}
         keys = dict.fromkeys(("shiftKey", "altKey", "ctrlKey", "metaKey"), 0)
         await self.call("trame.rca.event", web.AREA, "browser", {"type": kind, **event, **keys})
 
+    def break_off(self) -> None:
+        """Be gone without a word, as when a page is closed while messages come."""
+        self._connection.get_extra_info("socket")  # still there
+        self._connection._response.connection.transport.abort()
+
     async def _receive(self) -> dict:
         while True:
-            message = self._join.process_chunk((await self._socket.receive(timeout=20)).data)
+            message = self._join.process_chunk((await self._connection.receive(timeout=60)).data)
             if message is not None:
                 return message
 
@@ -91,23 +127,21 @@ def visit(window: Window, visitor: Callable[[Browser], Coroutine[Any, Any, None]
         opened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         serving = asyncio.ensure_future(web.serve(window, "127.0.0.1", 0, opened.set_result))
         port = await asyncio.wait_for(opened, 20)
-        line = f"http://127.0.0.1:{port}/ws"
+        address = f"http://127.0.0.1:{port}"
         try:
-            page = await asyncio.to_thread(urllib.request.urlopen, f"http://127.0.0.1:{port}/")
-            assert page.status == 200
-            assert b"<script" in page.read()
             async with aiohttp.ClientSession() as session:
-                assert page.headers["X-Frame-Options"] == "DENY"
-                with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
-                    await session.ws_connect(line, origin="http://another.page")
-                # a page whose name has come to mean this machine
+                async with session.get(f"{address}/") as page:
+                    assert page.status == 200
+                    assert page.headers["X-Frame-Options"] == "DENY"
+                    assert "<script" in await page.text()
+                # a page whose name has come to mean this machine, too
                 renamed = f"another.page:{port}"
-                with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
-                    await session.ws_connect(line, origin=f"http://{renamed}", headers={"Host": renamed})
-            async with aiohttp.ClientSession() as session, session.ws_connect(line, origin=line[:-3]) as connection:
-                browser = Browser(connection)
-                await browser.call("wslink.hello", {"secret": "wslink-secret"})
-                await browser.call("trame.rca.size", web.AREA, "browser", {"w": SIZE[0], "h": SIZE[1], "p": 1})
+                for headers in ({"Origin": "http://another.page"}, {"Origin": f"http://{renamed}", "Host": renamed}):
+                    with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                        await session.ws_connect(f"{address}/ws", headers=headers)
+                    async with session.post(f"{address}/picture", headers=headers, data=b"{}") as answer:
+                        assert answer.status == 403
+            async with Browser.open(address) as browser:
                 await visitor(browser)
         finally:
             serving.cancel()
@@ -123,9 +157,9 @@ def test_keys_move_the_body_and_pictures_show_it(window):
         before = await browser.picture()
         assert before.shape == (SIZE[1], SIZE[0], 3)
         assert len(np.unique(before.reshape(-1, 3), axis=0)) > 100
-        await browser.call("trame.trigger", "press", ["n"], {})
+        await browser.press("n")
         assert len(window.state.history) == 1
-        await browser.call("trame.trigger", "press", ["F4"], {})
+        await browser.press("F4")
         for _ in range(10):  # those before it may be on their way
             after = await browser.picture()
             if (np.abs(after.astype(int) - before).max(-1) > 50).mean() > 0.01:
@@ -138,13 +172,13 @@ def test_keys_move_the_body_and_pictures_show_it(window):
 
 def test_it_plays_while_it_serves(window):
     async def visitor(browser: Browser) -> None:
-        await browser.call("trame.trigger", "press", ["space"], {})
+        await browser.press("space")
         for _ in range(50):
             await browser.picture()
             if len(window.state.history) >= 3:
                 break
-        await browser.call("trame.trigger", "press", ["space"], {})
-        await browser.call("trame.trigger", "press", ["no key"], {})
+        await browser.press("space")
+        await browser.press("no key")
 
     visit(window, visitor)
     assert len(window.state.history) >= 3

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import socket
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,15 +15,15 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..errors import InputError
+from .pictures import Pictures
 from .window import Window
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 AREA = "demo"  # what messages about the picture are addressed to
 _REST = 0.015  # [s] between a picture and the next step, in which messages come and go
-_QUALITY = 85  # of JPEG; one for all, or each change would be drawn twice
-_PICTURES = 30  # a second, at most
 _PIXELS = 1_500_000  # of a picture, at most; screens have more
+_LOGS = ("wslink.protocol", "aiohttp.server")  # that say at length that a page is gone
 _MOVES = 50  # [ms] between places of the mouse
 _BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "space": " ",
@@ -33,13 +35,14 @@ _BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
 }
 _STYLE = """
 html, body { margin: 0; background: #fafafa; }
+.picture { position: absolute; inset: 0; width: 100%; height: 100%; pointer-events: none; }
 .busy, .idle { position: fixed; top: 45%; left: 20%; padding: 0.5em 1em; pointer-events: none; }
 .busy, .idle { font: 16px sans-serif; color: white; background: #14468c; border-radius: 6px; }
 .busy { opacity: 1; transition: opacity 0.1s 0.5s; }  /* what takes less shows by itself */
 .idle { opacity: 0; }
 """
 _PLACE = "position: absolute; inset: 0; min-width: 1200px; min-height: 750px"  # what words and buttons take
-_LISTEN = """
+_SCRIPT = """
 const keys = KEYS;
 document.addEventListener("keydown", event => {
   if (event.ctrlKey || event.altKey || event.metaKey || !(event.key in keys)) return;
@@ -47,6 +50,21 @@ document.addEventListener("keydown", event => {
   if (!event.repeat) window.trame.trigger("press", [keys[event.key]]);
 });
 document.addEventListener("pointerdown", () => setTimeout(() => window.trame.trigger("answer"), 100), true);
+const watch = async () => {
+  let shown = {number: 0, quality: 0, rate: 0};
+  for (;;) try {
+    await new Promise(requestAnimationFrame);  // the last one is on the screen; a hidden page asks for none
+    const asked = performance.now();
+    const answer = await fetch("picture", {method: "POST", body: JSON.stringify(shown)});
+    const told = JSON.parse(answer.headers.get("X-Picture")), file = await answer.blob();
+    const picture = document.querySelector(".picture"), address = URL.createObjectURL(file);
+    picture.src = address;
+    await picture.decode().finally(() => URL.revokeObjectURL(address));
+    const seconds = (performance.now() - asked) / 1000 - told.waited;
+    shown = {number: told.number, quality: told.quality, rate: file.size / Math.max(seconds, 0.001)};
+  } catch { await new Promise(done => setTimeout(done, 1000)); }
+};
+watch();
 """
 
 
@@ -73,8 +91,15 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
     """
     check_backend()
     asyncio.get_running_loop().set_exception_handler(_pass_over_closed_pages)
-    server = _make_page(window)
-    server.controller.on_server_bind.add(lambda wslink: wslink.app.middlewares.append(_make_guard(host)))
+    for name in _LOGS:
+        logging.getLogger(name).addFilter(_is_of_open_page)
+    server, pictures = _make_page(window)
+
+    def bind(wslink: Any) -> None:
+        wslink.app.middlewares.append(_make_guard(host))
+        wslink.app.router.add_post("/picture", _make_answer(pictures))
+
+    server.controller.on_server_bind.add(bind)
     server.controller.on_server_ready.add(lambda **_: ready(server.port))
     # thread: signals are asyncio's matter; timeout: the server stays when nobody looks
     options = {"thread": True, "timeout": 0, "open_browser": False, "show_connection_info": False}
@@ -91,19 +116,22 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
         ) from error
     finally:
         playing.cancel()
+        await pictures.close()
         if not serving.done():
             await server.stop()
 
 
-def _make_page(window: Window) -> Any:
-    trame, layouts, html, client, views = (
+def _make_page(window: Window) -> tuple[Any, Pictures]:
+    trame, layouts, html, client, areas, rca, encoders = (
         import_module(name)
         for name in (
             "trame.app",
             "trame.ui.html",
             "trame.widgets.html",
             "trame.widgets.client",
-            "trame_pyvista.rca_view",
+            "trame.widgets.rca",
+            "trame_rca.utils",
+            "trame_rca.encoders",
         )
     )
     server = trame.get_server(f"partdr {id(window)}", client_type="vue3")
@@ -114,17 +142,42 @@ def _make_page(window: Window) -> Any:
     plotter.iren.initialize()  # else VTK's widgets are deaf
     window.scene.screenshot()  # else PyVista takes none later
     plotter.suppress_rendering = True  # drawn when it is sent, and once is enough
+    pictures = Pictures(rca.VtkWindow(plotter.render_window), encoders.RcaImageEncoder.JPEG.encode)
+    # Not for each event: VTK and PyVista say when there is something to draw.
+    area = rca.RcaViewAdapter(pictures.rca, AREA, scheduler=pictures, do_schedule_render_on_interaction=False)
+    area.max_pixel_count = _PIXELS
+    plotter.iren.interactor.AddObserver("RenderEvent", lambda *_: pictures.schedule_render())
+    plotter.add_on_render_callback(lambda _: pictures.schedule_render())
     with layouts.DivLayout(server, style=_PLACE):
         client.Style(_STYLE)
-        client.Script(_LISTEN.replace("KEYS", json.dumps({browser_name(key): key for key in window.keys})))
-        view = views.PyVistaRCAView(
-            plotter, name=AREA, target_fps=_PICTURES, send_mouse_move=True, event_throttle_ms=_MOVES
-        )
+        client.Script(_SCRIPT.replace("KEYS", json.dumps({browser_name(key): key for key in window.keys})))
+        with areas.RemoteControlledArea(name=AREA, send_mouse_move=True, event_throttle_ms=_MOVES) as view:
+            html.Img(classes="picture")
+        view.add_view_handler(area)
         html.Div("working ...", classes=("trame__busy ? 'busy' : 'idle'",))  # for no picture comes meanwhile
-    view.handler.max_pixel_count = _PIXELS
-    view.handler.update_quality(_QUALITY, _QUALITY)
-    plotter.add_on_render_callback(lambda _: view.render())
-    return server
+    return server, pictures
+
+
+def _make_answer(pictures: Pictures) -> Any:
+    """What a page is answered that shows a picture and asks for the next."""
+    web = import_module("aiohttp.web")
+
+    async def answer(request: Any) -> Any:
+        if pictures.closed:
+            raise web.HTTPServiceUnavailable
+        clock = asyncio.get_running_loop().time
+        asked = clock()
+        try:
+            shown = await request.json()
+            number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise web.HTTPBadRequest(text=f"{error}; expected number, quality and rate") from error
+        picture = await pictures.after(number, quality, rate)
+        told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
+        headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
+        return web.Response(body=picture.content, content_type="image/jpeg", headers=headers)
+
+    return answer
 
 
 def _make_guard(host: str) -> Any:
@@ -142,10 +195,16 @@ def _make_guard(host: str) -> Any:
         if origin is not None and urlsplit(origin).netloc != request.host:
             raise web.HTTPForbidden(text="the demo takes messages from its own page only")
         response = await handler(request)
+        if isinstance(response, web.FileResponse):
+            response.enable_compression()  # a third of what the page's scripts are
         response.headers["X-Frame-Options"] = "DENY"
         return response
 
     return web.middleware(guard)
+
+
+def _is_of_open_page(record: logging.LogRecord) -> bool:
+    return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionResetError)
 
 
 def _pass_over_closed_pages(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
