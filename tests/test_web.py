@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import itertools
 import json
 import signal
@@ -108,8 +109,7 @@ class Browser:
 
     def break_off(self) -> None:
         """Be gone without a word, as when a page is closed while messages come."""
-        self._connection.get_extra_info("socket")  # still there
-        self._connection._response.connection.transport.abort()
+        self._connection.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
 
     async def _receive(self) -> dict:
         while True:
@@ -197,6 +197,143 @@ def test_a_click_chooses_a_part(window):
 
     visit(window, visitor)
     assert window.part == "right_forearm"
+
+
+class SlowLine:
+    """A line of 1 Mbit/s to a server: what comes back of all connections waits in one queue, however long it gets."""
+
+    RATE = 125_000  # bytes a second
+
+    def __init__(self, port: int) -> None:
+        self.passed = 0  # bytes
+        self._port = port
+        self._queue: asyncio.Queue[tuple[asyncio.StreamWriter, bytes]] = asyncio.Queue()
+
+    @classmethod
+    @asynccontextmanager
+    async def to(cls, address: str) -> AsyncIterator[tuple[SlowLine, str]]:
+        line = cls(int(address.rpartition(":")[2]))
+        carrying = asyncio.ensure_future(line._carry())
+        async with await asyncio.start_server(line._connect, "127.0.0.1", 0) as entry:
+            yield line, f"http://127.0.0.1:{entry.sockets[0].getsockname()[1]}"
+        carrying.cancel()
+
+    async def _carry(self) -> None:
+        while True:
+            writer, data = await self._queue.get()
+            await asyncio.sleep(len(data) / self.RATE)
+            self.passed += len(data)
+            writer.write(data)
+
+    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        server_reader, server_writer = await asyncio.open_connection("127.0.0.1", self._port)
+
+        async def come_back() -> None:
+            while data := await server_reader.read(1500):
+                self._queue.put_nowait((writer, data))
+            writer.close()
+
+        coming = asyncio.ensure_future(come_back())
+        while data := await reader.read(4096):
+            server_writer.write(data)
+        server_writer.close()
+        await coming
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(120):  # only what hangs takes as long
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def test_a_slow_line_is_never_full(window):
+    """At 1 Mbit/s, a click's answer and its picture come within what the line carries in a second."""
+
+    async def visitor(browser: Browser) -> None:
+        async with SlowLine.to(browser.address) as (line, address), Browser.open(address, (1280, 800)) as slow:
+
+            async def watch() -> None:
+                while True:
+                    await slow.picture()
+
+            watching = asyncio.ensure_future(watch())
+            await slow.press("space")
+            for _ in range(2):
+                count, steps = len(slow.told), len(window.state.history)
+                await until(lambda: len(slow.told) > count and len(window.state.history) > steps + 1)  # noqa: B023
+                passed = line.passed
+                await slow.press("i")
+                assert line.passed - passed < line.RATE
+                count = len(slow.told)  # the next may be older than the click, the one after it isn't
+                await until(lambda: len(slow.told) >= count + 2)  # noqa: B023
+                assert line.passed - passed < line.RATE
+            watching.cancel()
+        assert all(later["number"] > told["number"] for told, later in itertools.pairwise(slow.told))
+        assert slow.told[-1]["quality"] < 85
+
+    visit(window, visitor)
+    assert window.controls.playing
+
+
+def test_a_page_that_stands_still_holds_up_nobody(window):
+    drawn = []
+    window.scene.plotter.render_window.AddObserver("EndEvent", lambda *_: drawn.append(len(window.state.history)))
+
+    async def visitor(browser: Browser) -> None:
+        still = await asyncio.open_connection(*browser.address.removeprefix("http://").split(":"), limit=1000)
+        body = b'{"number": 0, "quality": 0, "rate": 1e9}'
+        head = f"POST /picture HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(body)}\r\n\r\n"
+        still[1].write(head.encode() + body)
+        assert await still[0].readexactly(15) == b"HTTP/1.1 200 OK"  # and reads no more of it
+        await browser.press("space")
+        before = len(drawn)
+        await until(lambda: len(window.state.history) > 10)
+        assert len(drawn) == before  # it asks for no other one, so none is drawn, and none waits
+        for count in range(3):
+            await browser.picture()
+            assert len(drawn) == before + count + 1
+            assert drawn[-1] >= 10 + count
+            await until(lambda: len(window.state.history) > drawn[-1])
+        still[1].transport.abort()
+
+    visit(window, visitor)
+
+
+def test_pages_come_and_go_while_it_plays_without_a_word(window, caplog, monkeypatch):
+    async def visitor(browser: Browser) -> None:
+        await browser.press("space")
+        for _ in range(3):
+            async with Browser.open(browser.address) as gone:
+                await gone.picture()
+                asking = asyncio.ensure_future(gone.picture())
+                for _ in range(30):
+                    await gone.send("trame.trigger", "answer", [], {})
+                gone.break_off()
+                steps = len(window.state.history)
+                await until(lambda: len(window.state.history) > steps + 2)  # noqa: B023
+                asking.cancel()
+        await browser.picture()
+        gc.collect()  # faults of tasks that nobody asks for are told then
+        await asyncio.sleep(0)
+        assert caplog.records == []
+        monkeypatch.setattr(window, "press", lambda key: 1 / 0)
+        await browser.send("trame.trigger", "press", ["n"], {})
+        await until(lambda: "ZeroDivisionError" in caplog.text)
+
+    visit(window, visitor)
+
+
+def test_a_malformed_ask(window):
+    async def visitor(browser: Browser) -> None:
+        import aiohttp
+
+        async with aiohttp.ClientSession() as session:
+            for body in (b"", b"[]", b"{}", b'{"number": "x", "quality": 0, "rate": 0}'):
+                async with session.post(f"{browser.address}/picture", data=body) as answer:
+                    assert answer.status == 400
+                    assert "expected number, quality and rate" in await answer.text()
+
+    visit(window, visitor)
 
 
 def test_keys_have_names_in_a_browser(window):

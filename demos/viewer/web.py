@@ -204,12 +204,12 @@ def _make_guard(host: str) -> Any:
 
 
 def _is_of_open_page(record: logging.LogRecord) -> bool:
-    return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionResetError)
+    return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionError)
 
 
 def _pass_over_closed_pages(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """A page that is closed while a picture is on its way is no fault."""
-    if not isinstance(context.get("exception"), ConnectionResetError):
+    if not isinstance(context.get("exception"), ConnectionError):
         loop.default_exception_handler(context)
 
 
