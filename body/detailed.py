@@ -16,13 +16,14 @@ from typing import Any
 import torch
 
 from .labels import label_set
+from .movable import Movable
 from .template import NUM_PARTS, PART_NAMES
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
 
 @dataclass(frozen=True, eq=False)
-class Detailed:
+class Detailed(Movable):
     """Posed bodies, in the frame of the translation [m].
 
     Attributes:

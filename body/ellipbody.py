@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import warp as wp
@@ -12,6 +12,7 @@ import warp as wp
 from ..kernels import kinematics
 from ..kernels.integers import check_whole
 from .icosphere import icosphere
+from .movable import Movable
 from .template import (
     LENGTH_NAMES,
     NUM_JOINTS,
@@ -58,8 +59,31 @@ def ellipbody_faces(subdivisions: int = DEFAULT_SUBDIVISIONS) -> tuple[np.ndarra
     return (faces[None] + offsets).reshape(-1, 3), labels
 
 
+class WarpArrays(Movable):
+    """Mixin for a dataclass of Warp arrays: their views and copies; it can be pickled and copied deeply."""
+
+    def torch(self) -> dict[str, torch.Tensor]:
+        """The same memory as torch tensors, such as rotations (B, 20, 3, 3): writing to one changes the body."""
+        return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
+
+    def numpy(self) -> dict[str, np.ndarray]:
+        """Copies on the host."""
+        return {field.name: getattr(self, field.name).numpy() for field in fields(self)}
+
+    def __copy__(self) -> Self:
+        return replace(self)  # over the same memory, as tensors' copies are
+
+    def __getstate__(self) -> dict[str, Any]:
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: (array.numpy(), array.dtype, array.device.alias) for name, array in arrays.items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, (values, dtype, device) in state.items():
+            self.__dict__[name] = wp.array(values, dtype=dtype, device=device)
+
+
 @dataclass(frozen=True)
-class PosedEllipBody:
+class PosedEllipBody(WarpArrays):
     """Where the bodies are, in the frame of ``translation`` (camera or world) [m].
 
     Attributes:
@@ -78,13 +102,9 @@ class PosedEllipBody:
     semi_axes: wp.array
     vertices: wp.array
 
-    def torch(self) -> dict[str, torch.Tensor]:
-        """The same memory as torch tensors: joints (B, 21, 3), rotations (B, 20, 3, 3), ..., vertices (B, 20, N, 3)."""
-        return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
-
 
 @dataclass
-class EllipBody:
+class EllipBody(WarpArrays):
     """A batch of B bodies: parameters only; ``pose`` says where that puts them.
 
     Attributes:
@@ -176,14 +196,6 @@ class EllipBody:
     def device(self) -> wp.Device:
         """Where the arrays are."""
         return self.lengths.device
-
-    def torch(self) -> dict[str, torch.Tensor]:
-        """The parameters as torch tensors over the same memory: writing to one changes the body."""
-        return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
-
-    def numpy(self) -> dict[str, np.ndarray]:
-        """Copies of the parameters on the host."""
-        return {field.name: getattr(self, field.name).numpy() for field in fields(self)}
 
     def pose(self, *, subdivisions: int = DEFAULT_SUBDIVISIONS) -> PosedEllipBody:
         """Joints, ellipsoids and mesh vertices of all bodies.

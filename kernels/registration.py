@@ -8,6 +8,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+DEEP = wp.constant(0.02)  # share of the way from an ellipsoid's centre to its surface
+
 
 @wp.func
 def radius(point: wp.vec3, centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3) -> float:
@@ -134,7 +136,11 @@ def vertex_costs(
                 distance = (e - 1.0) / steep
                 share = 1.0 / (1.0 + distance * distance / (scale * scale))
                 fit_cost += distance * distance * share
-                fit_slope += towards * (2.0 * distance * share * share / steep)
+                # The steepness has a slope as well. Near the centre, where a vertex hardly comes, the sum has no bound.
+                deep = wp.max(e, DEEP)
+                bend = axes[k] * wp.cw_div(wp.cw_div(unit, size), wp.cw_mul(size, size))
+                slope = (towards * (2.0 * e - 1.0) - bend * ((e - 1.0) / (deep * steep * steep))) / deep
+                fit_slope += slope * (2.0 * distance * share * share / steep)
     fit[i] = area * fit_cost
     penetration[i] = area * inside_cost
     fit_gradient[i] = fit_slope * area

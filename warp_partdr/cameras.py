@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import torch
 
+from .body.movable import Movable
 from .checks import FLOATS, check_tensor
 
 
 @dataclass(frozen=True)
-class WeakPerspective:
+class WeakPerspective(Movable):
     """u = s X + t_u, v = s Y + t_v.
 
     Attributes:
@@ -94,7 +95,7 @@ class WeakPerspective:
 
 
 @dataclass(frozen=True)
-class Perspective:
+class Perspective(Movable):
     """u = f_x X / Z + c_x, v = f_y Y / Z + c_y.
 
     Attributes:

@@ -225,7 +225,6 @@ def fit(
     others = tuple(other for other in people if other is not chosen)
     check_inside(chosen, next((seen.shape[:2] for seen in (picture, groups) if seen is not None), None))
 
-    import torch
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
@@ -256,10 +255,6 @@ def fit(
         (*RESULT_FILES, *DETAILED_FILES),
     )
     where = choose_device(device)
-    if where == "cpu":
-        # The tensors are small: threads that wait for one another cost far more than they save (measured on two busy
-        # cores: 20 s instead of 1.6 s).
-        torch.set_num_threads(1)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if network is not None and start is StartName.search:
         raise InputError(f"--network: {network}, with --start search, which has none; expected one of the two")

@@ -221,6 +221,8 @@ class LossRecipe:
     view: View
     options: Options
 
+    name = "ellipsoid_label_loss"
+
     @property
     def modules(self) -> Sequence[ModuleType]:
         """What it launches."""

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import torch
 
+from .body.movable import Movable
 from .cameras import Camera
 from .checks import FLOATS, check_image_size, check_near, check_numbers, check_tensor, check_whole
+from .derivatives import once, refuse_transforms
+from .ellipsoid_ops import label_maps, numbers_of
 from .ellipsoid_passes import (
     Gradient,
     Options,
@@ -27,6 +30,8 @@ from .loss_graph import Shapes, find_label_loss, split_rows
 from .mesh import MAX_LABEL
 from .posing import Posed
 from .render import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, Occlusion, check_gradient_options, weight_table
+
+_T = TypeVar("_T")
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 DEFAULT_STEPS_PER_PIXEL = 1.0
@@ -57,7 +62,7 @@ class _LaterImage(DrawnLater, EllipsoidImage):
 
 
 @dataclass(frozen=True)
-class Ellipsoids:
+class Ellipsoids(Movable):
     """B times P ellipsoids in the camera frame; ``Posed`` has the same fields and serves as well.
 
     Attributes:
@@ -90,6 +95,8 @@ def draw_ellipsoids(
 ) -> EllipsoidImage:
     """Draw ellipsoids in closed form; with ``num_maps`` the label maps carry gradients back.
 
+    Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
+
     Args:
         ellipsoids: P of them a body, at most 255; ``Posed`` or ``Ellipsoids``.
         camera: Weak perspective or perspective, one a body.
@@ -116,11 +123,14 @@ def draw_ellipsoids(
 
     Raises:
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
+        NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
     halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
-    tensors, view = _check(ellipsoids, camera, image_size, part_labels, near, validate)
+    tensors, view = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, near, validate)
     num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
+    if torch.compiler.is_compiling():
+        return _draw_compiled(tensors, view, options, num_maps)
     if num_maps == 0:
         with torch.no_grad():
             picture = draw(tensors, view)
@@ -146,6 +156,8 @@ def ellipsoid_label_loss(
 ) -> tuple[torch.Tensor, EllipsoidImage]:
     """L_seg (paper, eq. 6) against a label image and its gradient, in one go and without float maps.
 
+    It is a first one: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
+
     Args:
         ellipsoids: As in ``draw_ellipsoids``, like all that is not named here.
         camera: One a body.
@@ -166,16 +178,24 @@ def ellipsoid_label_loss(
 
     Raises:
         ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
+        NotImplementedError: As ``draw_ellipsoids``.
     """
+    refuse_transforms("ellipsoid_label_loss", target, label_weights)
     halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
     options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
-    tensors, view = _check(ellipsoids, camera, tuple(target.shape[1:]), part_labels, near, validate)
+    size = tuple(target.shape[1:])
+    tensors, view = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, near, validate)
     if target.device != ellipsoids.centres.device:
         raise ValueError(f"target: on {target.device}; expected {ellipsoids.centres.device}, as centres")
     if target.shape[0] not in (1, tensors[0].shape[0]):
         raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
     weights = weight_table(label_weights, target.device, validate)
+    if torch.compiler.is_compiling():
+        wanted = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+        numbers = numbers_of(view, options)
+        loss, _ = torch.ops.warp_partdr.ellipsoid_label_loss(*tensors, target.contiguous(), weights, wanted, *numbers)
+        return loss, _draw_compiled(tensors, view, options, 0)
     loss, rows = find_label_loss(loss_recipe(view, options), tensors, target, weights)
     return loss, _LaterImage(partial(_draw_rows, rows, tuple([tensor.shape for tensor in tensors]), view))
 
@@ -190,7 +210,17 @@ def _draw_rows(rows: torch.Tensor, shapes: Shapes, view: View) -> dict[str, torc
 _Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
-@lru_cache(maxsize=64)
+def _cached(function: Callable[..., _T]) -> Callable[..., _T]:
+    """``lru_cache``, but not while ``torch.compile`` traces: it would warn of one."""
+    kept = lru_cache(maxsize=64)(function)
+
+    def call(*arguments: Any) -> _T:
+        return function(*arguments) if torch.compiler.is_compiling() else kept(*arguments)
+
+    return call
+
+
+@_cached
 def _options(
     gradient: Gradient,
     occlusion: Occlusion,
@@ -209,6 +239,7 @@ def _options(
 
 
 def _check(
+    name: str,
     ellipsoids: Ellipsoids | Posed,
     camera: Camera,
     image_size: tuple[int, ...],
@@ -216,11 +247,12 @@ def _check(
     near: float | None,
     validate: bool,
 ) -> tuple[_Tensors, View]:
-    """What both entry points share."""
+    """What both entry points share, of which ``name`` is one."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
     if not hasattr(camera, "intrinsics"):  # any other camera that has them will do
         check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
     centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
+    refuse_transforms(name, centres, axes, semi_axes, intrinsics)
     check_tensor("centres", centres, (None, None, 3), dtypes=FLOATS)
     batch, count = centres.shape[:2]
     like = ("centres", centres)
@@ -232,8 +264,8 @@ def _check(
     height, width = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
-    labels = _part_labels(part_labels, count)
-    if validate:
+    labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
+    if validate and not torch.compiler.is_compiling():
         numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
         check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
     near = check_near(near, camera.perspective, DEFAULT_NEAR)
@@ -242,10 +274,17 @@ def _check(
     return tensors, view
 
 
-_view = lru_cache(maxsize=64)(View)
+def _draw_compiled(tensors: _Tensors, view: View, options: Options, num_maps: int) -> EllipsoidImage:
+    """The picture, by an operation that ``torch.compile`` leaves out where nobody looks at it."""
+    given = tensors if num_maps else [tensor.detach() for tensor in tensors]
+    maps, labels, depth, parts = torch.ops.warp_partdr.ellipsoid_maps(*given, num_maps, *numbers_of(view, options))
+    return EllipsoidImage(labels, depth, parts, maps if num_maps else None)
 
 
-def _part_labels(given: Sequence[int] | None, count: int) -> tuple[int, ...]:
+_view = _cached(View)
+
+
+def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
     if given is None:
         return tuple(range(1, count + 1))
     labels = tuple(check_whole("part_labels", label, 0, 255) for label in given)
@@ -259,8 +298,7 @@ class _Maps(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
         *tensors, view, options, num_maps = inputs
         picture = draw(tensors, view)
-        index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=picture.labels.device)
-        maps = (picture.labels[:, None] == index[:, None, None]).float()
+        maps = label_maps(picture.labels, num_maps)
         ctx.save_for_backward(*tensors)
         ctx.picture, ctx.view, ctx.options = picture, view, options
         ctx.mark_non_differentiable(picture.labels, picture.depth, picture.parts)
@@ -272,5 +310,6 @@ class _Maps(torch.autograd.Function):
         grads: tuple[torch.Tensor | None, ...] = (None,) * 4
         if incoming[3] is not None:
             wanted = dense_gradient(incoming[3])
-            grads = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, wanted)
+            found = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, wanted)
+            grads = once("draw_ellipsoids", found, incoming[3], *ctx.saved_tensors)
         return *grads, None, None, None

@@ -17,6 +17,7 @@ import torch
 from .body.ellipbody import DEFAULT_SUBDIVISIONS
 from .body.labels import LabelSet
 from .body.landmarks import landmark_points
+from .body.movable import Movable
 from .cameras import WeakPerspective
 from .ellipsoid_passes import Gradient
 from .ellipsoids import draw_ellipsoids, ellipsoid_label_loss
@@ -57,7 +58,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Observation:
+class Observation(Movable):
     """What is known of the person, in a square crop of side 2 (coordinates -1 to 1).
 
     Attributes:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS
+from .body.movable import Movable
 from .body.template import NUM_PARTS
 from .cameras import Crop, WeakPerspective
 from .energy import REFERENCE_SIZE, Energy, LandmarkGather, Observation, Renderer, Weights
@@ -33,6 +34,7 @@ from .refinement import refine
 from .render import DEFAULT_DEPTH_WEIGHT, PartImage, rasterize_parts
 from .sides import choose_sides
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
+from .torch_threads import one_torch_thread
 
 Progress = Callable[[str, int, int], None]
 
@@ -103,7 +105,7 @@ class FitOptions:
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(Movable):
     """A fitted body.
 
     Attributes:
@@ -174,6 +176,7 @@ class FitResult:
         return rasterize_parts(vertices, ellipbody_mesh(subdivisions, device=vertices.device), image_size)
 
 
+@one_torch_thread()
 def fit_body(
     keypoints: Keypoints2D,
     parts: PartLabels | None = None,

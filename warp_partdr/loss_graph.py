@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import torch
 import warp as wp
 
+from .derivatives import once
 from .kernels.threads import get_num_threads, launch_in_slices, run_slices, split_batch
 from .streams import capture_graph, launching, on_torch_stream
 
@@ -61,6 +62,11 @@ class Recipe(Protocol):
     def __hash__(self) -> int: ...
 
     @property
+    def name(self) -> str:
+        """Of the public function."""
+        ...
+
+    @property
     def modules(self) -> Sequence[ModuleType]:
         """Python modules of the kernels it launches."""
         ...
@@ -95,9 +101,9 @@ def find_label_loss(
         if wanted and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
             loss, rows = _graph(recipe, shapes, target)(tensors, target, weights)
         else:
-            loss, rows = _launch(recipe, shapes, wanted, tensors, target, weights)
+            loss, rows = launch_label_loss(recipe, wanted, tensors, target, weights)
     if wanted:
-        loss = LabelLoss.apply((loss, rows), *tensors)
+        loss = LabelLoss.apply(recipe.name, (loss, rows), *tensors)
     return loss, rows
 
 
@@ -105,20 +111,23 @@ class LabelLoss(torch.autograd.Function):
     """A loss whose gradient was found with it, and waits for a factor."""
 
     @staticmethod
-    def forward(ctx: Any, found: tuple[torch.Tensor, torch.Tensor], *tensors: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, name: str, found: tuple[torch.Tensor, torch.Tensor], *tensors: torch.Tensor) -> torch.Tensor:
         """The loss; ``found`` is a tuple, in which autograd sees no tensors."""
         loss, rows = found
         ctx.save_for_backward(rows)
-        ctx.shapes = tuple([tensor.shape for tensor in tensors])
+        # Not saved as rows are, for they may be written to until then: only their shapes and history are asked for.
+        ctx.name, ctx.tensors = name, tensors
         return loss
 
     @staticmethod
     def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
         """One multiplication serves all tensors."""
         (rows,) = ctx.saved_tensors
+        shapes = tuple([tensor.shape for tensor in ctx.tensors])
         scaled = rows.select(0, 1) * grad_loss.unsqueeze(1)
-        views = zip(_layout(ctx.shapes), ctx.needs_input_grad[1:], strict=True)
-        return None, *[_view(scaled, place) if needed else None for place, needed in views]
+        views = zip(_layout(shapes), ctx.needs_input_grad[2:], strict=True)
+        gradients = tuple([_view(scaled, place) if needed else None for place, needed in views])
+        return None, None, *once(ctx.name, gradients, grad_loss, *ctx.tensors)
 
 
 def split_rows(rows: torch.Tensor, shapes: Shapes) -> tuple[torch.Tensor, ...]:
@@ -137,7 +146,7 @@ def _view(rows: torch.Tensor, place: _Place) -> torch.Tensor:
 @lru_cache(maxsize=64)
 def _layout(shapes: Shapes) -> list[_Place]:
     """Where the tensors are in rows."""
-    length, layout, start = _row_length(shapes), [], 0
+    length, layout, start = row_length(shapes), [], 0
     for shape in shapes:
         inner = [math.prod(shape[k + 1 :]) for k in range(1, len(shape))]
         layout.append((shape, (length, *inner), start))
@@ -145,21 +154,18 @@ def _layout(shapes: Shapes) -> list[_Place]:
     return layout
 
 
-def _row_length(shapes: Shapes) -> int:
+def row_length(shapes: Shapes) -> int:
+    """R, how many numbers a body has."""
     return sum(math.prod(shape[1:]) for shape in shapes)
 
 
-def _launch(
-    recipe: Recipe,
-    shapes: Shapes,
-    wanted: bool,
-    tensors: tuple[torch.Tensor, ...],
-    target: torch.Tensor,
-    weights: torch.Tensor,
+def launch_label_loss(
+    recipe: Recipe, wanted: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss and rows, in fresh buffers and launch by launch."""
+    """Loss and rows, in fresh buffers and launch by launch; with ``wanted``, ``rows[1]`` is the gradient."""
+    shapes = tuple([tensor.shape for tensor in tensors])
     (batch, height, width), device = (shapes[0][0], *target.shape[1:]), target.device
-    rows = torch.empty(2 if wanted else 1, batch, _row_length(shapes), device=device)
+    rows = torch.empty(2 if wanted else 1, batch, row_length(shapes), device=device)
     inputs = split_rows(rows[0], shapes)
     grads = split_rows(rows[1], shapes) if wanted else ()
     torch._foreach_copy_(inputs, tensors)
@@ -188,7 +194,7 @@ class LossGraph:
 
     def __init__(self, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device) -> None:
         batch, (_, height, width) = shapes[0][0], targets
-        self._rows = torch.zeros(2, batch, _row_length(shapes), device=device)
+        self._rows = torch.zeros(2, batch, row_length(shapes), device=device)
         self._inputs, grads = (split_rows(rows, shapes) for rows in self._rows)
         self._target = torch.zeros(targets, dtype=torch.uint8, device=device)
         self._weights, self._copied = torch.zeros(256, device=device), torch.empty(0)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
 
 from .body.ellipbody import DEFAULT_SUBDIVISIONS, ellipbody_faces
+from .body.movable import Movable
+
+Edges = Literal["silhouette", "all"]
 
 MAX_LABEL = 254  # 0 is background and 255 means ignore
 
 
 @dataclass(frozen=True)
-class PartMesh:
+class PartMesh(Movable):
     """Topology shared by a whole batch; make one with ``PartMesh.from_faces`` or ``ellipbody_mesh``.
 
     Attributes:
@@ -23,11 +27,21 @@ class PartMesh:
         face_labels: Label 1 to 254 that a face shows, shape (F,), uint8.
         edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
             two labels, a border and each part of a non-manifold edge stand alone (other face -1).
+        num_labels: The highest label of a face, 255 aside; 0 without faces.
+        num_vertices: How many vertices the faces ask for at least.
     """
 
     faces: torch.Tensor
     face_labels: torch.Tensor
     edges: torch.Tensor
+    num_labels: int = field(init=False)
+    num_vertices: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        # Here and not when first asked for, which may be while torch.compile traces: then tensors have no numbers.
+        labels = self.face_labels[self.face_labels <= MAX_LABEL]
+        object.__setattr__(self, "num_labels", int(labels.max()) if labels.numel() else 0)
+        object.__setattr__(self, "num_vertices", int(self.faces.max()) + 1 if self.faces.numel() else 0)
 
     @classmethod
     def from_faces(cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu") -> PartMesh:
@@ -60,30 +74,17 @@ class PartMesh:
             edges=torch.from_numpy(_find_edges(faces, face_labels)).to(device),
         )
 
-    def to(self, device: torch.device | str) -> PartMesh:
-        """The same mesh on another device."""
-        return PartMesh(self.faces.to(device), self.face_labels.to(device), self.edges.to(device))
-
-    @cached_property
-    def num_labels(self) -> int:
-        """The highest label of a face, 255 aside; 0 without faces."""
-        labels = self.face_labels[self.face_labels <= MAX_LABEL]
-        return int(labels.max()) if labels.numel() else 0
-
-    @cached_property
-    def num_vertices(self) -> int:
-        """How many vertices the faces ask for at least."""
-        return int(self.faces.max()) + 1 if self.faces.numel() else 0
-
     @cached_property
     def every_edge(self) -> torch.Tensor:
         """Each face's three edges alone, shape (3 F, 6): what NMR's rule (``edges="all"``) walks over."""
-        count = self.faces.shape[0]
-        face = torch.arange(count, dtype=torch.int32, device=self.faces.device)
-        none = torch.full_like(face, -1)
-        a, b, c = self.faces.unbind(1)
-        corners = ((a, b, c), (b, c, a), (c, a, b))
-        return torch.cat([torch.stack([i, j, face, none, k, k], dim=1) for i, j, k in corners])
+        return _split_edges(self.faces)
+
+    def walked_edges(self, edges: Edges) -> torch.Tensor:
+        """Those whose x, y gradient is looked for: a public function's ``edges`` says which."""
+        if edges == "silhouette":
+            return self.edges
+        # torch.compile can't trace what ``cached_property`` does the first time.
+        return _split_edges(self.faces) if torch.compiler.is_compiling() else self.every_edge
 
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
@@ -113,6 +114,14 @@ class PartMesh:
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
     """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
     return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
+
+
+def _split_edges(faces: torch.Tensor) -> torch.Tensor:
+    face = torch.arange(faces.shape[0], dtype=torch.int32, device=faces.device)
+    none = torch.full_like(face, -1)
+    a, b, c = faces.unbind(1)
+    corners = ((a, b, c), (b, c, a), (c, a, b))
+    return torch.cat([torch.stack([i, j, face, none, k, k], dim=1) for i, j, k in corners])
 
 
 def _find_edges(faces: np.ndarray, labels: np.ndarray) -> np.ndarray:

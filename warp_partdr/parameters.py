@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
+from .body.movable import Movable
 from .body.rotations import rotation_from_6d, rotation_from_axis_angle
 from .body.template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
 from .cameras import WeakPerspective
@@ -24,7 +25,7 @@ ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the or
 
 
 @dataclass(frozen=True)
-class BodyParameters:
+class BodyParameters(Movable):
     """B bodies, each seen by a weak-perspective camera in a square crop of side 2 (coordinates -1 to 1).
 
     Attributes:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
 import warp as wp
 
+from . import plain_posing
 from .body.ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
+from .body.movable import Movable
 from .body.template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
 from .checks import check_numbers, check_tensor, contiguous
+from .derivatives import is_transformed
 from .kernels import kinematics
 from .streams import on_torch_stream
 
@@ -18,8 +22,8 @@ _WARP_TYPES = {torch.float32: (wp.float32, wp.vec3f, wp.mat33f), torch.float64: 
 
 
 @dataclass(frozen=True)
-class Posed:
-    """Posed bodies, differentiable, in the frame of the translation [m].
+class Posed(Movable):
+    """Posed bodies, differentiable any number of times, in the frame of the translation [m].
 
     Attributes:
         joints: ``JOINT_NAMES``, shape (B, 21, 3).
@@ -37,7 +41,8 @@ class Posed:
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
-        return _Vertices.apply(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
+        place = plain_posing.place_vertices if _in_torch(self.centres, self.axes, self.semi_axes) else _Vertices.apply
+        return place(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
 
 
 def pose(
@@ -49,7 +54,7 @@ def pose(
     *,
     validate: bool = True,
 ) -> Posed:
-    """Pose EllipBody (paper, eq. 13 and 14).
+    """Pose EllipBody (paper, eq. 13 and 14); differentiable any number of times, also by ``torch.func``.
 
     Args:
         global_orient: Rotation of the whole body, shape (B, 3, 3).
@@ -58,7 +63,8 @@ def pose(
             ``rotation_from_axis_angle`` make some.
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
-        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
+        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device. Not
+            under ``torch.func`` and ``torch.compile``, which know no numbers.
 
     Returns:
         The posed bodies; float32 or float64, as the arguments.
@@ -77,10 +83,23 @@ def pose(
     }
     for name, (tensor, shape) in shapes.items():
         check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
+    parameters = (global_orient, translation, rotations, lengths, thicknesses)
+    if _in_torch(*parameters):
+        return Posed(*plain_posing.pose_bones(*parameters))
     if validate:
         numbers = {name: tensor for name, (tensor, _) in shapes.items()}
         check_numbers(numbers, rotations=("global_orient", "rotations"))
-    return Posed(*_Bones.apply(global_orient, translation, rotations, lengths, thicknesses))
+    return Posed(*_Bones.apply(*parameters))
+
+
+def _in_torch(*tensors: torch.Tensor) -> bool:
+    """Whether plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
+    return torch.compiler.is_compiling() or is_transformed(*tensors)
+
+
+def _differentiable(*adjoints: torch.Tensor) -> bool:
+    """Whether a backward pass has to be differentiable itself, under ``create_graph``, or is one of many under vmap."""
+    return torch.is_grad_enabled() or is_transformed(*adjoints)
 
 
 def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
@@ -104,12 +123,15 @@ class _Bones(torch.autograd.Function):
                 for t, k in ((joints, vec), (rotations, mat), (centres, vec), (axes, mat), (semi_axes, vec))
             ]
             kinematics.launch_pose(tree, inputs, *outputs)
-        ctx.save_for_backward(parameters[0], parameters[2], lengths, rotations)
+        ctx.save_for_backward(*parameters, rotations)
         return joints, rotations, centres, axes, semi_axes
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        global_orient, local_rotations, lengths, rotations = ctx.saved_tensors
+        *parameters, rotations = ctx.saved_tensors
+        if _differentiable(*adjoints):
+            return torch.func.vjp(plain_posing.pose_bones, *parameters)[1](adjoints)
+        global_orient, _, local_rotations, lengths, _ = parameters
         scalar, vec, mat = _WARP_TYPES[lengths.dtype]
         # The kernel gathers into the first two, which autograd may share with others: copies.
         adjoints = (
@@ -147,13 +169,16 @@ class _Vertices(torch.autograd.Function):
             vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
             inputs = (_from_torch(centres, vec), _from_torch(axes, mat), _from_torch(semi_axes, vec))
             kinematics.launch_vertices(tree, *inputs, _from_torch(vertices, vec))
-        ctx.save_for_backward(axes, semi_axes)
+        ctx.save_for_backward(centres, axes, semi_axes)
         ctx.subdivisions = subdivisions
         return vertices
 
     @staticmethod
     def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        axes, semi_axes = ctx.saved_tensors
+        centres, axes, semi_axes = ctx.saved_tensors
+        if _differentiable(adj_vertices):
+            place = partial(plain_posing.place_vertices, subdivisions=ctx.subdivisions)
+            return *torch.func.vjp(place, centres, axes, semi_axes)[1](adj_vertices), None
         scalar, vec, mat = _WARP_TYPES[axes.dtype]
         gradients = (
             axes.new_empty(semi_axes.shape),

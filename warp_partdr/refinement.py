@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
+from .body.movable import Movable
 from .checks import check_whole
 from .errors import check_type
 from .parameters import BodyParameters
@@ -22,7 +23,7 @@ SIZES = {"lengths": (0.6, 1.4), "thicknesses": (0.4, 1.6)}
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refined(Movable):
     """Where a refinement ended.
 
     Attributes:

@@ -95,8 +95,6 @@ def register_body(
     check_folder(out)
     check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
     where = choose_device(device)
-    if where == "cpu":
-        torch.set_num_threads(1)  # as ``fit`` does
     detailed_model = read_model(model, where)
     names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))

@@ -18,14 +18,17 @@ from .body.detailed import Detailed, DetailedModel
 from .body.detailed_pose import pose_from_ellipbody
 from .body.growth import MEASURES, UNGROWN, Growth
 from .body.icosphere import icosphere
+from .body.movable import Movable
 from .body.rotations import rotation_from_axis_angle
 from .body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
 from .checks import check_numbers, check_tensor, check_whole
+from .derivatives import once
 from .errors import check_type
 from .kernels import registration as kernels
 from .posing import Posed
 from .refinement import check_steps
 from .streams import on_torch_stream
+from .torch_threads import one_torch_thread
 
 # Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
 # from its middle, say how thick a limb is.
@@ -104,7 +107,7 @@ class RegistrationOptions:
 
 
 @dataclass(frozen=True)
-class Registered:
+class Registered(Movable):
     """Detailed bodies that clothe EllipBodies.
 
     Attributes:
@@ -134,6 +137,7 @@ class Registered:
         return self.model.rest(self.shape, stretches=self.stretches)
 
 
+@one_torch_thread()
 def register(
     posed: Posed,
     model: DetailedModel,
@@ -504,13 +508,14 @@ class _VertexCosts(torch.autograd.Function):
                 ],
                 outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
             )
-        ctx.save_for_backward(gradients)
+        ctx.save_for_backward(vertices, gradients)
         return fit.sum(-1), penetration.sum(-1)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        (gradients,) = ctx.saved_tensors
-        return (torch.stack(adjoints)[..., None, None] * gradients).sum(0), None, None, None, None
+        vertices, gradients = ctx.saved_tensors
+        found = (torch.stack(adjoints)[..., None, None] * gradients).sum(0)
+        return *once("register", (found,), *adjoints, vertices), None, None, None, None
 
 
 def _vectors(tensor: torch.Tensor) -> wp.array:

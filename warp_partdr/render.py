@@ -16,16 +16,16 @@ import torch
 import warp as wp
 
 from .checks import FLOATS, check_finite, check_image_size, check_near, check_tensor, check_whole, contiguous
+from .derivatives import once, raise_second_derivative, refuse_transforms
 from .errors import check_type
 from .kernels import map_gradient, push_xy, push_z, rasterize
 from .kernels.side_stream import launch_side_by_side
 from .kernels.threads import launch_in_slices
 from .later import DrawnLater
 from .loss_graph import Buffers, find_label_loss
-from .mesh import MAX_LABEL, PartMesh
+from .mesh import MAX_LABEL, Edges, PartMesh
 from .streams import on_torch_stream
 
-Edges = Literal["silhouette", "all"]
 Occlusion = Literal["depth", "paper"]
 
 IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
@@ -70,6 +70,8 @@ def rasterize_parts(
 ) -> PartImage:
     """Draw a part-labelled mesh; with ``num_maps`` the part maps carry gradients back to the vertices.
 
+    Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
+
     Args:
         vertices: Projected vertices (u [px], v [px], z [m]), shape (B, V, 3); a camera's ``project`` gives them.
         mesh: Topology and labels, on the same device.
@@ -92,17 +94,20 @@ def rasterize_parts(
 
     Raises:
         ValueError: If a shape, size, dtype or option is wrong, devices differ, or ``vertices`` holds NaN or infinity.
+        NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
+    refuse_transforms("rasterize_parts", vertices)
     check_gradient_options(occlusion, max_distance, depth_weight)
     near, height, width = _check(vertices, mesh, image_size, perspective, near, edges, validate)
     num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
-    if num_maps == 0:
+    compiling = torch.compiler.is_compiling()
+    if num_maps == 0 and not compiling:
         with torch.no_grad():
             labels, depth, face_index = _rasterize(
                 vertices.float(), mesh.faces, mesh.face_labels, height, width, near, perspective
             )
         return PartImage(labels, depth, face_index)
-    walked = mesh.edges if edges == "silhouette" else mesh.every_edge
+    walked = mesh.walked_edges(edges)
     options = (
         num_maps,
         height,
@@ -114,9 +119,10 @@ def rasterize_parts(
         float(max_distance),
         float(depth_weight),
     )
-    function = torch.ops.warp_partdr.part_maps if torch.compiler.is_compiling() else _PartMaps.apply
-    maps, labels, depth, face_index = function(vertices.float(), mesh.faces, mesh.face_labels, walked, *options)
-    return PartImage(labels, depth, face_index, maps)
+    function = torch.ops.warp_partdr.part_maps if compiling else _PartMaps.apply
+    given = (vertices.float() if num_maps else vertices.detach().float(), mesh.faces, mesh.face_labels, walked)
+    maps, labels, depth, face_index = function(*given, *options)
+    return PartImage(labels, depth, face_index, maps if num_maps else None)
 
 
 def label_loss(
@@ -134,6 +140,8 @@ def label_loss(
     validate: bool = True,
 ) -> tuple[torch.Tensor, PartImage]:
     """L_seg (paper, eq. 6) against a label image, and its gradient, without making part maps.
+
+    It is a first one: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
 
     Args:
         vertices: Projected vertices (u [px], v [px], z [m]), shape (B, V, 3).
@@ -153,7 +161,9 @@ def label_loss(
 
     Raises:
         ValueError: As ``rasterize_parts``, or if ``target`` does not fit the batch.
+        NotImplementedError: As ``rasterize_parts``.
     """
+    refuse_transforms("label_loss", vertices, target, label_weights)
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
     check_tensor("target", target, (vertices.shape[0], None, None), dtypes=(torch.uint8,), like=("vertices", vertices))
     check_gradient_options(occlusion, max_distance, depth_weight)
@@ -164,7 +174,7 @@ def label_loss(
         if strange.any():
             label = int(target[strange][0])
             raise ValueError(f"target: label {label}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore")
-    walked = mesh.edges if edges == "silhouette" else mesh.every_edge
+    walked = mesh.walked_edges(edges)
     options = (
         mesh.num_labels,
         near,
@@ -459,7 +469,8 @@ class _PartMaps(torch.autograd.Function):
     def backward(ctx: Any, *gradients: torch.Tensor | None) -> Any:
         grad_vertices = None
         if gradients[0] is not None:
-            grad_vertices = _maps_backward(ctx.saved_tensors, gradients[0], ctx.options)
+            found = _maps_backward(ctx.saved_tensors, gradients[0], ctx.options)
+            (grad_vertices,) = once("rasterize_parts", (found,), gradients[0], ctx.saved_tensors[0])
         return grad_vertices, *([None] * (3 + len(ctx.options)))
 
 
@@ -533,7 +544,7 @@ class _LossRecipe:
     edges: torch.Tensor
     options: tuple[int, float, bool, bool, bool, float, float]
 
-    modules = rasterize, push_xy, push_z
+    name, modules = "label_loss", (rasterize, push_xy, push_z)
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
         return math.prod(rasterize.pixel_lanes((batch, height, width), device.type == "cpu")[1:])
@@ -635,6 +646,7 @@ def _backward_part_maps(ctx: Any, grad_maps: torch.Tensor, *rest: Any) -> Any:
 
 
 _part_maps_op.register_autograd(_backward_part_maps, setup_context=_setup_part_maps)
+_part_maps_backward_op.register_autograd(lambda ctx, grad: raise_second_derivative("rasterize_parts"))
 
 
 @torch.library.custom_op("warp_partdr::label_loss", mutates_args=())
@@ -709,6 +721,7 @@ def _backward_label_loss(ctx: Any, grad_loss: torch.Tensor, *rest: Any) -> Any:
 
 
 _label_loss_op.register_autograd(_backward_label_loss, setup_context=_setup_label_loss)
+_label_loss_backward_op.register_autograd(lambda ctx, grad: raise_second_derivative("label_loss"))
 
 
 def _fake_image(vertices: torch.Tensor, batch: int, height: int, width: int) -> tuple[torch.Tensor, ...]:

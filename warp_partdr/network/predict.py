@@ -9,6 +9,7 @@ import torch
 from ..energy import Observation, resize_nearest
 from ..errors import check_each, check_type
 from ..parameters import BodyParameters
+from ..torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, map_shares
 from .landmarks import network_keypoints
 
@@ -29,6 +30,7 @@ def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Te
     return label_shares(labels[None], table[None], torch.zeros(1, dtype=torch.int64, device=device))[0], keypoints
 
 
+@one_torch_thread()
 @torch.no_grad()
 def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -> BodyParameters:
     """Bodies that a network sees in observations, without refinement.

@@ -13,6 +13,8 @@ import torch.distributed as dist
 from torch import nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from ..derivatives import once
+
 
 def normalise_jointly(model: nn.Module) -> nn.Module:
     """The model with a ``JointBatchNorm`` in the place of each batch normalisation, with the same parameters."""
@@ -106,4 +108,5 @@ class _Normalise(torch.autograd.Function):
         dist.all_reduce(joint)
         share = -weight * inverse / count
         through = through + _normalise(values, share * joint[0], share * joint[1], mean, variance, ctx.eps)
-        return through, of_weight, of_bias, None, None, None, None
+        found = once("JointBatchNorm", (through, of_weight, of_bias), *gradients, values, weight)
+        return *found, None, None, None, None

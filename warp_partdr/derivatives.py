@@ -1,0 +1,65 @@
+"""Derivatives that kernels do not have: the second ones of what is drawn, and those that ``torch.func`` asks for.
+
+Without these, autograd would take a kernel's gradient for a constant, and say nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+
+def is_transformed(*tensors: torch.Tensor | None) -> bool:
+    """Whether ``torch.func`` has wrapped one of them, as ``vmap`` and ``grad`` do: no kernel can read it."""
+    return any(isinstance(t, torch.Tensor) and torch._C._functorch.is_functorch_wrapped_tensor(t) for t in tensors)
+
+
+def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
+    """Raise NotImplementedError if ``torch.func`` has wrapped one of a function's tensors.
+
+    Args:
+        name: Of the public function.
+        tensors: Its arguments.
+    """
+    if not torch.compiler.is_compiling() and is_transformed(*tensors):
+        raise NotImplementedError(
+            f"{name}: called under torch.func; expected plain tensors: torch.autograd.grad or backward instead of "
+            "grad and jacrev, and the batch dimension instead of vmap"
+        )
+
+
+def once(name: str, gradients: tuple[torch.Tensor | None, ...], *tensors: torch.Tensor) -> Any:
+    """The gradients, and under ``create_graph=True`` such that to differentiate them raises NotImplementedError.
+
+    ``torch.autograd.function.once_differentiable`` looks at the incoming gradients alone, so it is silent where only
+    the inputs could be differentiated.
+
+    Args:
+        name: Of the public function.
+        gradients: With respect to its arguments.
+        tensors: What they depend on: incoming gradients and the arguments.
+    """
+    if not torch.is_grad_enabled():
+        return gradients
+    known = [gradient for gradient in gradients if gradient is not None]
+    marked = iter(_Once.apply(name, len(known), *known, *tensors))
+    return tuple(None if gradient is None else next(marked) for gradient in gradients)
+
+
+class _Once(torch.autograd.Function):
+    """The first ``count`` tensors, as if they depended on the others."""
+
+    @staticmethod
+    def forward(ctx: Any, name: str, count: int, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        ctx.name = name
+        return tuple(tensor.clone() for tensor in tensors[:count])
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> Any:
+        raise_second_derivative(ctx.name)
+
+
+def raise_second_derivative(name: str) -> None:
+    """Raise NotImplementedError: the function has a first derivative alone."""
+    raise NotImplementedError(f"{name}: differentiated twice; expected once: its gradient has no derivative")
