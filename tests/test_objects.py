@@ -18,12 +18,16 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.cameras import Crop, Perspective
 from warp_partdr.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from warp_partdr.energy import Observation
+from warp_partdr.evidence import Evidence
 from warp_partdr.fitting import FitResult
+from warp_partdr.keypoints import Keypoints2D
 from warp_partdr.mesh import ellipbody_mesh
 from warp_partdr.parameters import BodyParameters
 from warp_partdr.quality import STAGES
 from warp_partdr.refinement import Refined
 from warp_partdr.registration import Registered
+
+CROP = Crop(1.0, 2.0, 0.5, (256, 256))
 
 
 def objects(device):
@@ -43,7 +47,7 @@ def objects(device):
     )
     fit = FitResult(
         body,
-        Crop(1.0, 2.0, 0.5, (256, 256)),
+        CROP,
         seen,
         STAGES["network"]["balanced"],
         {"proj": 1.0},
@@ -52,6 +56,7 @@ def objects(device):
         1,
         [2.0],
         "network",
+        Evidence(Keypoints2D("coco17", np.zeros((17, 2), np.float32), np.ones(17, np.float32)), None, CROP, None),
     )
     terms = {"icp": torch.arange(2.0, device=device)}
     ones = torch.ones(2, 27, device=device)
