@@ -90,8 +90,8 @@ def rotation_from_6d(first: wp.vec3, second: wp.vec3):
     y = second
     if is_collinear(x, second):
         y = least_axis(x)
-    y = unit(y - wp.dot(x, y) * x)
-    y = unit(y - wp.dot(x, y) * x)
+    for _ in range(2):  # the first leaves rounding of the order of a nearly collinear column
+        y = unit(y - wp.dot(x, y) * x)
     return wp.matrix_from_cols(x, y, wp.cross(x, y))
 
 

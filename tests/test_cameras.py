@@ -73,3 +73,15 @@ def test_weak_and_perspective_agree_in_the_origins_plane():
     torch.testing.assert_close(
         far.project(POINTS + away[:, None])[..., :2], weak().project(POINTS)[..., :2], atol=1e-2, rtol=0
     )
+
+
+def test_a_weak_camera_takes_the_mean_focal_length():
+    """Of pixels that are not square: at the body's depth it is too wide by as much as it is too low."""
+    point = torch.tensor([[0.5, -0.25, 2.0]], dtype=DOUBLE)
+    camera = full().to_weak(point)
+    torch.testing.assert_close(camera.scale, torch.tensor([925.0 / 2], dtype=DOUBLE))
+    torch.testing.assert_close(camera.translation, torch.tensor([[545.0, 121.25]], dtype=DOUBLE))
+    aside = torch.tensor([[[0.1, 0.1, 0.0]]], dtype=DOUBLE)
+    off = (camera.project(aside) - full().project(point + aside))[0, 0]
+    assert off[0] > 1
+    assert off[1] == pytest.approx(-off[0])

@@ -7,12 +7,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from test_missing_labels import standing
 
 from warp_partdr import cli
 from warp_partdr.body.labels import label_set
@@ -24,7 +26,7 @@ from warp_partdr.datasets.spin import SPIN_JOINTS
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation import METHODS, Failure, Method, Report, evaluate, no_labels, silhouette, tables
 from warp_partdr.keypoint_files import read_keypoints
-from warp_partdr.keypoints import Keypoints2D
+from warp_partdr.keypoints import Keypoints2D, person_height
 from warp_partdr.metrics import pa_mpjpe
 from warp_partdr.part_files import PartLabels
 from warp_partdr.scoring import Pixels, Score, score, scoring_classes, summarise
@@ -115,6 +117,37 @@ def test_what_is_not_known_is_not_scored(rng):
     assert found.pa_mpjpe == pytest.approx(0, abs=1e-3)
 
 
+def test_background_that_keypoints_contradict_is_disputed():
+    """Labels lost an arm that the body has: wrong where its pixels are background, and not where that is disputed."""
+    whole = standing()[1].groups
+    keypoints, parts = standing("left_forearm", "left_hand")
+    body = SimpleNamespace(
+        hypotheses=1,
+        camera=Body.camera,
+        landmarks=lambda names: np.zeros((len(names), 3), np.float32),
+        draw=lambda size: SimpleNamespace(labels=torch.from_numpy(whole)[None]),
+    )
+    sample = Sample("made", "one", keypoints, parts=parts, target=parts.groups)
+    pixels = score(sample, "parts", body, 1.0).pixels
+    lost = np.isin(whole, [part("left_forearm"), part("left_hand")]).sum()
+    arm = CLASSES.index("left_arm")
+    assert pixels.parts[0, arm] == lost > 50
+    assert pixels.undisputed[0, arm] < 0.3 * lost
+    np.testing.assert_array_equal(pixels.undisputed[1:], pixels.parts[1:])
+
+
+@pytest.mark.parametrize("zoom", [1.0, 3.0])
+def test_keypoint_distances_are_shares_of_the_height(rng, zoom):
+    """They are the same in a picture of any size."""
+    sample, body = person(rng)
+    points = (zoom * sample.keypoints.points).astype(np.float32)
+    keypoints = replace(sample.keypoints, points=points)
+    body.joints[:, 0] += 0.1  # 10 px
+    body.camera = WeakPerspective(zoom * Body.camera.scale, zoom * Body.camera.translation)
+    found = score(replace(sample, keypoints=keypoints, parts=None, target=None), "parts", body, 1.0)
+    assert found.keypoints == pytest.approx(10 / person_height(sample.keypoints), rel=1e-4)
+
+
 def test_rendered_parts_and_labels_are_grouped_alike():
     classes, from_groups, from_parts = scoring_classes(CDCL)
     lsp6 = label_set("lsp6")
@@ -170,6 +203,35 @@ def test_pixels_are_pooled_and_joints_averaged():
     strange = replace(other, pixels=replace(other.pixels, classes=("background", *"abcdef")))
     with pytest.raises(ValueError, match="expected one label set"):
         summarise([other, strange])
+
+
+def test_figures_are_of_their_own_counts(rng):
+    """Of four matrices that have nothing to do with each other: each figure is that of its own."""
+    parts, undisputed, filled = rng.integers(1, 100, (3, 7, 7))
+    foreground = rng.integers(1, 100, (2, 2))
+    pixels = Pixels(CLASSES, parts, undisputed, filled, foreground)
+    summary = summarise([replace(made_score(None, 1.0), pixels=pixels)])
+
+    def f1(counts: np.ndarray) -> float:
+        classes = range(len(counts))
+        return float(np.mean([2 * counts[c, c] / (counts[c].sum() + counts[:, c].sum()) for c in classes]))
+
+    both = np.array(
+        [
+            [undisputed[0, 0], undisputed[0, 1:].sum()],
+            [undisputed[1:, 0].sum(), undisputed[1:, 1:].sum()],
+        ]
+    )
+    expected = {
+        "foreground_accuracy": np.trace(foreground) / foreground.sum(),
+        "foreground_f1": f1(foreground),
+        "part_accuracy": np.trace(filled) / filled.sum(),
+        "part_f1": f1(parts),
+        "undisputed_foreground_f1": f1(both),
+        "undisputed_part_f1": f1(undisputed),
+    }
+    assert np.diff(sorted(expected.values())).min() > 1e-3  # or one might stand for another
+    assert {name: summary[name] for name in expected} == pytest.approx(expected, abs=1e-4)
 
 
 def test_report_pools_each_source_and_method():

@@ -187,6 +187,20 @@ def test_files_that_are_no_networks_are_named(network, tmp_path):
         load_label_network(path)
 
 
+def test_a_file_too_large_is_refused_unread(tmp_path):
+    """A network has at most 1 GiB; of a larger file nothing is read."""
+    path = tmp_path / "network.safetensors"
+    with path.open("wb") as file:
+        file.truncate(2**30 + 1)  # takes no room on the disk
+    with pytest.raises(InputError, match="more than 1024 MiB; expected a network"):
+        load_label_network(path)
+    with path.open("r+b") as file:
+        file.truncate(2**30)
+    with pytest.raises(InputError) as refused:
+        load_label_network(path)
+    assert "more than" not in str(refused.value)
+
+
 def test_predict_writes_a_body_for_each_picture(network, tmp_path, monkeypatch, capsys):
     example = resources.files("warp_partdr") / "assets/example"
     folder = tmp_path / "pictures"

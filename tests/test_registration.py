@@ -36,11 +36,13 @@ from warp_partdr.body.template import (
 from warp_partdr.detailed_files import bvh, glb, save_detailed
 from warp_partdr.posing import Posed, pose
 from warp_partdr.registration import (
+    BAND,
     MATCHED_JOINTS,
     Registered,
     RegistrationOptions,
     RegistrationWeights,
     _Cells,
+    _Loss,
     _VertexCosts,
     register,
     shape_from_lengths,
@@ -272,8 +274,7 @@ def test_closest_points_are_on_the_same_part_of_the_same_body(device: str) -> No
         mesh = trimesh.Trimesh(bodies[body].cpu().numpy(), faces.cpu().numpy(), process=False)
         chosen = slice(k * count, (k + 1) * count)
         there = (found[body, chosen] > 0).cpu().numpy()
-        if not there.any():
-            continue
+        assert there.any()
         centroids = mesh.triangles.mean(1)
         points = samples[body, chosen].cpu().numpy()[there]
         # No closer than to any vertex or centroid of the part, and near.
@@ -281,6 +282,84 @@ def test_closest_points_are_on_the_same_part_of_the_same_body(device: str) -> No
         got = distances[body, chosen].cpu().numpy()[there]
         assert (got <= bound.min(1) + 1e-5).all()
         assert (got >= bound.min(1) - 0.03).all()
+
+
+def far_apart(device: str) -> Posed:
+    """Spheroids of many sizes, 10 m from each other; the second one is half within the first."""
+    numbers = torch.arange(NUM_PARTS, device=device, dtype=torch.float32)
+    centres = torch.stack([10 * numbers, 0 * numbers, 0 * numbers], dim=1)
+    semi_axes = torch.stack([0.1 + 0.02 * numbers, 0.3 - 0.01 * numbers, 0.3 - 0.01 * numbers], dim=1)
+    semi_axes[:2] = 0.2
+    centres[1] = centres[0] + torch.tensor([0.0, 0.2, 0.0], device=device)
+    axes = torch.eye(3, device=device).expand(1, NUM_PARTS, 3, 3)
+    joints = torch.zeros(1, len(JOINT_NAMES), 3, device=device)
+    return Posed(joints, axes, centres[None], axes, semi_axes[None])
+
+
+def test_samples_share_the_area_that_shows(device: str) -> None:
+    posed = far_apart(device)
+    samples, weights = (tensor[0].cpu().double().numpy() for tensor in surface_samples(posed))
+    samples, weights = samples.reshape(NUM_PARTS, -1, 3), weights.reshape(NUM_PARTS, -1)
+    assert weights.sum() == pytest.approx(1)
+    for own, other in ((0, 1), (1, 0)):
+        covered = np.linalg.norm(samples[own] - posed.centres[0, other].cpu().numpy(), axis=1) < 0.2
+        assert 0.2 < covered.mean() < 0.6
+        np.testing.assert_array_equal(weights[own] == 0, covered)
+    assert (weights[2:] > 0).all()
+    # The zone |x| < BAND a of a spheroid: 2 pi b times the integral of sqrt(a² (1 - u²) + b² u²).
+    u = np.linspace(-BAND, BAND, 1001)
+    a, b = posed.semi_axes[0, 2:, :2].cpu().double().numpy().T[..., None]
+    zones = (b * np.sqrt(a**2 * (1 - u**2) + b**2 * u**2)).mean(1)
+    np.testing.assert_allclose(weights[2:].sum(1) / weights[2:].sum(), zones / zones.sum(), rtol=0.02)
+
+
+def loss_of(device: str, options: RegistrationOptions) -> tuple[_Loss, dict[str, torch.Tensor]]:
+    """Of bodies 4 cm beside their EllipBodies, of some shape and turned a little."""
+    model, posed = anny(torch.device(device)), ellipbodies(device)
+    generator = torch.Generator().manual_seed(1)
+    shape = 0.1 * torch.randn(2, model.num_shapes, generator=generator).to(device)
+    turns = 0.1 * torch.randn(2, 5, 3, generator=generator).to(device)
+    pose_, translation = pose_from_ellipbody(model, posed, shape)
+    detailed = model.pose(shape, pose_, translation + 0.04)
+    loss = _Loss(model, posed, options)
+    loss.search(detailed.vertices)
+    return loss, {**loss(detailed, shape, turns), "vertices": detailed.vertices}
+
+
+@pytest.mark.parametrize(
+    ("name", "weighed"),
+    [
+        ("joints", ["joints"]),
+        ("icp", ["icp_to_mesh", "icp_to_ellipsoids"]),
+        ("penetration", ["penetration"]),
+        ("shape", ["shape"]),
+        ("pose", ["pose"]),
+    ],
+)
+def test_weights_weigh_their_own_terms(name: str, weighed: list[str], device: str) -> None:
+    even = RegistrationWeights(joints=1.0, icp=1.0, penetration=1.0, shape=1.0, pose=1.0)
+    _, terms = loss_of(device, RegistrationOptions(weights=even))
+    _, changed = loss_of(device, RegistrationOptions(weights=replace(even, **{name: 3.0})))
+    for other, term in terms.items():
+        assert (term.abs() > 0).any()
+        torch.testing.assert_close(changed[other], term * (3.0 if other in weighed else 1.0))
+
+
+def test_far_samples_count_less(device: str) -> None:
+    """A sample's weight is the slope of Geman and McClure's cost of its squared distance."""
+    options = RegistrationOptions(scale=0.02)
+    loss, terms = loss_of(device, options)
+    batch = torch.arange(2, device=device)[:, None, None]
+    nearest = (terms["vertices"][batch, loss.corners] * loss.places[..., None]).sum(-2)
+    squares = (nearest - loss.samples).square().sum(-1).detach().requires_grad_()
+    cost = squares / (1 + squares / options.scale**2)
+    (slope,) = torch.autograd.grad(cost.sum(), squares)
+    near = loss.icp_weights > 0
+    assert near.any()
+    torch.testing.assert_close(loss.icp_weights[near], (loss.sample_weights * slope)[near], rtol=1e-4, atol=0)
+    shares = (loss.icp_weights / loss.sample_weights)[near]
+    assert shares.min() < 0.2
+    assert shares.max() > 0.8
 
 
 def test_what_is_in_the_mouth_is_no_skin(device: str) -> None:

@@ -88,3 +88,21 @@ def test_6d_without_direction_is_a_rotation(columns):
 def test_6d_round_trip():
     rotation = torch.from_numpy(Rotation.random(20, rng=0).as_matrix())
     torch.testing.assert_close(rotation_from_6d(rotation_to_6d(rotation)), rotation)
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4, 1e-5])
+def test_6d_of_nearly_collinear_columns(gap):
+    """The second axis lies where the columns' small difference points, and is square to the first all the same."""
+    axes = torch.from_numpy(Rotation.random(20, rng=0).as_matrix()).float()
+    first, aside = axes[..., 0], axes[..., 1]
+    rotation = rotation_from_6d(torch.cat([first, first + gap * aside], dim=-1))
+    assert is_rotation(rotation, 1e-6)
+    assert (rotation - axes).abs().max() < 1e-6 / gap
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-6, 4e-5, 1e-3, 1.0, 3.0, np.pi - 1e-6, np.pi + 1e-6, 4.0, 6.0])
+def test_axis_angle_is_the_shortest_way(angle):
+    axes = torch.cat([torch.eye(3), torch.nn.functional.normalize(torch.randn(20, 3), dim=-1)]).double()
+    turned = rotation_to_axis_angle(rotation_from_axis_angle(angle * axes))
+    shortest = angle if angle <= np.pi else angle - 2 * np.pi
+    torch.testing.assert_close(turned, shortest * axes, rtol=1e-6, atol=1e-6 * abs(shortest))
