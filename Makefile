@@ -3,6 +3,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 PYTEST_ARGS ?=
+MUTANTS_ARGS ?=
 
 BIN := $(VENV)/bin
 # -qq: errors only.
@@ -13,7 +14,7 @@ SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help fit demo test install dev lint format types pictures wheel-check clean
+.PHONY: help fit demo test mutants install dev lint format types pictures wheel-check clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
@@ -30,6 +31,9 @@ demo: $(VENV)/.installed-demo  ## open the interactive demo, in a browser where 
 
 test: $(VENV)/.installed-dev  ## run the tests, in two processes; PYTEST_ARGS="-k name" chooses
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
+
+mutants: $(VENV)/.installed-dev  ## break the code a line at a time: do the tests notice? MUTANTS_ARGS=--quick tries a few
+	$(BIN)/python scripts/mutants.py $(MUTANTS_ARGS)
 
 install: $(VENV)/.installed  ## make .venv and install the package into it, editable
 dev: $(VENV)/.installed-dev  ## the same with what tests, linter and type checker need

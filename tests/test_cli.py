@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import HANG
 from PIL import Image
 from test_detailed import save_npz
 
@@ -114,7 +115,7 @@ def test_help_is_quick(line: str, tmp_path: Path) -> None:
         f"import sys; sys.argv = ['partdr', *{line.split()}]\nfrom warp_partdr import cli\n"
         f"try: cli.main()\nexcept SystemExit as left: sys.exit(left.code or repr({heavy} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=HANG)
     assert done.stderr.strip() == "set()"
 
 
@@ -423,7 +424,7 @@ def test_only_register_lets_parts_grow(
 def test_a_real_process_prints_one_line_too(files: Path) -> None:
     code = "from warp_partdr.cli import main; main()"
     line = [*GOOD.split(), "--device", "tpu"]  # found out last, when torch and Warp are loaded
-    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=HANG)
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
@@ -441,7 +442,7 @@ def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
         "quality.STAGES['network']['balanced'] = (quality.Stage('labels', 2, 4, 0.02, 64),)\ncli.main()"
     )
     line = [*GOOD.split(), "--device", "cpu"]
-    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=HANG)
     assert (done.returncode, done.stderr) == (0, "")
     first, second, third = done.stdout.splitlines()
     assert "label network" in first

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import HANG
 from PIL import Image
 from test_missing_labels import standing
 
@@ -334,7 +335,7 @@ def test_parts_beat_keypoints_on_a_real_photo(shared, tmp_path):
     people = shared / "data" / "people"
     command = [Path(sys.executable).with_name("partdr"), "evaluate", "folder", people]
     options = ["--limit", "1", "--device", "cpu", "--out", out]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=HANG)
     assert done.returncode == 0, done.stderr
     assert "part" in done.stdout
     rows = json.loads(out.read_text())["pooled"]["people"]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import HANG
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -647,4 +648,4 @@ def test_importing_inputs_loads_no_picture_library() -> None:
     import sys
 
     code = "import warp_partdr.inputs, sys; sys.exit(bool({'PIL', 'torch', 'pyvista'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=HANG).returncode == 0

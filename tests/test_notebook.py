@@ -6,6 +6,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from conftest import HANG
 from nbclient import NotebookClient
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "demos" / "partdr.ipynb"
@@ -30,7 +31,7 @@ def test_it_runs_anywhere(monkeypatch, tmp_path):
     """Nothing of it lies beside it, and it leaves nothing behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     notebook = read()
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(notebook, timeout=HANG, resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert list(tmp_path.iterdir()) == []
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     faults = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]

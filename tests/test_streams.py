@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 import warp as wp
+from conftest import HANG
 from test_fitting import seen_by, walker
 
 from warp_partdr.ellipsoids import draw_ellipsoids
@@ -33,7 +34,7 @@ def test_a_capture_waits_for_launches_and_launches_for_it():
             waiting = pool.submit(capture_graph, launch, cpu)
             assert not waiting.done()
             order.append("launched")
-        waiting.result(timeout=10)
+        waiting.result(timeout=HANG)
     assert order == ["launched", "captured"]
 
 
@@ -103,7 +104,7 @@ def test_others_may_use_the_default_stream_during_a_capture(device):
             assert math.isfinite(sum(fit_body(keypoints, parts, options=options, device=device).energy.values()))
         finally:
             done.set()
-        other.result(timeout=10)
+        other.result(timeout=HANG)
 
 
 def test_two_threads_capture_at_once_again_and_again(device):

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tiny_task
 import torch
+from conftest import HANG
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from tiny_task import TASK
@@ -85,28 +87,45 @@ def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch,
     assert not same(load_file(tmp_path / "whole/model.safetensors"), newest(tmp_path / "whole").tensors["model"])
 
 
-def test_a_killed_process_loses_the_steps_since_its_last_checkpoint_alone(tmp_path):
-    numbers = {"steps": 40, "checkpoint_every": 3, "data": {"pause": 0.03}}
-    command = [sys.executable, script(tmp_path, "killed", numbers)]
-    process = subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL)
-    folder = tmp_path / "killed/checkpoints"
-    deadline = time.monotonic() + 60
-    while len(list_checkpoints(folder)) < 2 and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    step = newest(tmp_path / "killed").about["step"]
-    assert 6 <= step < 40
+# Code that has a process kill itself: while it makes batch 8, or when checkpoint 3 is written, but not in its place.
+IN_A_STEP = """
+import os, signal, tiny_task
+batch = tiny_task.TinyTask.batch
+def killed(self, device):
+    if self.made == 7:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return batch(self, device)
+tiny_task.TinyTask.batch = killed
+"""
+IN_A_CHECKPOINT = """
+import os, signal
+from warp_partdr.training import checkpoints
+replace = os.replace
+def killed(source, target):
+    if target.name == "step-00000009":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return replace(source, target)
+os.replace = killed
+"""
+
+
+@pytest.mark.parametrize("first", [IN_A_STEP, IN_A_CHECKPOINT])
+def test_a_killed_process_loses_the_steps_since_its_last_checkpoint_alone(tmp_path, first):
+    numbers = {"steps": 12, "checkpoint_every": 3}
+    command = [sys.executable, script(tmp_path, "killed", numbers, first)]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=HANG)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert newest(tmp_path / "killed").about["step"] == 6
 
     rest = train(config(tmp_path / "killed", **numbers), resume=True, device="cpu")
     train(config(tmp_path / "whole", **numbers), device="cpu")
-    assert rest.report["resumed_at"] == step
+    assert rest.report["resumed_at"] == 6
     assert same(flat(tmp_path / "killed"), flat(tmp_path / "whole"))
     assert lines(tmp_path / "killed") == lines(tmp_path / "whole")
 
 
-def script(folder: Path, out: str, numbers: dict) -> Path:
-    """A file that trains into a folder beside it, where TensorBoard is not installed."""
+def script(folder: Path, out: str, numbers: dict, first: str = "") -> Path:
+    """A file that trains into a folder beside it, where TensorBoard is not installed; ``first`` is done before."""
     path = folder / f"{out}.py"
     path.write_text(
         f"""
@@ -115,6 +134,7 @@ sys.modules["tensorboard"] = None
 from pathlib import Path
 from tiny_task import tiny_config
 from warp_partdr.training.loop import train
+{first}
 train(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(numbers)!r})), device="cpu")
 """
     )
@@ -139,7 +159,7 @@ def train_in_two(tmp_path: Path, numbers: dict) -> list[str]:
         place |= {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port)}
         started = subprocess.Popen([sys.executable, path], env=environment() | place, stderr=subprocess.PIPE, text=True)
         processes.append(started)
-    said = [process.communicate(timeout=120)[1] for process in processes]
+    said = [process.communicate(timeout=HANG)[1] for process in processes]
     assert [process.returncode for process in processes] == [0, 0], said
     return said
 
@@ -330,11 +350,21 @@ def test_schedule(tmp_path):
     assert learning_rate(numbers, second, 9, 1.0) == pytest.approx(0.0001)
 
 
-def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path):
-    values = {"steps": 100_000, "minutes": 0.01, "log_every": 1, "data": {"pause": 0.02}}
+def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
+    """By a clock on which a batch takes a second."""
+    batch, now = tiny_task.TinyTask.batch, itertools.count(1)
+    clock = SimpleNamespace(now=0, monotonic=lambda: clock.now)
+
+    def timed(self, device):
+        clock.now = next(now)
+        return batch(self, device)
+
+    monkeypatch.setattr(tiny_task.TinyTask, "batch", timed)
+    monkeypatch.setattr("warp_partdr.training.loop.time", clock)
+    values = {"steps": 100_000, "minutes": 0.5, "log_every": 1}
     trained = train(config(tmp_path, validate_every=0, **values), device="cpu")
     assert trained.stopped is None
-    assert 2 < trained.step < 40
+    assert trained.step == 30
     assert (tmp_path / "model.safetensors").exists()
     rates = [line["learning_rate"] for line in lines(tmp_path, "rate")]
     assert rates == sorted(rates, reverse=True)

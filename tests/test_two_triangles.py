@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from conftest import HANG
 from PIL import Image
 
 from warp_partdr.render import label_loss
@@ -100,7 +101,7 @@ def test_demo_writes_its_picture(device, tmp_path):
     """As a user runs it: in a process of its own, where nothing else has started Warp."""
     out = tmp_path / "folder" / "picture.png"
     command = [sys.executable, str(DEMOS / "two_triangles.py"), "--out", str(out), "--device", device]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=HANG, check=False)
     assert ran.returncode == 0, ran.stderr
     assert "Parts (PartDR): reached" in ran.stdout
     assert "Full silhouette: stalled" in ran.stdout

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import HANG
 from typer.testing import CliRunner
 
 from warp_partdr.body.template import PART_NAMES
@@ -113,7 +114,7 @@ class Browser:
 
     async def _receive(self) -> dict:
         while True:
-            message = self._join.process_chunk((await self._connection.receive(timeout=60)).data)
+            message = self._join.process_chunk((await self._connection.receive(timeout=HANG)).data)
             if message is not None:
                 return message
 
@@ -126,7 +127,7 @@ def visit(window: Window, visitor: Callable[[Browser], Coroutine[Any, Any, None]
 
         opened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         serving = asyncio.ensure_future(web.serve(window, "127.0.0.1", 0, opened.set_result))
-        port = await asyncio.wait_for(opened, 20)
+        port = await asyncio.wait_for(opened, HANG)
         address = f"http://127.0.0.1:{port}"
         try:
             async with aiohttp.ClientSession() as session:
@@ -366,9 +367,9 @@ def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):
         assert running.stdout is not None
         while "shows the demo" not in (said := running.stdout.readline()):
             assert said, running.communicate()
-        assert urllib.request.urlopen(said.split()[0], timeout=20).status == 200
+        assert urllib.request.urlopen(said.split()[0], timeout=HANG).status == 200
         running.send_signal(signal.SIGINT)
-        _, faults = running.communicate(timeout=20)
+        _, faults = running.communicate(timeout=HANG)
     assert "Traceback" not in faults
     assert running.returncode == 0
 

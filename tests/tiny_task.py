@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +23,10 @@ class TinyModel:
 
 @dataclass(frozen=True)
 class TinyData:
-    """``joint``: the processes share batches of so many rows; ``pause``: how long a batch takes [s]."""
+    """``joint``: the processes share batches of so many rows."""
 
     noise: float = 0.1
     joint: int = 0
-    pause: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,6 @@ class TinyTask:
 
     def batch(self, device: torch.device) -> TinyBatch:
         data = self.config.data
-        time.sleep(data.pause)
         count = data.joint or self.config.batch_size
         inputs = torch.randn(count, self.config.model.inputs, generator=self.generator)
         wanted = inputs.sum(1, keepdim=True) + data.noise * torch.randn(count, 1, generator=self.generator)
