@@ -27,9 +27,20 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def links(page: Path) -> list[str]:
+    """Where the page's links go."""
+    return re.findall(r"\[[^\]]*\]\(([^)]+)\)", page.read_text())
+
+
+def test_pages_have_links_and_examples():
+    """Or the tests below would look at nothing."""
+    assert sum(len(links(page)) for page in PAGES) > 50
+    assert all(any(blocks(page, language) for page in PAGES) for language in ("json", "python"))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_and_json(page):
-    for link in re.findall(r"\[[^\]]*\]\(([^)]+)\)", page.read_text()):
+    for link in links(page):
         if "://" in link:
             continue
         name, _, anchor = link.partition("#")

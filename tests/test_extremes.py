@@ -366,8 +366,10 @@ def test_extreme_faces(device, name, perspective, edges):
 # --- Bodies at the camera -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("depth", [-3.0, -0.5, 0.0, 0.2, 0.6, 1e4])
-def test_bodies_behind_across_and_around_the_camera(device, depth):
+@pytest.mark.parametrize(
+    ("depth", "shows"), [(-3.0, False), (-0.5, False), (0.0, None), (0.2, True), (0.6, True), (1e4, False)]
+)
+def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
     """What lies in front of it is drawn, what reaches it is not, and no gradient is lost to infinity."""
     size = (40, 32)
     camera = body_camera(size, True, device=device)
@@ -390,10 +392,8 @@ def test_bodies_behind_across_and_around_the_camera(device, depth):
         assert (vertices[0, :, 2][drawn] > 0.01).all()
         for gradients in torch.autograd.grad(loss.sum(), list(leaves.values())):
             assert torch.isfinite(gradients).all()
-    if depth < 0 or depth == 1e4:
-        assert not (picture.labels > 0).any() or depth > 0
-    everything_behind = depth == -3.0
-    assert not (everything_behind and (image.labels > 0).any())
+    if shows is not None:  # at the camera itself, parts of a mesh may be in front where no whole ellipsoid is
+        assert [bool((each.labels > 0).any()) for each in (image, picture)] == [shows, shows]
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-8, math.pi - 1e-6, math.pi, 2 * math.pi])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import pytest
 import torch
@@ -23,16 +23,21 @@ from warp_partdr.streams import capture_graph, on_torch_stream
 
 def test_a_capture_waits_for_launches_and_launches_for_it():
     order: list[str] = []
-    cpu = torch.device("cpu")
+    cpu, begun = torch.device("cpu"), threading.Event()
 
     def launch():
         with on_torch_stream(cpu):  # the capturing thread itself may
             order.append("captured")
 
+    def capture():
+        begun.set()
+        return capture_graph(launch, cpu)
+
     with ThreadPoolExecutor(1) as pool:
         with on_torch_stream(cpu), on_torch_stream(cpu):
-            waiting = pool.submit(capture_graph, launch, cpu)
-            assert not waiting.done()
+            waiting = pool.submit(capture)
+            assert begun.wait(HANG)
+            assert not wait([waiting], timeout=0.2).done  # time enough for one that does not wait
             order.append("launched")
         waiting.result(timeout=HANG)
     assert order == ["launched", "captured"]
