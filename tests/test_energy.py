@@ -45,6 +45,16 @@ def test_landmarks_of_a_part_share_its_vote(device):
     assert Energy(faint).votes.tolist() == pytest.approx([0.1] * 17)
 
 
+def test_keypoints_cost_their_way_along_either_axis(device):
+    """L1, as the paper has it: 4 px to the right and 3 px up are 7 px."""
+    body = walker(device)
+    energy = Energy(observation_of(body, device), weights=Weights(proj=1.0))
+    for across, up in ((4.0, 0.0), (0.0, 3.0), (4.0, -3.0)):
+        moved = replace(body, shift=body.shift + torch.tensor([across, up], device=device) / 128)
+        cost = energy(moved)["proj"].item()
+        assert cost == pytest.approx((abs(across) + abs(up)) * energy.votes.sum().item(), rel=1e-3)
+
+
 @pytest.mark.parametrize("name", [field.name for field in fields(Weights)])
 def test_each_weight_weighs_its_own_term(device, name):
     body = walker(device)

@@ -106,6 +106,16 @@ def test_score_by_hand(rng):
     assert masked.foreground.tolist() == [[180, 0], [40, 380]]
 
 
+def test_vertices_are_measured_from_the_middle_of_the_hips(rng):
+    """Hips that are wrong the opposite ways leave the pelvis where it is."""
+    sample, body = person(rng)
+    hips = [LSP.index(name) for name in ("left_hip", "right_hip")]
+    body.joints[hips] += [[0.1, 0.0, -0.2], [-0.1, 0.0, 0.2]]
+    assert score(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(0, abs=1e-3)
+    body.joints[hips] += [0.03, 0.0, 0.0]
+    assert score(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(30, abs=1e-2)
+
+
 def test_what_is_not_known_is_not_scored(rng):
     sample, body = person(rng)
     found = score(replace(sample, parts=None, target=None, joints=None), "keypoints only", body, 1.0)

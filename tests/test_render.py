@@ -412,10 +412,12 @@ def test_hidden_pixels_serve_again(device):
     torch.testing.assert_close(sums[3], 2 * sums[1], rtol=1e-4, atol=1e-4 * float(sums[1].abs().max()))
 
 
-def test_shared_edges_are_drawn_once(device):
+@pytest.mark.parametrize("middle", [8.0, 7.5])
+def test_shared_edges_are_drawn_once(device, middle):
     """A fan of triangles tiles a square exactly: no pixel is missed, and the fill rule gives each to one face."""
     size = (16, 16)
-    centre = [8.0, 8.0, 1.0]  # on pixel corners; rim vertices lie on pixel centres, edges run through many of them
+    # On pixel corners, or on centres, with edges of all eight directions through others. So are the rim's vertices.
+    centre = [middle, middle, 1.0]
     rim = [[x + 0.5, y + 0.5, 1.0] for x, y in [(0, 0), (7, 0), (15, 0), (15, 7), (15, 15), (7, 15), (0, 15), (0, 7)]]
     vertices = np.array([[centre, *rim]], dtype=np.float32)
     faces = np.array([[0, 1 + k, 1 + (k + 1) % 8] for k in range(8)])

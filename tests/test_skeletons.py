@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from warp_partdr.body.landmarks import LANDMARKS, landmark_points, landmark_positions, mirror_name
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, convert, joint_map, skeleton
-from warp_partdr.body.template import JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from warp_partdr.body.template import (
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    SHAPE_INDICES,
+    template,
+)
 
 NAMES = list(SKELETONS)
 
@@ -70,6 +78,21 @@ def test_left_and_right_mirror_each_other(at: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(at[mirror_name(name)], position * [-1, 1, 1], atol=1e-9, err_msg=name)
         if "left" in name:
             assert position[0] > 0, name
+
+
+CHAINS = {
+    ("shoulder", "elbow", "wrist", "fingertip"): ("upper arm", "forearm", "hand"),
+    ("hip", "knee", "ankle", "toe"): ("upper leg", "lower leg", "foot"),
+}
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_limbs_hang_on_their_own_side(at: dict[str, np.ndarray], side: str) -> None:
+    """From the shoulder to the fingertip and from the hip to the toe, bones are as long as they are called."""
+    for joints, bones in CHAINS.items():
+        for start, end, bone in zip(joints, joints[1:], bones, strict=False):
+            length = template().mean_lengths[LENGTH_NAMES.index(bone)]
+            assert np.linalg.norm(at[f"{side}_{end}"] - at[f"{side}_{start}"]) == pytest.approx(length), bone
 
 
 def test_landmarks_follow_their_part(rest: dict[str, np.ndarray], rng: np.random.Generator) -> None:
