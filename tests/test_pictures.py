@@ -44,7 +44,7 @@ async def waits(task: asyncio.Future[Picture]) -> bool:
     return not task.done()
 
 
-@pytest.mark.parametrize(("rate", "quality"), [(0, 20), (25, 20), (100, 40), (200, 75), (1e9, 85)])
+@pytest.mark.parametrize(("rate", "quality"), [(0, 20), (25, 20), (100, 40), (200, 70), (1e9, 85)])
 def test_quality_is_what_a_line_carries_in_04_s(made, rate, quality):
     async def test() -> None:
         picture = await made.after(0, 0, rate)
@@ -70,13 +70,13 @@ def test_changes_that_nobody_saw_are_not_drawn(made):
 def test_a_rough_picture_is_followed_by_a_better_one_when_it_is_quiet(made):
     async def test() -> None:
         rough = await made.after(0, 0, 80)
-        assert rough.quality == 20
+        assert rough.quality == 30
         better = await made.after(rough.number, rough.quality, 80)  # 0.8 s of the line
-        assert better == (rough.number, 60, b"\1" * 60)
+        assert better == (rough.number, 55, b"\1" * 55)
         waiting = asyncio.ensure_future(made.after(better.number, better.quality, 80))
         assert await waits(waiting)  # the line carries no better one
         made.schedule_render()
-        assert await waiting == (rough.number + 1, 20, b"\2" * 20)
+        assert await waiting == (rough.number + 1, 30, b"\2" * 30)
 
     run(test())
 

@@ -324,6 +324,22 @@ def test_pages_come_and_go_while_it_plays_without_a_word(window, caplog, monkeyp
     visit(window, visitor)
 
 
+def test_files_are_sent_once(window):
+    async def visitor(browser: Browser) -> None:
+        import aiohttp
+
+        async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=1)) as session:
+            for _ in range(2):
+                async with session.get(browser.address) as page:
+                    assert page.headers["Content-Encoding"] in ("gzip", "deflate")
+                    assert len(await page.read()) > 1000
+                async with session.get(browser.address, headers={"If-None-Match": page.headers["ETag"]}) as same:
+                    assert same.status == 304
+                    assert await same.read() == b""
+
+    visit(window, visitor)
+
+
 def test_a_malformed_ask(window):
     async def visitor(browser: Browser) -> None:
         import aiohttp

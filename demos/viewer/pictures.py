@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-_QUALITIES = (85, 75, 60, 40, 20)  # of JPEG
+_QUALITIES = (85, 70, 55, 40, 30, 20)  # of JPEG
 _MOVING = 0.4  # [s] a picture may be under way while others follow
 _STILL = 0.8  # [s] and where nothing changes; an answer waits behind it at most
 _QUIET = 0.5  # [s] without a change, until a rough picture is sent again

@@ -23,7 +23,8 @@ _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 AREA = "demo"  # what messages about the picture are addressed to
 _REST = 0.015  # [s] between a picture and the next step, in which messages come and go
 _PIXELS = 1_500_000  # of a picture, at most; screens have more
-_LOGS = ("wslink.protocol", "aiohttp.server")  # that say at length that a page is gone
+_LOGS = ("asyncio", "aiohttp.server", "wslink.protocol")  # that say at length that a page is gone
+_CONDITIONS = ("If-Match", "If-None-Match", "If-Modified-Since", "If-Unmodified-Since", "Range")
 _MOVES = 50  # [ms] between places of the mouse
 _BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "space": " ",
@@ -55,13 +56,12 @@ const watch = async () => {
   for (;;) try {
     await new Promise(requestAnimationFrame);  // the last one is on the screen; a hidden page asks for none
     const asked = performance.now();
-    const answer = await fetch("picture", {method: "POST", body: JSON.stringify(shown)});
-    const told = JSON.parse(answer.headers.get("X-Picture")), file = await answer.blob();
+    const answer = await fetch("picture", {method: "POST", body: JSON.stringify(shown)}), file = await answer.blob();
+    const seconds = (performance.now() - asked) / 1000, told = JSON.parse(answer.headers.get("X-Picture"));
     const picture = document.querySelector(".picture"), address = URL.createObjectURL(file);
     picture.src = address;
     await picture.decode().finally(() => URL.revokeObjectURL(address));
-    const seconds = (performance.now() - asked) / 1000 - told.waited;
-    shown = {number: told.number, quality: told.quality, rate: file.size / Math.max(seconds, 0.001)};
+    shown = {number: told.number, quality: told.quality, rate: file.size / Math.max(seconds - told.waited, 0.001)};
   } catch { await new Promise(done => setTimeout(done, 1000)); }
 };
 watch();
@@ -90,7 +90,6 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
         InputError: If PyVista's web backend isn't installed, or it can't listen there.
     """
     check_backend()
-    asyncio.get_running_loop().set_exception_handler(_pass_over_closed_pages)
     for name in _LOGS:
         logging.getLogger(name).addFilter(_is_of_open_page)
     server, pictures = _make_page(window)
@@ -195,8 +194,8 @@ def _make_guard(host: str) -> Any:
         if origin is not None and urlsplit(origin).netloc != request.host:
             raise web.HTTPForbidden(text="the demo takes messages from its own page only")
         response = await handler(request)
-        if isinstance(response, web.FileResponse):
-            response.enable_compression()  # a third of what the page's scripts are
+        if isinstance(response, web.FileResponse) and not any(name in request.headers for name in _CONDITIONS):
+            response.enable_compression()  # to half; aiohttp would also put bytes behind a "304 Not Modified"
         response.headers["X-Frame-Options"] = "DENY"
         return response
 
@@ -204,13 +203,8 @@ def _make_guard(host: str) -> Any:
 
 
 def _is_of_open_page(record: logging.LogRecord) -> bool:
+    """Whether a record tells of anything but a page that was closed while something was on its way to it."""
     return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionError)
-
-
-def _pass_over_closed_pages(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """A page that is closed while a picture is on its way is no fault."""
-    if not isinstance(context.get("exception"), ConnectionError):
-        loop.default_exception_handler(context)
 
 
 async def _play(window: Window) -> None:
