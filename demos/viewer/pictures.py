@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 _QUALITIES = (85, 70, 55, 40, 30, 20)  # of JPEG
 _MOVING = 0.4  # [s] a picture may be under way while others follow
-_STILL = 0.8  # [s] and where nothing changes; an answer waits behind it at most
+_STILL = 0.8  # [s] and while nothing changes; an answer waits behind no more
 _QUIET = 0.5  # [s] without a change, until a rough picture is sent again
 
 
@@ -34,8 +34,6 @@ class Pictures:
     Attributes:
         closed: Nobody waits any more.
     """
-
-    target_fps = 0.0  # as many as are asked for
 
     def __init__(self, rca: Any, encode: Callable[..., tuple[Any, ...]]) -> None:
         self.rca = rca
