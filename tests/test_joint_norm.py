@@ -62,3 +62,11 @@ def test_one_sample_a_process_leaves_the_running_statistics_finite(device, group
     joint = normalise_jointly(nn.BatchNorm1d(3).to(device))
     joint(torch.randn(1, 3, device=device))
     assert all(torch.isfinite(buffer).all() for buffer in joint.buffers())
+
+
+def test_a_second_derivative_is_an_error(device, group):
+    joint = normalise_jointly(nn.BatchNorm1d(3).to(device))
+    values = torch.randn(5, 3, device=device, requires_grad=True)
+    (slope,) = torch.autograd.grad(joint(values).pow(3).sum(), values, create_graph=True)
+    with pytest.raises(NotImplementedError, match=r"^JointBatchNorm: differentiated twice"):
+        slope.sum().backward()

@@ -112,7 +112,9 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
 def _on_stream(device: torch.device) -> Iterator[str]:
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
-        yield warp_device.alias
+        # Where there is a GPU, it is Warp's default device, and a launch there reads the CPU's pointers.
+        with wp.ScopedDevice(warp_device):
+            yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
     side = torch_stream != torch.cuda.default_stream(device)
