@@ -125,7 +125,7 @@ def test_files_that_hold_no_poses_are_named(tmp_path: Path) -> None:
     assert len(PoseBank.read(path).ups) == 2
     with pytest.raises(InputError, match="held out"):
         PoseBank.read(path, held_out=True)
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(InputError, match=r"none\.npz: No such file"):
         PoseBank.read(tmp_path / "none.npz")
 
 
