@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from warp_partdr.body.skeletons import skeleton
+from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.energy import LandmarkGather
+from warp_partdr.keypoint_files import parse_keypoints
 from warp_partdr.keypoints import MIN_CONFIDENCE, Keypoints2D, person_height
 from warp_partdr.parameters import BodyParameters
 
@@ -37,3 +38,23 @@ def test_bones_are_the_mean_bodys_shares_of_its_height(bone):
     keypoints = Keypoints2D("coco17", points.astype(np.float32), confidence)
     assert person_height(keypoints) == pytest.approx(scale * stature, rel=0.05)
     assert torch.isfinite(posed.joints).all()
+
+
+@pytest.mark.parametrize(
+    ("count", "name"), [(17, "coco17"), (25, "body25"), (33, "blazepose33"), (14, "lsp14"), (16, "mpii16")]
+)
+def test_the_number_of_keypoints_tells_their_format(count, name):
+    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint, 0.5] for joint in range(count)]
+    for data in (rows, [value for row in rows for value in row]):
+        (keypoints,) = parse_keypoints(data)
+        assert keypoints.skeleton == name
+        assert len(SKELETONS[name]) == count
+
+
+def test_keypoints_on_the_pictures_border_are_there():
+    """Without confidences, (0, 0) alone says that a keypoint is missing."""
+    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint] for joint in range(17)]
+    rows[1], rows[2], rows[3] = [0.0, 50.0], [50.0, 0.0], [0.0, 0.0]
+    (keypoints,) = parse_keypoints(rows)
+    assert np.flatnonzero(~keypoints.visible).tolist() == [3]
+    assert keypoints.points[1:3].tolist() == [[0.0, 50.0], [50.0, 0.0]]

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from warp_partdr import cli
+from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
-from warp_partdr.cameras import Camera, Perspective
+from warp_partdr.cameras import Camera, Perspective, WeakPerspective
 from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.energy import Energy, LandmarkGather, Observation
 from warp_partdr.fitting import FitOptions, FitResult, fit_body
@@ -112,6 +115,25 @@ def test_silhouette_error_is_what_pictures_show(device: str, kind: str, level: i
                 assert seen == pytest.approx(float(errors[body, part]), abs=1.5 / FINE)
                 looked_at += 1
     assert looked_at >= 6  # of nine; the picture's border may cut others
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_silhouette_error_of_a_sphere_is_its_polygons_gap(device: str, level: int) -> None:
+    """The circle's radius less how near the polygon's edges come to its centre, from whichever side it is seen.
+
+    Hardly more, where a corner is too blunt to be found, and never less: a level must keep its tolerance.
+    """
+    radius, scale, count = 0.7, 100.0, 12
+    axes = torch.from_numpy(Rotation.random(count, rng=0).as_matrix()).to(device)[:, None]
+    centres = torch.zeros(count, 1, 3, dtype=torch.float64, device=device)
+    sphere = Ellipsoids(centres, axes, torch.full_like(centres, radius))
+    camera = WeakPerspective(centres[:, 0, 0] + scale, centres[:, 0, :2])
+    corners = (radius * scale * (axes[:, 0].cpu().numpy() @ icosphere(level)[0].T))[:, :2].transpose(0, 2, 1)
+    gaps = [radius * scale - np.abs(ConvexHull(each).equations[:, 2]).min() for each in corners]
+    shares = silhouette_error(sphere, camera, level)[:, 0].cpu().numpy() / gaps
+    assert shares.min() > 1 - 1e-9
+    assert shares.max() < 1.02
+    assert np.median(shares) < 1 + 1e-9
 
 
 def test_tolerance_beyond_the_finest_level_is_said(device: str) -> None:

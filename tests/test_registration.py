@@ -43,6 +43,7 @@ from warp_partdr.registration import (
     RegistrationWeights,
     _Cells,
     _Loss,
+    _Tailor,
     _VertexCosts,
     register,
     shape_from_lengths,
@@ -178,6 +179,25 @@ def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> No
     assert torch.equal(alone.growth, torch.ones_like(alone.growth))
     asked = register(longer, registered.model, options=replace(options, growth=True))
     assert (asked.growth[:, names[1]] > 1.15).all()
+
+
+def test_growth_is_what_a_robust_fit_gives_up(registered: Registered, device: str) -> None:
+    """Of a measure off by r, r³ / (r² + d²), d being what people differ by: hardly anything of what is usual."""
+    model, shape = registered.model, registered.shape
+    parts, areas = vertex_parts(model)
+    posed = ellipbodies(device, longer={"lower leg": 1.02}, thicker={"head thickness": 1.3, "foot width": 0.8})
+    tailor = _Tailor(model, posed, replace(QUICK, growth=True), parts, areas, shape, None)
+    for _ in range(12):
+        tailor.grow(shape)
+    body = Growth(model, parts, areas, shape)
+    off = body.demanded(posed.semi_axes) - body.measured(shape)
+    wanted = off / (1 + (2 * body.spreads / off).square())
+    got = body.measured(shape, tailor.stretches) - body.measured(shape)
+    for name, low, high in (("lower leg", 0.0, 0.6), ("head thickness", 0.85, 1.0), ("foot width", 0.5, 0.95)):
+        index = MEASURES.index(name)
+        torch.testing.assert_close(got[:, index], wanted[:, index], rtol=0.02, atol=2e-3)
+        shares = (wanted / off)[:, index]
+        assert ((low < shares) & (shares < high)).all(), (name, shares)
 
 
 def test_a_body_is_its_own_edit(registered: Registered, device: str) -> None:
