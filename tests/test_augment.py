@@ -132,3 +132,15 @@ def test_colours_change_within_bounds(rng):
     assert changed.shape == picture.shape
     assert changed.dtype == np.uint8
     assert len({int(value) for value in changed[0, 0]}) > 1
+
+
+def test_draws_go_both_ways(rng):
+    """Examples are enlarged as often as reduced, and moved and turned to either side."""
+    drawn = [Augmentation(flip=0.5, angle=20, zoom=0.2, shift=0.05).draw(rng) for _ in range(400)]
+    for values in (
+        [np.log(one.zoom) for one in drawn],
+        [one.angle for one in drawn],
+        *zip(*[one.shift for one in drawn], strict=True),
+    ):
+        assert min(values) == pytest.approx(-max(values), rel=0.1)
+        assert abs(np.mean(values)) < 0.1 * max(values)

@@ -176,3 +176,13 @@ def test_damaged_files_give_a_body_or_an_error(changes: list[tuple[int, int]], s
         except InputError:
             return
     assert all(np.isfinite(getattr(body, name)).all() for name in FIELDS)
+
+
+@pytest.mark.parametrize("value", [0, -1])
+@pytest.mark.parametrize("name", ["lengths", "thicknesses", "camera_scale", "image_size"])
+def test_sizes_are_positive_each_of_them(name: str, value: int, tmp_path: Path) -> None:
+    sizes = np.array(arrays()[name])
+    sizes[(..., -1) if sizes.ndim else ()] = value
+    np.savez(tmp_path / "body.npz", **arrays() | {name: sizes})
+    with pytest.raises(InputError, match=f"{name}: {value}; expected positive"):
+        load_body(tmp_path / "body.npz")

@@ -294,3 +294,10 @@ def test_ids_of_python_are_integers() -> None:
 def test_label_set_checks_itself() -> None:
     with pytest.raises(ValueError, match="mine: id 1 is 'arm'"):
         LabelSet("mine", {"head": ("head",)}, {0: "background", 1: "arm"})
+
+
+def test_what_is_left_out_is_not_drawn_and_what_is_in_no_group_hides() -> None:
+    labels = label_set({**OWN, "left_out": ["right_foot", "right_hand"]})
+    groups = dict(zip(PART_NAMES, labels.part_groups[1:].tolist(), strict=True))
+    assert [groups[name] for name in ("right_foot", "right_hand", "head", "left_hand")] == [0, 0, 1, 2]
+    assert groups["chest"] == IGNORE

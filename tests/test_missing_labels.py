@@ -128,3 +128,13 @@ def test_a_fit_keeps_an_arm_whose_labels_are_lost() -> None:
     full = standing()[1].groups
     arm = np.isin(full, [label("left_upper_arm"), label("left_forearm")])
     assert np.isin(shown[arm], [label("left_upper_arm"), label("left_forearm")]).mean() > 0.7
+
+
+def test_a_limb_that_the_border_cuts_off_stays() -> None:
+    """What the camera never saw is no background: of this forearm a quarter is, and that is too little."""
+    keypoints, parts = standing("left_forearm", "left_hand")
+    elbow, wrist = column(keypoints, "left_elbow"), column(keypoints, "left_wrist")
+    groups = parts.groups[:, : round(elbow + 0.25 * (wrist - elbow))]
+    np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)
+    groups = parts.groups[:, : round(elbow + 0.6 * (wrist - elbow))]
+    assert (ignore_missing_limbs(groups, keypoints) != groups).any()

@@ -187,3 +187,18 @@ def test_some_samples_are_clean_and_others_of_any_strength(device: str) -> None:
     noisy = strengths[strengths > 0].cpu().numpy()
     assert 1 - len(noisy) / 20_000 == pytest.approx(CLEAN, abs=0.01)
     np.testing.assert_allclose(np.quantile(noisy, [0.25, 0.5, 0.75]) / MAX_STRENGTH, [0.25, 0.5, 0.75], atol=0.02)
+
+
+def test_strangers_stand_before_or_behind_the_person(device: str) -> None:
+    """Behind, the person hides what overlaps; before, it is the stranger's. Beside the person they show either way."""
+    count = 2000
+    parts = torch.zeros(count, SIZE, SIZE, dtype=torch.uint8, device=device)
+    parts[:, 10:50, 16:48] = 4
+    nowhere = torch.full((count, 6, 2), 9.0, device=device)  # no holes and no things
+    fronts = Noise(Dice(0, device)).fronts(parts, sets(count, device), nowhere, full(count, MAX_STRENGTH, device))
+    there = fronts.mask.flatten(1).any(1)
+    beside = (fronts.mask & (parts == 0)).flatten(1).any(1)
+    over = (fronts.mask & (parts > 0)).flatten(1).any(1)
+    assert 0.2 < there.float().mean() < 0.4
+    assert torch.equal(beside, there)
+    assert 1 - over[there].float().mean().item() == pytest.approx(0.3, abs=0.06)
