@@ -10,7 +10,7 @@ from .errors import InputError
 
 
 def read_json(path: str | Path, expected: str) -> Any:
-    """What a JSON file holds.
+    """Read a JSON file.
 
     Args:
         path: The file.

@@ -1,4 +1,4 @@
-"""What all objects that hold arrays share: to be copied to another device."""
+"""A mixin for all objects that hold arrays: copies on another device."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _check(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
 
 
 def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.Tensor:
-    """How far matrices are from being rotations: the Frobenius norm of R^T R - I, shape (...).
+    """Error of matrices as rotations: the Frobenius norm of R^T R - I, shape (...).
 
     Args:
         matrices: Shape (..., 3, 3).

@@ -330,7 +330,7 @@ def test_evidence_without_labels_has_no_target() -> None:
 
 
 def test_overlay_of_keypoints_taken_for_the_other_side_is_the_same_picture() -> None:
-    """What is drawn are the keypoints as they were believed to be: sides have colours."""
+    """The keypoints are drawn as they were believed to be: sides have colours."""
     keypoints, parts = example()
     clean, mended = fit_body(keypoints, parts), fit_body(mirrored_keypoints(keypoints), parts)
     first, second = (np.asarray(draw_overlay(result, parts.groups.shape)) for result in (clean, mended))

@@ -1,4 +1,4 @@
-"""How far part labels and keypoints of one person agree, told along the bones between confident keypoints."""
+"""Agreement of one person's part labels and keypoints, told along the bones between confident keypoints."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _labels_along(groups: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.
 
 
 def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) -> list[Segment] | None:
-    """Where a group may be, on either side; None if keypoints of one of its parts are missing."""
+    """Places where a group may be, on either side; None if keypoints of one of its parts are missing."""
     found: list[Segment] = []
     for group in {name, mirror_name(name)} & set(labels.group_names):
         for part in labels.groups[group]:
@@ -132,7 +132,7 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
 
 
 def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:
-    """Where a part may be; nothing if keypoints don't tell."""
+    """Places where a part may be; nothing if keypoints don't tell."""
     side = next((prefix for prefix in ("left_", "right_") if part.startswith(prefix)), "")
     kind = part.removeprefix(side)
     if kind in ("hip", "abdomen", "chest", "shoulder"):
@@ -158,7 +158,7 @@ def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment
 
 @dataclass(frozen=True)
 class Beyond:
-    """How far a group's pixels lie from where its bones and their flesh are.
+    """Distances of a group's pixels from its bones and their flesh.
 
     Attributes:
         group: Its id.
@@ -206,7 +206,7 @@ def distances_beyond(
 
 
 def _beyond(x: np.ndarray, y: np.ndarray, segments: list[Segment], height: float) -> np.ndarray:
-    """How far places [px] lie beyond the nearest segment's radius, as a share of the person's height [px]."""
+    """Distances of places [px] beyond the nearest segment's radius, as a share of the person's height [px]."""
     nearest = np.full(x.shape, np.inf)
     for (x0, y0), (x1, y1), radius in segments:
         along_x, along_y = x1 - x0, y1 - y0

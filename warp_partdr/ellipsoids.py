@@ -247,7 +247,7 @@ def _check(
     near: float | None,
     validate: bool,
 ) -> tuple[_Tensors, View]:
-    """What both entry points share, of which ``name`` is one."""
+    """Checks that both entry points share, of which ``name`` is one."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
     if not hasattr(camera, "intrinsics"):  # any other camera that has them will do
         check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")

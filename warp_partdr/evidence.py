@@ -25,7 +25,7 @@ _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a fit goes by.
+    """Keypoints and labels that a fit goes by.
 
     Attributes:
         keypoints: The person's, in pixels of the picture; left and right as they are believed to be.
@@ -78,7 +78,7 @@ class Evidence:
         return target
 
     def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Which of ``count`` places between two of the picture lie in the window, and in which of its pixels."""
+        """Indices of those of ``count`` places that lie in the window, and the window's pixels there."""
         places = low + (np.arange(count) + 0.5) * ((high - low) / count)
         start = (self.window.top, self.window.left)[axis]
         pixels = np.floor((places - start) * self.window.zoom).astype(np.int64)

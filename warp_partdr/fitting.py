@@ -336,7 +336,7 @@ class _Fit:
         )
 
     def complaints(self, found: FitResult) -> list[str]:
-        """What the body is too far from to be believed; nothing, if it lies where keypoints and labels are."""
+        """Sentences about what the body is too far from; none if it lies where keypoints and labels are."""
         return complaints(found.parameters, self._judge())
 
     def warn(self, found: FitResult) -> FitResult:

@@ -154,7 +154,7 @@ def choose_person(
 
 
 def _weights(points: np.ndarray, confidence: np.ndarray, groups: np.ndarray | None) -> np.ndarray:
-    """How much each keypoint says for its person, shape (N, J)."""
+    """Weight of each keypoint in the choice of its person, shape (N, J)."""
     if groups is None:
         return confidence
     height, width = groups.shape

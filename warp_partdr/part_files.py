@@ -87,7 +87,7 @@ def described_label_set(path: Path) -> LabelSet:
 
 
 def label_set_of(parts: Path, source: str | None) -> LabelSet:
-    """What the ids of a file of part labels mean: what is named, or else what ``labels.json`` beside it describes.
+    """Label set of a file of part labels: the one named, or else the one that ``labels.json`` beside it describes.
 
     Args:
         parts: The file.

@@ -1,4 +1,4 @@
-"""Whether a fitted body is to be believed: how far it ends from what was seen, against PartBench's hardest people."""
+"""Plausibility of a fitted body: how far it ends from what was seen, against PartBench's hardest people."""
 
 from __future__ import annotations
 

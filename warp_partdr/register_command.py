@@ -199,7 +199,7 @@ def clothe(
 
 
 def f1_scores(report: dict[str, Any]) -> str:
-    """How well a body fills the labels, in words; of a fit's report, or a registration's."""
+    """Scores of a body against the labels, in words; of a fit's report, or a registration's."""
     scores = report["parts"]
     left_out = "" if scores["left_out"] is None else f", {100 * scores['left_out']:.0f} % of the person left out"
     return f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}{left_out}"
