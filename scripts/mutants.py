@@ -1,6 +1,6 @@
 """Mutation testing: a fault at a time in a copy of the project, and the tests that have to fail on it.
 
-    python scripts/mutants.py [--quick] [--only WORD] [--jobs N] [--list]
+    python scripts/mutants.py [--quick] [--only WORD] [--portion 1/4] [--jobs N] [--list]
 
 ``mutants.toml`` beside this file lists the faults, each one line of one file, with the tests that must notice it. The
 project itself is never changed: each process works on a copy of its own under ``build/mutants``, where these tests are
@@ -35,9 +35,6 @@ COPIED = ("benchmarks", "body", "demos", "kernels", "pyproject.toml", "scripts",
 # Python looks for warp_partdr in the copy's own folder first, so there the package's real layout is made of links.
 LINKS = {"warp_partdr/kernels": "../kernels", "warp_partdr/body": "../body", "warp_partdr/viewer": "../demos/viewer"}
 PATIENCE = 1200  # [s]; a fault may make a loop endless, and what hangs so long is noticed, too
-
-# What pytest's exit codes say of a mutant; all others are faults of the list, such as a test that is not there.
-PASSED, FAILED = 0, 1
 
 # A plugin of pytest: the run counts only if all that was tested is the copy's, the mutated file among it.
 GUARD = """
@@ -143,11 +140,13 @@ def copy_project(folder: Path) -> None:
     (folder / "guard.py").write_text(GUARD)
 
 
-def run_tests(folder: Path, tests: Sequence[str], mutated: Iterable[str]) -> tuple[int, str]:
-    """Run tests in a copy until one fails.
+def run_tests(
+    folder: Path, tests: Sequence[str], mutated: Iterable[str], patience: float | None = None
+) -> tuple[str, str]:
+    """Run tests in a copy until one fails, or for so many seconds.
 
     Returns:
-        pytest's exit code, or that of a failure where it hung; and the first failure, or what went wrong.
+        What became of the mutated files, killed, survived or error; and the first failure, or what went wrong.
     """
     (folder / "mutated.txt").write_text("\n".join(mutated))
     (folder / "loaded.txt").write_text("no tests ran")
@@ -158,20 +157,25 @@ def run_tests(folder: Path, tests: Sequence[str], mutated: Iterable[str]) -> tup
         "WARP_CACHE_PATH": str(WORK / "kernels"),  # so that the user's own does not fill with faults
         "CI": "1",  # Hypothesis draws the same cases in every run
         "PARTDR_TEST_DEVICES": "cpu",
+        "OMP_NUM_THREADS": "1",  # the copies' processes share the cores
     }
     options = ["-x", "-q", "--no-header", "--tb=line", "-p", "guard", "-p", "no:cacheprovider", "-p", "no:xdist"]
     command = [sys.executable, "-m", "pytest", *options, *tests]
     try:
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=patience
         )
     except subprocess.TimeoutExpired:
-        return FAILED, f"hung for {PATIENCE} s"
-    lines = (done.stdout + done.stderr).strip().splitlines()
-    if done.returncode in (PASSED, FAILED) and (wrong := (folder / "loaded.txt").read_text()):
-        return -1, wrong
-    failures = [line for line in lines if line.startswith(("FAILED", "ERROR"))]
-    return done.returncode, (failures or lines or ["nothing said"])[0 if failures else -1]
+        return "killed", f"hung for {patience} s"
+    if done.returncode < 0:
+        return "killed", f"crashed with signal {-done.returncode}"
+    lines = (done.stdout + done.stderr).strip().splitlines() or ["nothing said"]
+    said = next((line for line in lines if line.startswith(("FAILED", "ERROR"))), lines[-1])
+    if done.returncode not in (0, 1):  # pytest's own codes: a test is not there, or can't be collected
+        return "error", said
+    if wrong := (folder / "loaded.txt").read_text():
+        return "error", wrong
+    return "killed" if done.returncode else "survived", said
 
 
 def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
@@ -189,11 +193,9 @@ def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
     original = path.read_text(encoding="utf-8")
     path.write_text(text, encoding="utf-8")
     try:
-        code, said = run_tests(folder, mutant.tests, [mutant.file])
+        return outcome(*run_tests(folder, mutant.tests, [mutant.file], PATIENCE))
     finally:
         path.write_text(original, encoding="utf-8")
-    kinds = {PASSED: "survived", FAILED: "killed"}
-    return outcome(kinds.get(code, "error"), said)
 
 
 def try_all(mutants: Sequence[Mutant], jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
@@ -223,8 +225,8 @@ def check_copies(mutants: Sequence[Mutant], jobs: int) -> str:
     for number in range(jobs):
         copy_project(WORK / f"copy{number}")
     tests = dict.fromkeys(test for mutant in mutants for test in mutant.tests)
-    code, said = run_tests(WORK / "copy0", list(tests), {mutant.file for mutant in mutants})
-    return "" if code == PASSED else said
+    kind, said = run_tests(WORK / "copy0", list(tests), {mutant.file for mutant in mutants})
+    return "" if kind == "survived" else said
 
 
 def report(outcomes: Sequence[Outcome], console: Console) -> None:
@@ -248,7 +250,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the first mutant of each file")
     parser.add_argument("--only", default="", metavar="WORD", help="mutants whose file, line or reason holds the word")
-    parser.add_argument("--portion", default="1/1", metavar="K/N", help="the K-th of N shares of them")
+    parser.add_argument("--portion", default="1/1", metavar="K/N", help="the K-th of N shares of them; default: all")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time; default: 2")
     parser.add_argument("--list", action="store_true", help="say which, and try none")
     options = parser.parse_args(argv)
@@ -257,6 +259,8 @@ def main(argv: list[str] | None = None) -> int:
     mutants = quick(read_mutants()) if options.quick else read_mutants()
     mutants = [each for each in mutants if options.only in f"{each.file} {each.find} {each.replace} {each.why}"]
     share, shares = map(int, options.portion.split("/"))
+    if not 1 <= share <= shares:
+        parser.error(f"--portion: {options.portion}; expected such as 1/4")
     mutants = mutants[len(mutants) * (share - 1) // shares : len(mutants) * share // shares]
     console = Console()
     if options.list or not mutants:

@@ -1,10 +1,12 @@
-"""What a bit of a label's border costs, against sums over many places along it."""
+"""What a bit of a label's border costs, against sums over many places along it; and where borders are looked for."""
 
 import numpy as np
 import pytest
 import warp as wp
 
 from warp_partdr.kernels.ellipsoid_borders import chord_shares
+from warp_partdr.kernels.ellipsoid_creases import room_range
+from warp_partdr.kernels.ellipsoids import Silhouette
 from warp_partdr.kernels.surface_forces import Subject
 from warp_partdr.kernels.targets import DenseGradient
 
@@ -64,3 +66,39 @@ def test_a_chord_walked_backwards_changes_its_ends(device, maps, chords):
     there, back = chord_costs(maps, *chords, device), chord_costs(maps, *chords[::-1], device)
     np.testing.assert_allclose(back[:, ::-1], there, atol=1e-5)
     assert np.abs(there).max() > 0.1
+
+
+@wp.kernel
+def bound_rooms(
+    silhouettes: wp.array[Silhouette], places: wp.array[wp.vec2], halves: wp.array[float], ranges: wp.array[wp.vec2]
+):
+    i = wp.tid()
+    ranges[i] = room_range(silhouettes[i], places[i][0], places[i][1], halves[i])
+
+
+def test_bounds_of_an_ellipsoid_hold_all_over_a_cell(device, rng):
+    """Or a crease in the cell would be passed over: of outlines from a pixel to a hundred across, askew and thin."""
+    count = 300
+    factors = rng.normal(size=(count, 3)) * rng.choice([0.02, 0.2, 1.0], (count, 1))
+    bulges, halves = rng.uniform(0.05, 1.0, count), rng.choice([0.5, 0.125], count)
+    places = rng.normal(size=(count, 2)) * 0.5 / np.abs(factors[:, [0, 2]]).max(1, keepdims=True)
+    rows = np.zeros(count, dtype=Silhouette.numpy_dtype())
+    rows["factor"], rows["bulge"] = factors, bulges
+    ranges = wp.empty(count, dtype=wp.vec2, device=device)
+    inputs = [
+        wp.array(rows, dtype=Silhouette, device=device),
+        wp.array(places.astype(np.float32), dtype=wp.vec2, device=device),
+        wp.array(halves.astype(np.float32), dtype=float, device=device),
+    ]
+    wp.launch(bound_rooms, count, inputs, [ranges], device=device)
+    low, high = ranges.numpy().T
+
+    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 21)] * 2), axis=-1).reshape(-1, 2)
+    x, y = (places[:, None] + halves[:, None, None] * steps).transpose(2, 0, 1)
+    across, down = factors[:, :1] * x, factors[:, 1:2] * x + factors[:, 2:] * y
+    rooms = bulges[:, None] ** 2 * (1 - across**2 - down**2)
+    slack = 1e-4 * np.abs(rooms).max(1)
+    assert (low <= rooms.min(1) + slack).all()
+    assert (high >= rooms.max(1) - slack).all()
+    # and not much wider than that
+    assert np.median((high - low) / (rooms.max(1) - rooms.min(1))) < 1.6
