@@ -222,12 +222,15 @@ def fit_body(
     evidence = choose_sides(weigh_evidence(keypoints, parts, others), glance)
     fit = start(evidence, options, progress)
     if options.start == "search":
-        return fit.warn(fit.search())
+        found = fit.search()
+        return fit.warn(found, fit.complaints(found))
     found = fit.from_network()
-    if options.search and fit.complaints(found):
+    told = fit.complaints(found)
+    if told and options.search:
         stages = _drawn_or_not(options.search, parts)
         found = fit.better(found, replace(fit, stages=stages).search())
-    return fit.warn(found)
+        told = fit.complaints(found)
+    return fit.warn(found, told)
 
 
 @dataclass(frozen=True)
@@ -339,10 +342,10 @@ class _Fit:
         """Sentences about what the body is too far from; none if it lies where keypoints and labels are."""
         return complaints(found.parameters, self._judge())
 
-    def warn(self, found: FitResult) -> FitResult:
-        """The same, with all that looks wrong."""
-        told = [*self.complaints(found), *poor_labels(found.parameters, self._judge())]
-        return replace(found, warnings=(*self.evidence.warnings, *told))
+    def warn(self, found: FitResult, told: Sequence[str]) -> FitResult:
+        """The same, with all that looks wrong: in what was given, what was told of the body, and its parts."""
+        poor = poor_labels(found.parameters, self._judge())
+        return replace(found, warnings=(*self.evidence.warnings, *told, *poor))
 
     def better(self, found: FitResult, again: FitResult) -> FitResult:
         """The one with the lower energy; times and hypotheses are both's."""
