@@ -12,6 +12,7 @@ from .body.labels import BACKGROUND, IGNORE, LabelSet
 from .body.landmarks import mirror_name
 from .body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
+from .person import squared_distances
 
 LIMBS: dict[str, tuple[str, ...]] = {
     "arms": ("upper_arm", "forearm", "hand"),
@@ -86,7 +87,7 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
             start, end = bone_ends(part)
             if own in (BACKGROUND, mirrored) or start not in points or end not in points:
                 continue
-            shown = _labels_along(groups, points[start], points[end])
+            shown = labels_along(groups, points[start], points[end], samples=_SAMPLES, margin=_JOINT)
             other = ~np.isin(shown, (own, mirrored, BACKGROUND, IGNORE))
             counts += [(shown == own).sum(), (shown == mirrored).sum(), other.sum()]
         if counts.any():
@@ -110,9 +111,19 @@ def disagreement(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -
     return (other / bones if bones >= 2 * _FEWEST else 0.0) + 4 * far / max(known, 1)
 
 
-def _labels_along(groups: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Group ids along the middle of a bone; beyond the picture there are none."""
-    along = np.linspace(_JOINT, 1 - _JOINT, _SAMPLES)[:, None]
+def labels_along(
+    groups: np.ndarray, start: np.ndarray, end: np.ndarray, *, samples: int, margin: float = 0.0
+) -> np.ndarray:
+    """Group ids at evenly spaced points of a bone, without those beyond the picture.
+
+    Args:
+        groups: Shape (H, W).
+        start: One end, (x, y) [px].
+        end: The other.
+        samples: How many points.
+        margin: Share of the bone that is left out at either end.
+    """
+    along = np.linspace(margin, 1 - margin, samples)[:, None]
     columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
@@ -209,9 +220,6 @@ def _beyond(x: np.ndarray, y: np.ndarray, segments: list[Segment], height: float
     """Distances of places [px] beyond the nearest segment's radius, as a share of the person's height [px]."""
     nearest = np.full(x.shape, np.inf)
     for (x0, y0), (x1, y1), radius in segments:
-        along_x, along_y = x1 - x0, y1 - y0
-        share = ((x - x0) * along_x + (y - y0) * along_y) / max(along_x**2 + along_y**2, 1e-12)
-        share = share.clip(0.0, 1.0)
-        distance = np.hypot(x - x0 - share * along_x, y - y0 - share * along_y)
+        distance = np.sqrt(squared_distances(x - x0, y - y0, x1 - x0, y1 - y0))
         np.minimum(nearest, distance / height - radius, out=nearest)
     return nearest

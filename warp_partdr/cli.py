@@ -20,7 +20,7 @@ from .devices import choose_device
 from .errors import InputError
 from .evaluate_command import evaluate
 from .predict_command import PREDICT_HELP, predict
-from .register_command import MODEL_HELP, REGISTER_HELP, clothe, f1_scores, read_model, register_body
+from .register_command import MODEL_HELP, REGISTER_HELP, LabelsOption, clothe, f1_scores, read_model, register_body
 from .train_command import TRAIN_HELP, train
 
 if TYPE_CHECKING:
@@ -127,14 +127,7 @@ def fit(
     parts: Annotated[
         Path | None, typer.Option(help="Part labels: ids as PNG or .npy, or probabilities as .npy.", metavar="FILE")
     ] = None,
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
-            metavar="NAME",
-            show_default=False,
-        ),
-    ] = None,
+    labels: LabelsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     model: Annotated[
         str, typer.Option(help=f"Detailed model to end with: {MODEL_HELP}; none skips it.", metavar="NAME")
@@ -248,12 +241,8 @@ def fit(
         raise InputError(f"--threads: {threads}; expected 0 or more")
     set_num_threads(threads)
     check_folder(out)
-    named = (labels, model)
-    check_inputs(
-        out,
-        (photo, keypoints, parts, network, *(Path(name) for name in named if name)),
-        (*RESULT_FILES, *DETAILED_FILES),
-    )
+    given = (photo, keypoints, parts, network, *(Path(name) for name in (labels, model) if name))
+    check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
     where = choose_device(device)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if network is not None and start is StartName.search:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from .errors import InputError
+from .register_command import LabelsOption
 
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
 
@@ -43,14 +44,7 @@ def demo(
         Path | None, typer.Option(help="2D keypoints of the person to reach, JSON.", metavar="FILE.json")
     ] = None,
     parts: Annotated[Path | None, typer.Option(help="Part labels of the person to reach.", metavar="FILE")] = None,
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
-            metavar="NAME",
-            show_default=False,
-        ),
-    ] = None,
+    labels: LabelsOption = None,
     supervision: Annotated[
         str, typer.Option(help="What is followed: keypoints; with them the silhouette, or the parts.", metavar="NAME")
     ] = "parts",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .agreement import bone_ends, confident_points
+from .agreement import bone_ends, confident_points, labels_along
 from .body.labels import BACKGROUND, IGNORE
 from .body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
@@ -59,8 +59,5 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
 
 def _background_share(groups: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
     """How much of the line from one point (x, y) to another lies on background; beyond the picture nothing does."""
-    along = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
-    columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
-    height, width = groups.shape
-    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    return np.count_nonzero(groups[rows[inside], columns[inside]] == BACKGROUND) / _SAMPLES
+    shown = labels_along(groups, start, end, samples=_SAMPLES)
+    return np.count_nonzero(shown == BACKGROUND) / _SAMPLES

@@ -124,14 +124,18 @@ def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
     left, right = _clip(min(x0, x1) - reach, columns), _clip(max(x0, x1) + reach + 1, columns)
     u = np.arange(left, right, dtype=np.float32) + 0.5 - x0
     v = np.arange(top, bottom, dtype=np.float32)[:, None] + 0.5 - y0
-    along_x, along_y = x1 - x0, y1 - y0
-    share = np.clip((u * along_x + v * along_y) / max(along_x**2 + along_y**2, 1e-12), 0.0, 1.0)
-    squared = (u - share * along_x) ** 2 + (v - share * along_y) ** 2
+    squared = squared_distances(u, v, x1 - x0, y1 - y0)
     part = image[top:bottom, left:right]
     if image.dtype == bool:
         part |= squared <= reach**2
     else:
         np.minimum(part, np.where(squared <= reach**2, np.sqrt(squared), np.inf), out=part)
+
+
+def squared_distances(u: np.ndarray, v: np.ndarray, along_x: float, along_y: float) -> np.ndarray:
+    """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``."""
+    share = np.clip((u * along_x + v * along_y) / max(along_x**2 + along_y**2, 1e-12), 0.0, 1.0)
+    return (u - share * along_x) ** 2 + (v - share * along_y) ** 2
 
 
 def _clip(value: float, limit: int) -> int:

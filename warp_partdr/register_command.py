@@ -32,6 +32,15 @@ against the labels). Older results there are replaced.
 """
 MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
+LabelsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
+        metavar="NAME",
+        show_default=False,
+    ),
+]
+
 
 def register_body(
     body: Annotated[Path, typer.Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
@@ -47,14 +56,7 @@ def register_body(
             show_default=False,
         ),
     ] = None,
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
-            metavar="NAME",
-            show_default=False,
-        ),
-    ] = None,
+    labels: LabelsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
     inscribed: Annotated[
         bool,
