@@ -36,25 +36,22 @@ from rich.table import Table
 from warp_partdr.bench.machine import about
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import MPJPE_SKELETON, skeleton
-from warp_partdr.datasets import Sample, read_folder
-from warp_partdr.evaluation import Method, evaluate, no_labels, one_thread, silhouette
-from warp_partdr.fitting import FitOptions, FitResult
-from warp_partdr.inputs import (
-    Keypoints2D,
-    PartLabels,
-    choose_person,
-    person_crop,
-    read_keypoints,
-    read_parts,
-    read_photo,
-)
+from warp_partdr.cli.progress import FitProgress
+from warp_partdr.evaluation.datasets import read_folder
+from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
+from warp_partdr.evaluation.scoring import Score
+from warp_partdr.evaluation.scoring import summarise as summarise_scores
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.result import FitResult
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D, choose_person
+from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.inputs.person import person_crop
+from warp_partdr.inputs.sample import Sample
 from warp_partdr.metrics import bootstrap
-from warp_partdr.output import draw_overlay
-from warp_partdr.palette import group_colours
-from warp_partdr.pictures import turntable
-from warp_partdr.progress import FitProgress
-from warp_partdr.scoring import Score
-from warp_partdr.scoring import summarise as summarise_scores
+from warp_partdr.results.palette import group_colours
+from warp_partdr.results.pictures import turntable
+from warp_partdr.results.save import draw_overlay
 
 LABELS = label_set("cdcl14")
 JOINTS = skeleton(MPJPE_SKELETON).landmarks

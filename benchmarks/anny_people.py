@@ -36,10 +36,10 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PARENTS, PART_NAMES, template
 from warp_partdr.cameras import Perspective
-from warp_partdr.mesh import PartMesh
-from warp_partdr.palette import PART_COLOURS, group_colours
-from warp_partdr.render import rasterize_parts
-from warp_partdr.training.mocap import Clip, is_held_out, joint_positions, load_clips, rotation_matrices
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.results.palette import PART_COLOURS, group_colours
+from warp_partdr.synthetic.mocap import Clip, is_held_out, joint_positions, load_clips, rotation_matrices
 
 LABELS = label_set("cdcl14")
 COCO = skeleton("coco17")
@@ -259,7 +259,7 @@ def contact_sheet(tiles: list[Image.Image], columns: int = 4) -> Image.Image:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/training/mocap.py reads")
+    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/synthetic/mocap.py reads")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--count", type=int, default=24, help="how many people")
     parser.add_argument("--seed", type=int, default=0)

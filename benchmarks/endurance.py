@@ -32,14 +32,16 @@ from rich.console import Console
 from rich.progress import track
 
 from warp_partdr import label_set, skeleton
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.energy import Energy, LandmarkGather, Observation
-from warp_partdr.fused import FusedRefinement, minimise
-from warp_partdr.mesh import ellipbody_mesh
-from warp_partdr.parameters import BodyParameters
-from warp_partdr.pose_prior import PosePrior
-from warp_partdr.render import label_loss
+from warp_partdr.inputs.observation import Observation
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import FusedRefinement, minimise
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss
+from warp_partdr.render.part_mesh import ellipbody_mesh
 
 ROUND = 500  # iterations
 SIZE = 32  # [px]

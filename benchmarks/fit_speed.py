@@ -22,14 +22,16 @@ import warp as wp
 
 from warp_partdr.bench.machine import about
 from warp_partdr.body.labels import label_set
-from warp_partdr.energy import Energy
-from warp_partdr.fitting import fit_body
-from warp_partdr.fused import minimise
-from warp_partdr.inputs import choose_person, read_keypoints, read_parts
-from warp_partdr.kernels.threads import set_num_threads
-from warp_partdr.observation import observe
-from warp_partdr.pose_prior import PosePrior
-from warp_partdr.refinement import refine
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import choose_person
+from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.part_labels import read_parts
+from warp_partdr.kernels.launch import set_num_threads
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import refine
 
 EXAMPLE = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
 

@@ -39,35 +39,37 @@ from rich.table import Table
 
 import warp_partdr
 from warp_partdr import label_set
-from warp_partdr.body import detailed_smpl
-from warp_partdr.body.anny import anny
-from warp_partdr.body.detailed_files import load_model
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.labels import LabelSet, regroup
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_axis_angle
 from warp_partdr.body.template import PART_NAMES
-from warp_partdr.body_file import BodyFile, load_body
 from warp_partdr.cameras import Camera, Crop, Perspective, WeakPerspective
-from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.energy import Energy, Observation
-from warp_partdr.fitting import FitOptions, fit_body
-from warp_partdr.fused import minimise
-from warp_partdr.keypoint_files import read_keypoints
-from warp_partdr.keypoints import Keypoints2D
-from warp_partdr.mesh import PartMesh
+from warp_partdr.clothing import smpl
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.load import load_model
+from warp_partdr.clothing.registration import RegistrationOptions, register
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import Stage
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.observation import Observation
+from warp_partdr.inputs.part_labels import PartLabels, read_label_set, read_parts, read_photo
 from warp_partdr.metrics import accuracy, align_similarity, confusion, f1_scores, mpjpe, pa_mpjpe, pve
 from warp_partdr.network.checkpoint import load_label_network, save_label_network
 from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.regressor import RegressorConfig
-from warp_partdr.parameters import BodyParameters
-from warp_partdr.part_files import PartLabels, read_label_set, read_parts, read_photo
-from warp_partdr.pose_prior import PosePrior
-from warp_partdr.posing import pose
-from warp_partdr.quality import Stage
-from warp_partdr.refinement import refine
-from warp_partdr.registration import RegistrationOptions, register
-from warp_partdr.render import label_loss, rasterize_parts
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import refine
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.results.body_file import BodyFile, load_body
 
 PATIENCE = 60  # [s]
 SMALL_NETWORK = LabelNetworkConfig(
@@ -75,7 +77,7 @@ SMALL_NETWORK = LabelNetworkConfig(
 )
 PACKAGE = {
     Path(sys.modules[name].__file__ or "").resolve().parent
-    for name in ("warp_partdr", *(f"warp_partdr.{part}" for part in ("body.template", "kernels.threads")))
+    for name in ("warp_partdr", *(f"warp_partdr.{part}" for part in ("body.template", "kernels.launch")))
 }
 REFUSALS = (ValueError, TypeError, OSError)
 SIZES = [(8, 8), (1, 1), (5, 12), (24, 16)]
@@ -439,7 +441,7 @@ def try_rotations(chance: Chance) -> Any:
 @lru_cache
 def person(device: str) -> tuple[Keypoints2D, np.ndarray]:
     """Perfect keypoints and labels of the mean body, 96 x 80 px, drawn on a device."""
-    from warp_partdr.energy import LandmarkGather
+    from warp_partdr.body.posing import LandmarkGather
 
     body = BodyParameters.mean(1, device=device)
     seen = replace(body.camera(80), translation=torch.tensor([[40.0, 45.0]], device=device))
@@ -636,7 +638,7 @@ def smpl_arrays() -> dict[str, np.ndarray]:
 
 def try_model_file(chance: Chance) -> Any:
     arrays = {name: chance.array(value) for name, value in smpl_arrays().items() if not chance.spoils()}
-    assert set(detailed_smpl.ARRAYS) >= set(arrays)
+    assert set(smpl.ARRAYS) >= set(arrays)
     kind = chance.one(["npz", "npz", "safetensors"])
     if kind == "npz":
         data = saved(lambda file: np.savez(file, **arrays))

@@ -13,7 +13,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from warp_partdr.training.config import TrainingConfig, make_config
+from warp_partdr.training.config import TrainingConfig
+from warp_partdr.training.config_files import make_config
 from warp_partdr.training.loop import train
 
 SMALL = {

@@ -35,9 +35,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import ellipsoid_reference
 import reference
 
-from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids
-from warp_partdr.mesh import PartMesh
-from warp_partdr.render import rasterize_parts
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
 
 RATIOS: list[float] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6]
 DISTANCES: list[float] = [0.1, 1.0, 1e1, 1e2, 1e3, 1e4]  # [m]

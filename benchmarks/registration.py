@@ -33,25 +33,25 @@ from anny_people import contact_sheet, held_out_poses
 from anny_person import Person
 from measure_mean_body import Silhouettes, fit_thicknesses
 
-from warp_partdr.body.anny import anny, anny_shape
-from warp_partdr.body.detailed import Detailed, DetailedModel
-from warp_partdr.body.detailed_pose import pose_from_ellipbody
+from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import skew
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, template
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.detailed import detailed_mesh
-from warp_partdr.mesh import PartMesh
-from warp_partdr.palette import PART_COLOURS
-from warp_partdr.posing import Posed, pose
-from warp_partdr.registration import (
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.mesh import detailed_mesh
+from warp_partdr.clothing.model import Detailed, DetailedModel
+from warp_partdr.clothing.pose import pose_from_ellipbody
+from warp_partdr.clothing.registration import (
     Registered,
     RegistrationOptions,
     RegistrationWeights,
     register,
     skin_vertices,
 )
-from warp_partdr.render import rasterize_parts
-from warp_partdr.training.mocap import Clip
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.results.palette import PART_COLOURS
+from warp_partdr.synthetic.mocap import Clip
 
 # Adults and older children, thin to heavy.
 PHENOTYPES: dict[str, tuple[float, float]] = {
@@ -208,7 +208,7 @@ def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Im
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/training/mocap.py reads")
+    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/synthetic/mocap.py reads")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--count", type=int, default=30, help="how many people")
     parser.add_argument("--seed", type=int, default=0)

@@ -9,28 +9,16 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import warp as wp
 
+from ..errors import LARGEST, check_whole
+from ..interop.movable import Movable
 from ..kernels import kinematics
-from ..kernels.integers import check_whole
 from .icosphere import icosphere
-from .movable import Movable
-from .template import (
-    LENGTH_NAMES,
-    NUM_JOINTS,
-    NUM_PARTS,
-    PARENTS,
-    PART_NAMES,
-    SHAPE_INDICES,
-    THICKNESS_NAMES,
-    template,
-)
+from .template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, THICKNESS_NAMES, template
 
 if TYPE_CHECKING:
     import torch
 
 DEFAULT_SUBDIVISIONS = 1  # E1, the paper's default (section 4.3, "Speed of Part Differentiable Renderer")
-
-# Products of three such numbers, an area in pixels times a depth, stay within float32.
-LARGEST = 1e12
 
 _PRECISIONS = {wp.float32: (wp.vec3f, wp.mat33f), wp.float64: (wp.vec3d, wp.mat33d)}
 
@@ -242,6 +230,6 @@ class EllipBody(WarpArrays):
 def _rotation_fault(matrices: np.ndarray) -> str | None:
     import torch  # only where bodies come from outside: the rest of this module needs Warp alone
 
-    from .rotations import rotation_fault
+    from ..interop.checks import rotation_fault
 
     return rotation_fault(torch.from_numpy(matrices.astype(np.float64)))

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..kernels.integers import check_whole
+from ..errors import check_whole
 
 MAX_SUBDIVISIONS = 3
 

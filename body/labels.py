@@ -15,23 +15,24 @@ Three rules settle the rest:
   255. One that is left out (hands and feet, where nobody labelled any) isn't drawn at all and costs no time: 0. The
   sets that come with the project have every part in a group.
 
-The sets themselves are in ``label_sets.py``.
+The sets that come with the project are in ``label_sets.json``, in the form that users write them.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..kernels.integers import check_whole
-from .errors import shown
-from .json_files import read_json
+from ..errors import check_whole, shown
+from ..files.json_files import read_json
 from .template import NUM_PARTS, PART_NAMES
 
 BACKGROUND = 0
@@ -236,8 +237,6 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
     Raises:
         ValueError: If there is no such set or file, or its content does not fit.
     """
-    from .label_sets import LABEL_SETS
-
     if isinstance(source, LabelSet):
         return source
     if isinstance(source, Mapping):
@@ -306,3 +305,18 @@ def regroup(source: LabelSet, target: LabelSet) -> np.ndarray:
             )
         table[index] = found.pop()
     return table
+
+
+def _packaged() -> dict[str, LabelSet]:
+    data = json.loads(resources.files(__package__).joinpath("label_sets.json").read_text(encoding="utf-8"))
+    names = [{int(source): name for source, name in each.get("class_names", {}).items()} for each in data["sets"]]
+    return {
+        each["name"]: replace(_from_json(each, "label_sets.json"), class_names=classes, of=each["of"])
+        for each, classes in zip(data["sets"], names, strict=True)
+    }
+
+
+LABEL_SETS = _packaged()
+
+# For helps: "cdcl14 (CDCL, 15 classes), ...", background counted.
+DESCRIBED = ", ".join(f"{name} ({each.of}, {len(each.channel_ids)} classes)" for name, each in LABEL_SETS.items())

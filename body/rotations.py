@@ -7,10 +7,6 @@ import torch
 _TINY_ANGLE = 1e-4  # [rad]; below it Taylor's series are exact to float32 and need no division
 _TINY_LENGTH = 1e-6  # shorter columns have no direction
 
-# Of |R^T R - I| (Frobenius): bfloat16 rounds a rotation by up to 7e-3, float16 by 2e-3, products of ten thousand
-# rotations in float32 by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared or scaled.
-ROTATION_TOLERANCE = 1e-2
-
 
 def skew(vector: torch.Tensor) -> torch.Tensor:
     """Cross-product matrix of vectors (..., 3), shape (..., 3, 3)."""
@@ -28,35 +24,6 @@ def _check(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"{name}: {tensor.dtype}, {tensor.layout}, shape {tuple(tensor.shape)}; expected dense floats ({expected})"
         )
-
-
-def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.Tensor:
-    """Error of matrices as rotations: the Frobenius norm of R^T R - I, shape (...).
-
-    Args:
-        matrices: Shape (..., 3, 3).
-        mirrored: Whether orthonormal columns are enough; else the error of a matrix that mirrors is infinite.
-    """
-    matrices = matrices.detach().to(torch.promote_types(matrices.dtype, torch.float32))
-    # Not by a matrix product, which autocast and TF32 would round.
-    gram = (matrices[..., :, :, None] * matrices[..., :, None, :]).sum(-3)
-    error = torch.linalg.matrix_norm(gram - torch.eye(3, dtype=gram.dtype, device=gram.device))
-    if mirrored:
-        return error
-    x, y, z = matrices.unbind(-1)
-    return torch.where((torch.linalg.cross(x, y) * z).sum(-1) > 0, error, torch.inf)
-
-
-def rotation_fault(matrices: torch.Tensor, *, mirrored: bool = False) -> str | None:
-    """A message about the first matrix that is no rotation, None if all are; arguments as of ``rotation_error``."""
-    errors = rotation_error(matrices, mirrored=mirrored)
-    wrong = (~(errors <= ROTATION_TOLERANCE)).nonzero().tolist()
-    if not wrong:
-        return None
-    error, where = float(errors[tuple(wrong[0])]), wrong[0] if errors.ndim else ""
-    said = "mirrors or has no volume" if error == torch.inf else f"R^T R is off I by {error:.2g}"
-    expected = "orthonormal columns" if mirrored else "rotation matrices, as rotation_from_6d makes them"
-    return f"matrix {where} {said}; expected {expected}".replace("  ", " ")
 
 
 def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:

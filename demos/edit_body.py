@@ -18,8 +18,7 @@ import torch
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
-from warp_partdr.body.anny import anny
-from warp_partdr.body.growth import MEASURES, UNGROWN
+from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import (
     JOINT_NAMES,
@@ -31,11 +30,12 @@ from warp_partdr.body.template import (
     THICKNESS_NAMES,
     template,
 )
-from warp_partdr.body_file import load_body
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.pictures import blend, shade_body, shade_detailed
-from warp_partdr.posing import Posed, pose
-from warp_partdr.registration import Registered, register, vertex_parts
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.growth import MEASURES, UNGROWN
+from warp_partdr.clothing.registration import Registered, register, vertex_parts
+from warp_partdr.results.body_file import load_body
+from warp_partdr.results.pictures import blend, shade_body, shade_detailed
 
 SIZE = (560, 400)  # (H, W) of a picture
 BAR = 44  # [px] above, for names

@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from torch import nn
 
 from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.palette import PART_COLOURS
-from warp_partdr.plot import loss_curve
+from warp_partdr.results.palette import PART_COLOURS
+from warp_partdr.results.plot import loss_curve
 
 BONES = ("upper_arm", "forearm", "upper_leg")
 MIRROR = (("left", 1.0), ("right", -1.0))  # the same number lifts a left limb and a right one

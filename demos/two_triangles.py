@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from warp_partdr.mesh import PartMesh
-from warp_partdr.render import label_loss, rasterize_parts
+from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
 
 Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
 

@@ -19,8 +19,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from warp_partdr.body.detailed_files import MAX_BYTES
-from warp_partdr.body.detailed_smpl import ARRAYS, check_smpl
+from warp_partdr.clothing.load import MAX_BYTES
+from warp_partdr.clothing.smpl import ARRAYS, check_smpl
 
 
 class Shell:

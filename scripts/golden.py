@@ -21,22 +21,23 @@ from typing import get_args
 import numpy as np
 import torch
 
-from warp_partdr.body.anny import anny
 from warp_partdr.body.labels import label_set
+from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
-from warp_partdr.ellipsoid_passes import Gradient
-from warp_partdr.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.fitting import FitOptions, fit_body
-from warp_partdr.keypoint_files import read_keypoints
-from warp_partdr.keypoints import choose_person
-from warp_partdr.mesh import ellipbody_mesh
-from warp_partdr.parameters import BodyParameters
-from warp_partdr.part_files import read_parts
-from warp_partdr.partbench.samples import make_sample
-from warp_partdr.quality import Quality, Start
-from warp_partdr.registration import register
-from warp_partdr.render import label_loss, rasterize_parts
-from warp_partdr.scoring import score
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.registration import register
+from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.evaluation.scoring import score
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import Quality, Start
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import choose_person
+from warp_partdr.inputs.part_labels import read_parts
+from warp_partdr.render.ellipsoid_passes import Gradient
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SCENES = 8
 SIZE = (120, 150)

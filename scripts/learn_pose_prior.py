@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from warp_partdr.body.pose_prior import FREE_PARTS, PosePrior, mirror_features
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
-from warp_partdr.pose_prior import FREE_PARTS, PosePrior, mirror_features
-from warp_partdr.training import mocap
+from warp_partdr.synthetic import mocap
 
 ORDER, SIGN = mirror_features()
 

@@ -31,9 +31,9 @@ from warp_partdr import (
     read_parts,
     read_photo,
 )
-from warp_partdr.output import draw_overlay
-from warp_partdr.palette import PART_COLOURS, group_colours
-from warp_partdr.pictures import turntable
+from warp_partdr.results.palette import PART_COLOURS, group_colours
+from warp_partdr.results.pictures import turntable
+from warp_partdr.results.save import draw_overlay
 
 EXAMPLE = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
 GAP, BAR = 12, 30  # [px]

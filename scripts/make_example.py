@@ -23,8 +23,8 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
-from warp_partdr.mesh import PartMesh
-from warp_partdr.render import rasterize_parts
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 IMAGE_SIZE = (512, 384)  # (H, W)

@@ -1,4 +1,4 @@
-"""Measure ``THICKNESS_RATIOS`` of ``body/growth.py`` on random people of the packaged Anny, and print them.
+"""Measure and print ``THICKNESS_RATIOS`` of ``warp_partdr/clothing/growth.py`` on random people of the packaged Anny.
 
     python scripts/measure_thickness_ratios.py [--count 100] [--seed 1000]
 
@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from registration import PHENOTYPES, measure_shape
 
-from warp_partdr.body.anny import anny, anny_shape
-from warp_partdr.body.growth import THICKNESS_RATIOS, Growth
 from warp_partdr.body.template import LENGTH_NAMES, THICKNESS_NAMES
-from warp_partdr.registration import vertex_parts
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.growth import THICKNESS_RATIOS, Growth
+from warp_partdr.clothing.registration import vertex_parts
 
 
 def main() -> None:

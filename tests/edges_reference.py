@@ -1,4 +1,4 @@
-"""The gradient of ``kernels/ellipsoid_edges.py`` in float64 NumPy: slow, obvious, every derivative by differences.
+"""The gradient of ``kernels/ellipsoids/edges.py`` in float64 NumPy: slow, obvious, every derivative by differences.
 
 1. Each two neighbouring pixels that show different labels have a border between their centres, crossed by the line
    through both.

@@ -11,18 +11,19 @@ import pytest
 import torch
 
 import warp_partdr
+from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import WeakPerspective
+from warp_partdr.clothing.registration import register
 from warp_partdr.errors import check_each, check_type
-from warp_partdr.fused import minimise
-from warp_partdr.inputs import choose_person, parse_keypoints, read_label_set
-from warp_partdr.mesh import ellipbody_mesh
+from warp_partdr.inputs.keypoint_files import parse_keypoints
+from warp_partdr.inputs.keypoints import choose_person
+from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.part_labels import PartLabels, read_label_set
 from warp_partdr.network.predict import predict_bodies
-from warp_partdr.observation import observe
-from warp_partdr.output import save_fit
-from warp_partdr.parameters import BodyParameters
-from warp_partdr.part_files import PartLabels
-from warp_partdr.refinement import refine
-from warp_partdr.registration import register
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import refine
+from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.results.save import save_fit
 
 PEOPLE = parse_keypoints([[[10.0 + k, 20.0 + 2 * k] for k in range(17)]] * 2)
 PERSON = PEOPLE[0]

@@ -10,16 +10,18 @@ import torch
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.checks import check_image_size, check_whole
-from warp_partdr.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.export import ellipbody_scene
-from warp_partdr.inputs import choose_person, parse_keypoints
-from warp_partdr.kernels.threads import set_num_threads
-from warp_partdr.mesh import ellipbody_mesh
-from warp_partdr.parameters import BodyParameters
-from warp_partdr.quality import Stage
-from warp_partdr.render import rasterize_parts
+from warp_partdr.errors import check_whole
+from warp_partdr.fit.stages import Stage
+from warp_partdr.inputs.keypoint_files import parse_keypoints
+from warp_partdr.inputs.keypoints import choose_person
+from warp_partdr.interop.checks import check_image_size
+from warp_partdr.kernels.launch import set_num_threads
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.results.ellipbody_files import ellipbody_scene
 
 NO_INTEGERS = [1.9, 1.0, True, np.bool_(True), np.float32(1), "1", None]
 BODY = BodyParameters.mean(1)

@@ -1,5 +1,5 @@
 """``python -m warp_partdr``: the command ``partdr``, for launchers that take a module."""
 
-from .cli import main
+from .cli.main import main
 
 main()

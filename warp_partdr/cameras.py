@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import torch
 
-from .body.movable import Movable
-from .checks import FLOATS, check_tensor
+from .interop.checks import FLOATS, check_tensor
+from .interop.movable import Movable
 
 
 @dataclass(frozen=True)

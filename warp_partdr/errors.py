@@ -1,6 +1,73 @@
-"""The errors that wrong input raises; they are below, where ``body`` can raise them too."""
+"""Errors that wrong input raises, how values are shown in them, and checks that need neither torch nor Warp."""
 
-from .body.errors import InputError as InputError
-from .body.errors import check_each as check_each
-from .body.errors import check_type as check_type
-from .body.errors import shown as shown
+from __future__ import annotations
+
+import math
+import operator
+import reprlib
+from collections.abc import Sequence
+from types import UnionType
+from typing import SupportsIndex, get_args
+
+# Products of three such numbers, an area in pixels times a depth, stay within float32.
+LARGEST = 1e12
+
+
+class InputError(ValueError):
+    """A file or an option that can't be used: one line that names it, what it was and what was expected.
+
+    The command line prints it without a traceback and exits with code 2.
+    """
+
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = 60
+
+
+def shown(value: object) -> str:
+    """A value for a message: short, however long or deeply nested it is."""
+    return " ".join(_REPR.repr(value).split())
+
+
+def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> None:
+    """Raise TypeError unless an argument is of a type.
+
+    Args:
+        name: The argument's name.
+        value: What the caller passed.
+        kind: A class, or a union of classes and None.
+        hint: Where one comes from, such as "of read_parts".
+    """
+    if not isinstance(value, kind):
+        names = " or ".join(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,))
+        raise TypeError(f"{name}: {type(value).__name__}; expected {names.replace('NoneType', 'None')}, {hint}")
+
+
+def check_each(name: str, values: object, kind: type, hint: str) -> None:
+    """The same of each in a list or another sequence."""
+    if not isinstance(values, Sequence) or isinstance(values, str | bytes):
+        raise TypeError(f"{name}: {type(values).__name__}; expected a sequence of {kind.__name__}, {hint}")
+    for index, value in enumerate(values):
+        check_type(f"{name}[{index}]", value, kind, hint)
+
+
+def check_whole(name: str, value: SupportsIndex, low: int, high: float = math.inf) -> int:
+    """An integer of any type, such as ``numpy.int64``, as an ``int``; True and False are none.
+
+    Args:
+        name: The argument's name, for the message.
+        value: What the caller passed.
+        low: Least that it may be.
+        high: Most that it may be.
+
+    Raises:
+        ValueError: If it is no integer, or out of range.
+    """
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or not low <= number <= high:
+        expected = f"an integer from {low} to {high}" if high < math.inf else f"an integer of {low} or more"
+        raise ValueError(f"{name}: {value!r}; expected {expected}")
+    return number

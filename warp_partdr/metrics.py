@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from .body.labels import BACKGROUND, IGNORE
-from .checks import check_finite
+from .interop.checks import check_finite
 
 Array = np.ndarray | torch.Tensor
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..palette import DEPTH_COLOURS
+from ..results.palette import DEPTH_COLOURS
 
 _FACES = ((0, 1, 2), (0, 2, 3), (4, 5, 6))  # two triangles a shaft and one a head
 _CORNERS = 7

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from ..body.anny import anny
-from ..body.detailed import DetailedModel
-from ..parameters import BodyParameters
-from ..posing import Posed
-from ..registration import Registered, RegistrationOptions, register
+from ..body.parameters import BodyParameters
+from ..body.posing import Posed
+from ..clothing.anny import anny
+from ..clothing.model import DetailedModel
+from ..clothing.registration import Registered, RegistrationOptions, register
 
 
 class Clothing:

@@ -10,10 +10,10 @@ from typing import Any, get_args
 
 import torch
 
+from ..body.parameters import BodyParameters
 from ..body.template import LOCKED_PARTS, PART_NAMES
-from ..ellipsoid_passes import Gradient
 from ..errors import InputError
-from ..parameters import BodyParameters
+from ..render.ellipsoid_passes import Gradient
 from .buttons import Button
 from .clothing import Clothing
 from .film import FILM, Film

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 
 from ..body.icosphere import icosphere
+from ..body.posing import Posed
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
 from ..errors import InputError
-from ..palette import PART_COLOURS
-from ..posing import Posed
+from ..results.palette import PART_COLOURS
 from .arrows import Arrows
 from .state import DemoState
 from .wanted import BACKGROUND_COLOUR

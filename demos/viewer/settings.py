@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from ..ellipsoid_passes import Gradient
 from ..errors import InputError
+from ..render.ellipsoid_passes import Gradient
 
 Supervision = Literal["keypoints", "silhouette", "parts"]
 RendererName = Literal["exact", "E0", "E1", "E2", "E3"]

@@ -13,19 +13,19 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, label_set
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import Posed
 from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
-from ..ellipsoids import draw_ellipsoids
-from ..energy import Energy, Renderer
 from ..errors import InputError
-from ..export import ellipbody_scene
-from ..mesh import PartMesh, ellipbody_mesh
 from ..metrics import mpjpe, part_f1
-from ..output import body_file
-from ..parameters import BodyParameters
-from ..pose_prior import PosePrior
-from ..posing import Posed
-from ..refinement import SHAPE_RATE, SIZES, rate_share
-from ..render import DEFAULT_DEPTH_WEIGHT, rasterize_parts
+from ..refinement.energy import Energy, Renderer
+from ..refinement.refine import SHAPE_RATE, SIZES, rate_share
+from ..render.ellipsoids import draw_ellipsoids
+from ..render.mesh import DEFAULT_DEPTH_WEIGHT, rasterize_parts
+from ..render.part_mesh import PartMesh, ellipbody_mesh
+from ..results.ellipbody_files import ellipbody_scene
+from ..results.save import body_file
 from .settings import Settings
 from .targets import Target, read_body
 from .view import VIEW, seen_as, view_of

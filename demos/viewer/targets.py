@@ -11,20 +11,22 @@ import numpy as np
 import torch
 
 from ..body.labels import LabelSet, label_set
+from ..body.parameters import BodyParameters
+from ..body.posing import LandmarkGather, Posed
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..body.skeletons import skeleton
-from ..body_file import load_body
-from ..ellipsoids import draw_ellipsoids
-from ..energy import LandmarkGather, Observation
 from ..errors import InputError
-from ..inputs import check_inside, check_sizes, choose_person, label_set_of, read_keypoints, read_parts, read_photo
+from ..inputs.keypoint_files import read_keypoints
+from ..inputs.keypoints import choose_person
+from ..inputs.observation import LABEL_SIZE, Observation, observe
+from ..inputs.part_labels import check_sizes, label_set_of, read_parts, read_photo
+from ..inputs.person import check_inside
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
-from ..observation import LABEL_SIZE, observe
-from ..parameters import BodyParameters
-from ..partbench.poses import draw_pose
-from ..posing import Posed
-from ..refinement import SIZES
+from ..refinement.refine import SIZES
+from ..render.ellipsoids import draw_ellipsoids
+from ..results.body_file import load_body
+from ..synthetic.bench_poses import draw_pose
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
 _PRESETS: dict[str, tuple[str | None, int, float]] = {

@@ -11,9 +11,9 @@ import torch
 from ..bench.plan import GRADIENTS
 from ..bench.tradeoff_gradient import gradient_error, true_gradient
 from ..bench.tradeoff_plan import Setting
-from ..bench.tradeoff_truth import ELLIPBODY, People, draw_truth
-from ..energy import REFERENCE_SIZE
-from ..subdivisions import silhouette_error
+from ..inputs.observation import REFERENCE_SIZE
+from ..render.subdivisions import silhouette_error
+from ..synthetic.tradeoff_people import ELLIPBODY, People, draw_truth
 from .settings import Settings
 from .state import DemoState
 

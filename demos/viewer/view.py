@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import torch
 
+from ..body.parameters import BodyParameters
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
-from ..energy import REFERENCE_SIZE
-from ..parameters import BodyParameters
+from ..inputs.observation import REFERENCE_SIZE
 
 _HALF = REFERENCE_SIZE / 2
 _X, _Y, _Z = torch.eye(3)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE
-from ..energy import resize_nearest
-from ..palette import IGNORE_COLOUR, group_colours
+from ..inputs.observation import resize_nearest
+from ..results.palette import IGNORE_COLOUR, group_colours
 from .targets import Target
 
 BACKGROUND_COLOUR = 250

@@ -9,11 +9,11 @@ from typing import Any
 
 import torch
 
-from ..ellipsoids import Ellipsoids, ellipsoid_label_loss
-from ..fused import minimise
-from ..mesh import ellipbody_mesh
-from ..refinement import refine
-from ..render import label_loss
+from ..refinement.fused import minimise
+from ..refinement.refine import refine
+from ..render.ellipsoids import Ellipsoids, ellipsoid_label_loss
+from ..render.mesh import label_loss
+from ..render.part_mesh import ellipbody_mesh
 from .launches import count_bytes, observe_launches, time_kernels
 from .machine import about, copy_bandwidth
 from .peers import OURS, PEERS, MeshView

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..mesh import PartMesh
-from ..render import label_loss, rasterize_parts
+from ..render.mesh import label_loss, rasterize_parts
+from ..render.part_mesh import PartMesh
 
 _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
 

@@ -14,19 +14,20 @@ import torch
 import warp as wp
 
 from ..body.ellipbody import bone_tree
-from ..ellipsoid_passes import Gradient
-from ..ellipsoids import ellipsoid_label_loss
-from ..fused import FusedRefinement
-from ..fused_picture import EllipsoidPicture
-from ..kernels import kinematics, map_gradient, push_xy, push_z, rasterize
-from ..kernels.ellipsoid_picture import launch_draw
-from ..kernels.ellipsoids import Seen, launch_see
-from ..kernels.refine_state import Ellipsoids
+from ..kernels import kinematics
+from ..kernels.ellipsoids.picture import launch_draw
+from ..kernels.ellipsoids.silhouette import Seen, launch_see
+from ..kernels.labels import LabelTarget
+from ..kernels.mesh import map_gradient, push_xy, push_z, rasterize
+from ..kernels.refine.state import Ellipsoids
 from ..kernels.side_stream import launch_side_by_side
-from ..kernels.targets import LabelTarget
-from ..mesh import ellipbody_mesh
-from ..refinement import LEARNING_RATE
-from ..render import DEFAULT_DEPTH_WEIGHT, label_loss, weight_table
+from ..refinement.fused import FusedRefinement
+from ..refinement.fused_picture import EllipsoidPicture
+from ..refinement.refine import LEARNING_RATE
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import ellipsoid_label_loss
+from ..render.mesh import DEFAULT_DEPTH_WEIGHT, label_loss, weight_table
+from ..render.part_mesh import ellipbody_mesh
 from .scene import LABELS, Scene
 
 _VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import torch
 
 from ..body.labels import label_set
+from ..body.parameters import BodyParameters
 from ..body.template import PART_NAMES
 from ..cameras import Crop, WeakPerspective
-from ..ellipsoid_passes import Gradient
-from ..ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from ..mesh import PartMesh, ellipbody_mesh
-from ..parameters import BodyParameters
-from ..render import label_loss
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from ..render.mesh import label_loss
+from ..render.part_mesh import PartMesh, ellipbody_mesh
 from .kernels import Progress
 from .scene import Scene
 from .timing import Timing, peak_memory, repeat, wall_time

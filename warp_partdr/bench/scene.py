@@ -8,14 +8,15 @@ from functools import cached_property
 import torch
 
 from ..body.labels import label_set
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import LandmarkGather, Posed
 from ..body.skeletons import skeleton
 from ..cameras import WeakPerspective
-from ..ellipsoid_passes import Gradient
-from ..ellipsoids import draw_ellipsoids
-from ..energy import Energy, LandmarkGather, Observation
-from ..parameters import BodyParameters
-from ..pose_prior import PosePrior
-from ..posing import Posed
+from ..inputs.observation import Observation
+from ..refinement.energy import Energy
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import draw_ellipsoids
 
 LABELS = label_set("ellipbody20")
 _BEND, _MOVE = 0.2, 0.1  # [rad] of each joint: from the rest pose, and from there to the target

@@ -52,8 +52,8 @@ def main() -> None:
     import torch
     import warp as wp
 
-    from ..ellipsoids import ellipsoid_label_loss
-    from ..parameters import BodyParameters
+    from ..body.parameters import BodyParameters
+    from ..render.ellipsoids import ellipsoid_label_loss
 
     wp.config.log_level = wp.LOG_ERROR
     imported = time.perf_counter()

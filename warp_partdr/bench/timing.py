@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..streams import capture_graph
+from ..interop.streams import capture_graph
 
 Clock = Callable[[], float]
 

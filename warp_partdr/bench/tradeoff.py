@@ -10,30 +10,22 @@ from typing import get_args
 
 import torch
 
-from ..energy import LandmarkGather, Weights
-from ..evaluation import Method, evaluate
-from ..fitting import FitOptions
-from ..parameters import BodyParameters
-from ..partbench.samples import partbench
-from ..pose_prior import PosePrior
-from ..quality import Quality
-from ..refinement import refine
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import LandmarkGather
+from ..evaluation.evaluate import Method, evaluate
+from ..evaluation.partbench.samples import partbench
+from ..fit.options import FitOptions
+from ..fit.stages import Quality
+from ..refinement.energy import Weights
+from ..refinement.refine import refine
+from ..synthetic.tradeoff_people import JOINTS, People, make_people
 from .machine import about
 from .tradeoff_fits import own_part_f1, refine_all, score, time_iteration
 from .tradeoff_gradient import gradient_error, true_gradient
 from .tradeoff_plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
-from .tradeoff_report import (
-    BFLOAT16,
-    FLOAT32,
-    FLOAT64,
-    KEYPOINTS_TOO,
-    Fit,
-    Gradient,
-    Precision,
-    Report,
-)
+from .tradeoff_report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, Fit, Gradient, Precision, Report
 from .tradeoff_report import LABELS_ALONE as SEES_LABELS_ALONE
-from .tradeoff_truth import JOINTS, People, make_people
 
 Progress = Callable[[str, int, int], None]
 

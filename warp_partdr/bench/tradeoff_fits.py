@@ -10,18 +10,19 @@ from functools import partial
 import numpy as np
 import torch
 
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import LandmarkGather
 from ..body.template import NUM_PARTS
-from ..energy import LandmarkGather, Weights
-from ..fused import FusedRefinement
-from ..mesh import ellipbody_mesh
 from ..metrics import accuracy, confusion, pa_mpjpe, part_f1
-from ..parameters import BodyParameters
-from ..pose_prior import PosePrior
-from ..refinement import refine
-from ..render import rasterize_parts
+from ..refinement.energy import Weights
+from ..refinement.fused import FusedRefinement
+from ..refinement.refine import refine
+from ..render.mesh import rasterize_parts
+from ..render.part_mesh import ellipbody_mesh
+from ..synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
 from .timing import Timing, time_calls
 from .tradeoff_plan import RATE, Setting
-from .tradeoff_truth import JOINTS, TRUTH_SIZE, People, draw_truth
 
 _SCORED = TRUTH_SIZE // 3  # [px], side of the pictures that are compared
 _TIMED_PEOPLE, _TIMED_ITERATIONS = 4, 5

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..ellipsoids import ellipsoid_label_loss
-from ..energy import REFERENCE_SIZE, resize_nearest
-from ..mesh import ellipbody_mesh
-from ..parameters import BodyParameters
-from ..refinement import SHAPE_RATE
-from ..render import label_loss
+from ..body.parameters import BodyParameters
+from ..inputs.observation import REFERENCE_SIZE, resize_nearest
+from ..refinement.refine import SHAPE_RATE
+from ..render.ellipsoids import ellipsoid_label_loss
+from ..render.mesh import label_loss
+from ..render.part_mesh import ellipbody_mesh
+from ..synthetic.tradeoff_people import TRUTH_SIZE, People
 from .plan import COVERAGE
 from .tradeoff_plan import Setting
-from .tradeoff_truth import TRUTH_SIZE, People
 
 # Adam moves lengths and thicknesses [m] that much slower than angles [rad]: so one of their units counts as less.
 _STEPS = {"lengths": SHAPE_RATE, "thicknesses": SHAPE_RATE}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..ellipsoid_passes import Gradient
-from ..energy import Energy, Observation, Renderer, Weights
-from ..pose_prior import PosePrior
+from ..body.pose_prior import PosePrior
+from ..inputs.observation import Observation
+from ..refinement.energy import Energy, Renderer, Weights
+from ..render.ellipsoid_passes import Gradient
 from .plan import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
 
 NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the order of tables and legends

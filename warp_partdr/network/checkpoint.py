@@ -54,6 +54,6 @@ def packaged_network(device: str) -> LabelNetwork:
 
 @contextmanager
 def _place(path: Path | str | None) -> Iterator[Path]:
-    packaged = resources.files(__package__.rpartition(".")[0]).joinpath("assets", PACKAGED)
+    packaged = resources.files("warp_partdr").joinpath("assets", PACKAGED)
     with resources.as_file(packaged) as default:
         yield default if path is None else Path(path)

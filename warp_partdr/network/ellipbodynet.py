@@ -14,8 +14,8 @@ import torch
 from torch import nn
 
 from ..body.template import NUM_PARTS
-from ..checks import check_tensor
 from ..errors import InputError
+from ..interop.checks import check_tensor
 from .heads import DeconvolutionHead, soft_argmax
 from .landmarks import LANDMARKS
 from .predicted import Predicted

@@ -10,9 +10,9 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from ..body.json_files import parse_json
 from ..errors import InputError
-from ..sections import read_section
+from ..files.json_files import parse_json
+from ..files.sections import read_section
 
 MAX_BYTES = 1 << 30
 

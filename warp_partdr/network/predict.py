@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import torch
 
-from ..energy import Observation, resize_nearest
+from ..body.parameters import BodyParameters
 from ..errors import check_each, check_type
-from ..parameters import BodyParameters
-from ..torch_threads import one_torch_thread
+from ..inputs.observation import Observation, resize_nearest
+from ..interop.torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, map_shares
 from .landmarks import network_keypoints
 

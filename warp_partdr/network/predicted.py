@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import torch
 
+from ..body.parameters import BodyParameters, crop_camera
+from ..body.posing import Posed, pose
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
-from ..parameters import BodyParameters, crop_camera
-from ..posing import Posed, pose
 
 
 @dataclass(frozen=True)

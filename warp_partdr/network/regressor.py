@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import FREE_PARTS, PosePrior
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from ..body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES, template
-from ..parameters import BodyParameters
-from ..pose_prior import FREE_PARTS, PosePrior
 from .predicted import Predicted
 
 CAMERA = "camera"  # name of the head that a schedule may freeze

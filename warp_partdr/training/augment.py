@@ -17,10 +17,10 @@ from PIL import Image
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name
+from ..body.parameters import BodyParameters
 from ..body.rotations import rotation_from_6d, rotation_to_6d
 from ..body.template import PART_NAMES
-from ..parameters import BodyParameters
-from ..person import Box
+from ..inputs.person import Box
 
 _GREYS = 255.0
 

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..body.json_files import parse_json
 from ..errors import InputError
+from ..files.json_files import parse_json
 from .trees import join_tensors, split_tensors
 
 FORMAT = "warp-partdr training 1"

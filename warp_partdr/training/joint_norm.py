@@ -13,7 +13,7 @@ import torch.distributed as dist
 from torch import nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from ..derivatives import once
+from ..interop.derivatives import once
 
 
 def normalise_jointly(model: nn.Module) -> nn.Module:

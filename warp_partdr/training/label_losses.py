@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 
 from ..body.template import template
-from ..ellipsoids import ellipsoid_label_loss
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted
+from ..render.ellipsoids import ellipsoid_label_loss
 from .posed_landmarks import landmarks
 
 

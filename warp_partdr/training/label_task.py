@@ -15,17 +15,17 @@ import torch
 from ..body.labels import label_set
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import JOINT_NAMES, NUM_PARTS
-from ..ellipsoids import draw_ellipsoids
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
 from ..network.predicted import Predicted
-from ..palette import group_colours
+from ..render.ellipsoids import draw_ellipsoids
+from ..results.palette import group_colours
+from ..synthetic.noise import TRAINING_LABEL_SETS
+from ..synthetic.people import People, PeopleMaker
+from ..synthetic.poses import PoseBank
 from .label_losses import Truth, body_losses
-from .noise import TRAINING_LABEL_SETS
-from .people import People, PeopleMaker
-from .poses import PoseBank
 from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:

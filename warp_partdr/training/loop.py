@@ -102,7 +102,7 @@ class _Run:
     def __init__(self, config: TrainingConfig, accelerator: Any, *, resume: bool) -> None:
         from accelerate.utils import set_seed
 
-        from ..result_sets import check_folder
+        from ..results.result_sets import check_folder
 
         self.config = config
         self.checkpoints = config.out / "checkpoints"

@@ -15,15 +15,16 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from ..body.labels import IGNORE, LabelSet
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import NUM_PARTS
-from ..datasets import Sample, read_folder, read_human36m, read_lsp, read_pw3d
 from ..errors import InputError
-from ..keypoints import LARGEST_PLACE
+from ..evaluation.datasets import read_folder, read_human36m, read_lsp, read_pw3d
+from ..inputs.keypoints import LARGEST_PLACE
+from ..inputs.observation import CROP_MARGIN
+from ..inputs.part_labels import check_sizes, read_label_set, read_photo
+from ..inputs.person import Box, person_crop
+from ..inputs.sample import Sample
 from ..network.landmarks import LANDMARKS, network_keypoints
-from ..observation import CROP_MARGIN
-from ..part_files import check_sizes, read_label_set, read_photo
-from ..person import Box, person_crop
+from ..synthetic.shaded_people import shaded_people
 from .augment import Augmentation, Similarity
-from .shaded_people import shaded_people
 
 JOINTS = skeleton(MPJPE_SKELETON).landmarks  # that L_3D compares
 _AS_IT_IS = Similarity()
@@ -38,7 +39,7 @@ class Source:
     Attributes:
         kind: "human36m", "lsp" (also UP-3D's annotation arrays), "pw3d", "folder", or "shaded": free pictures of Anny
             people.
-        path: What the reader of ``warp_partdr.datasets`` takes; of "shaded", nothing.
+        path: What the reader of ``warp_partdr.evaluation.datasets`` takes; of "shaded", nothing.
         pictures: Folder that annotation arrays name pictures in.
         parts: Folder of part labels, for "lsp".
         labels: Their label set.

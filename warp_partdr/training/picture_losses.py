@@ -15,14 +15,14 @@ import torch
 from torch import nn
 
 from ..body.labels import IGNORE
+from ..body.posing import Posed
 from ..body.template import template
-from ..ellipsoid_passes import Gradient
-from ..ellipsoids import ellipsoid_label_loss
-from ..energy import REFERENCE_SIZE, resize_nearest
+from ..inputs.observation import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
-from ..posing import Posed
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import ellipsoid_label_loss
 from .picture_data import JOINTS, Examples
 from .posed_landmarks import landmarks
 

@@ -13,15 +13,15 @@ import numpy as np
 import torch
 
 from ..body.labels import IGNORE
-from ..datasets import Sample
-from ..ellipsoid_passes import Gradient
-from ..ellipsoids import draw_ellipsoids
-from ..energy import REFERENCE_SIZE
 from ..errors import InputError
+from ..inputs.observation import REFERENCE_SIZE
+from ..inputs.sample import Sample
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
 from ..network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
-from ..palette import PART_COLOURS
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import draw_ellipsoids
+from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term

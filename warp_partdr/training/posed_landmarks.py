@@ -6,8 +6,7 @@ from functools import lru_cache
 
 import torch
 
-from ..energy import LandmarkGather
-from ..posing import Posed
+from ..body.posing import LandmarkGather, Posed
 
 
 def landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:

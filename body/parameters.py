@@ -1,0 +1,144 @@
+"""What a fit optimises: the numbers of a batch of bodies and of their cameras, as torch tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, fields, replace
+
+import torch
+
+from ..cameras import WeakPerspective
+from ..errors import check_whole
+from ..interop.checks import check_finite, check_tensor
+from ..interop.movable import Movable
+from .posing import Posed, pose
+from .rotations import rotation_from_6d, rotation_from_axis_angle
+from .template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
+
+ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
+    "orientation": (6,),
+    "rotations": (NUM_PARTS, 3),
+    "lengths": (len(LENGTH_NAMES),),
+    "thicknesses": (len(THICKNESS_NAMES),),
+    "log_scale": (),
+    "shift": (2,),
+}
+
+
+@dataclass(frozen=True)
+class BodyParameters(Movable):
+    """B bodies, each seen by a weak-perspective camera in a square crop of side 2 (coordinates -1 to 1).
+
+    Attributes:
+        orientation: Global orientation, 6D, camera frame, shape (B, 6).
+        rotations: Local rotations as axis-angle [rad], shape (B, 20, 3); those of the hips stay 0.
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
+        log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
+        shift: Where the pelvis is in the crop, shape (B, 2).
+
+    Raises:
+        ValueError: If a shape or dtype is wrong, or they differ in dtype or device.
+    """
+
+    orientation: torch.Tensor
+    rotations: torch.Tensor
+    lengths: torch.Tensor
+    thicknesses: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+
+    def __post_init__(self) -> None:
+        check_tensor("log_scale", self.log_scale, (None,), dtypes=(torch.float32, torch.float64))
+        for name, shape in ROW.items():
+            value = getattr(self, name)
+            like = ("log_scale", self.log_scale)
+            check_tensor(name, value, (self.batch_size, *shape), dtypes=(torch.float32, torch.float64), like=like)
+
+    def check_finite(self) -> None:
+        """Raise ValueError if a number is NaN, infinite or too large to reckon with; waits for the device."""
+        check_finite(**self.tensors(), **{"exp(log_scale)": self.log_scale.exp()})
+
+    @classmethod
+    def mean(cls, batch_size: int, *, device: torch.device | str = "cpu") -> BodyParameters:
+        """Mean adults in the rest pose, upright, facing the camera, 2 m high in the crop."""
+        batch_size = check_whole("batch_size", batch_size, 0)
+        constants = template()
+        facing = torch.tensor([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], device=device)
+        return cls(
+            orientation=facing.repeat(batch_size, 1),
+            rotations=torch.zeros(batch_size, NUM_PARTS, 3, device=device),
+            lengths=torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device).repeat(batch_size, 1),
+            thicknesses=torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device).repeat(
+                batch_size, 1
+            ),
+            log_scale=torch.zeros(batch_size, device=device),
+            shift=torch.zeros(batch_size, 2, device=device),
+        )
+
+    @property
+    def batch_size(self) -> int:
+        """B, the number of bodies."""
+        return self.log_scale.shape[0]
+
+    def global_orient(self) -> torch.Tensor:
+        """Global orientation as matrices, shape (B, 3, 3)."""
+        return rotation_from_6d(self.orientation)
+
+    def free_rotations(self) -> torch.Tensor:
+        """Local rotations with the locked ones at zero, shape (B, 20, 3)."""
+        free = torch.ones(NUM_PARTS, 1, device=self.rotations.device)
+        free[list(LOCKED_PARTS)] = 0.0
+        return self.rotations * free
+
+    def posed(self) -> Posed:
+        """The bodies in the camera frame, pelvis at the origin [m]."""
+        return pose(
+            self.global_orient(),
+            self.lengths.new_zeros(self.batch_size, 3),
+            rotation_from_axis_angle(self.free_rotations()),
+            self.lengths,
+            self.thicknesses,
+            validate=False,
+        )
+
+    def camera(self, size: int) -> WeakPerspective:
+        """The cameras for a crop of ``size`` pixels a side."""
+        return crop_camera(self.log_scale, self.shift, size)
+
+    def select(self, index: torch.Tensor) -> BodyParameters:
+        """Some of the bodies."""
+        return replace(self, **{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+    def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
+        """Detached copies that collect gradients, but for the frozen ones."""
+        copies = {name: tensor.detach().clone() for name, tensor in self.tensors().items()}
+        return replace(self, **{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
+
+    @classmethod
+    def free(cls, frozen: Collection[str]) -> tuple[str, ...]:
+        """Names of the parameters that are not frozen.
+
+        Raises:
+            ValueError: If ``frozen`` names something else, or all of them.
+        """
+        names = tuple(field.name for field in fields(cls))
+        if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in names]):
+            raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {names}")
+        if not (free := tuple(name for name in names if name not in frozen)):
+            raise ValueError("frozen: all parameters; expected at least one to be free")
+        return free
+
+    def detach(self) -> BodyParameters:
+        """The numbers alone."""
+        return replace(self, **{field.name: getattr(self, field.name).detach() for field in fields(self)})
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """The tensors by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:
+    """The cameras of ``BodyParameters``, shapes (B,) and (B, 2), for a crop of ``size`` pixels a side."""
+    half = size / 2
+    return WeakPerspective(log_scale.exp() * half, (shift + 1) * half)

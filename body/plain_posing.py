@@ -1,0 +1,58 @@
+"""Forward kinematics in plain torch, one operation after another: what the kernels of ``posing`` do in one launch.
+
+It can be differentiated any number of times, traced by ``torch.compile`` and transformed by ``torch.func``.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from .icosphere import icosphere
+from .template import LENGTH_NAMES, PARENTS, SHAPE_INDICES, template
+
+_DIRECTIONS = torch.from_numpy(template().rest_directions)
+_AXES = torch.from_numpy(template().rest_axes)
+# Of each part, in lengths and thicknesses side by side.
+_SIZES = [[length, *(len(LENGTH_NAMES) + index for index in thicknesses)] for length, *thicknesses in SHAPE_INDICES]
+_STARTS = [parent + 1 for parent in PARENTS]  # joint where each bone starts
+
+
+def pose_bones(
+    global_orient: torch.Tensor,
+    translation: torch.Tensor,
+    rotations: torch.Tensor,
+    lengths: torch.Tensor,
+    thicknesses: torch.Tensor,
+) -> tuple[torch.Tensor, ...]:
+    """The fields of ``Posed``, from the arguments of ``pose``."""
+    turns: list[torch.Tensor] = []
+    for parent, rotation in zip(PARENTS, rotations.unbind(1), strict=True):
+        turns.append((global_orient if parent < 0 else turns[parent]) @ rotation)
+    turned = torch.stack(turns, dim=1)
+    sizes = torch.cat([lengths, thicknesses], dim=1)[:, _SIZES]
+    bones = (turned @ _DIRECTIONS.to(lengths)[..., None])[..., 0] * sizes[..., :1]
+    ends = [translation]
+    for start, bone in zip(_STARTS, bones.unbind(1), strict=True):
+        ends.append(ends[start] + bone)
+    joints = torch.stack(ends, dim=1)
+    centres = (joints[:, _STARTS] + joints[:, 1:]) / 2
+    return joints, turned, centres, turned @ _AXES.to(lengths), sizes / 2
+
+
+def place_vertices(
+    centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
+) -> torch.Tensor:
+    """The unit sphere's mesh deformed into each ellipsoid, shape (B, P, N, 3) [m]."""
+    sphere = torch.ops.warp_partdr.unit_sphere(subdivisions).to(semi_axes)
+    return centres[:, :, None] + (semi_axes[:, :, None] * sphere) @ axes.mT
+
+
+@torch.library.custom_op("warp_partdr::unit_sphere", mutates_args=())
+def _unit_sphere(subdivisions: int) -> torch.Tensor:
+    """An operation of its own, for ``torch.compile`` can't trace how the sphere is made."""
+    return torch.from_numpy(icosphere(subdivisions)[0].copy())
+
+
+@_unit_sphere.register_fake
+def _(subdivisions: int) -> torch.Tensor:
+    return torch.empty(10 * 4**subdivisions + 2, 3, dtype=torch.float64)

@@ -1,0 +1,218 @@
+"""Differentiable forward kinematics of EllipBody on torch tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..interop.checks import check_numbers, check_tensor, contiguous
+from ..interop.derivatives import is_transformed
+from ..interop.movable import Movable
+from ..interop.streams import on_torch_stream
+from ..kernels import kinematics
+from . import plain_posing
+from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
+from .landmarks import landmark_points
+from .template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
+
+_WARP_TYPES = {torch.float32: (wp.float32, wp.vec3f, wp.mat33f), torch.float64: (wp.float64, wp.vec3d, wp.mat33d)}
+
+
+@dataclass(frozen=True)
+class Posed(Movable):
+    """Posed bodies, differentiable any number of times, in the frame of the translation [m].
+
+    Attributes:
+        joints: ``JOINT_NAMES``, shape (B, 21, 3).
+        rotations: Global rotation of each bone, shape (B, 20, 3, 3).
+        centres: Ellipsoid centres, shape (B, 20, 3).
+        axes: Ellipsoid axes as columns (bone, first thickness, second thickness), shape (B, 20, 3, 3).
+        semi_axes: Half of length and thicknesses, shape (B, 20, 3).
+    """
+
+    joints: torch.Tensor
+    rotations: torch.Tensor
+    centres: torch.Tensor
+    axes: torch.Tensor
+    semi_axes: torch.Tensor
+
+    def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
+        """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
+        place = plain_posing.place_vertices if _in_torch(self.centres, self.axes, self.semi_axes) else _Vertices.apply
+        return place(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
+
+
+class LandmarkGather:
+    """Where landmarks are on posed bodies.
+
+    Args:
+        names: L landmarks.
+        device: Where the bodies are.
+    """
+
+    def __init__(self, names: Sequence[str], device: torch.device | str) -> None:
+        points = landmark_points(names)
+        self.parts = torch.from_numpy(points.parts).to(device)
+        self._normalised = torch.from_numpy(points.normalised.astype(np.float32)).to(device)
+        self._weights = torch.from_numpy(points.weights.astype(np.float32)).to(device)
+
+    def __call__(self, posed: Posed) -> torch.Tensor:
+        """Shape (B, L, 3) [m], float32 or as the bodies."""
+        local = posed.semi_axes[:, self.parts] * self._normalised.to(posed.semi_axes)
+        points = posed.centres[:, self.parts] + (posed.axes[:, self.parts] @ local[..., None]).squeeze(-1)
+        return (points * self._weights.to(points)[..., None]).sum(2)
+
+
+def pose(
+    global_orient: torch.Tensor,
+    translation: torch.Tensor,
+    rotations: torch.Tensor,
+    lengths: torch.Tensor,
+    thicknesses: torch.Tensor,
+    *,
+    validate: bool = True,
+) -> Posed:
+    """Pose EllipBody (paper, eq. 13 and 14); differentiable any number of times, also by ``torch.func``.
+
+    Args:
+        global_orient: Rotation of the whole body, shape (B, 3, 3).
+        translation: Position of the pelvis [m], shape (B, 3).
+        rotations: Local rotation of each bone, shape (B, 20, 3, 3); ``rotation_from_6d`` and
+            ``rotation_from_axis_angle`` make some.
+        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
+        thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
+        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device. Not
+            under ``torch.func`` and ``torch.compile``, which know no numbers.
+
+    Returns:
+        The posed bodies; float32 or float64, as the arguments.
+
+    Raises:
+        ValueError: If a shape, dtype or device does not fit the others, or something is NaN, infinite or no rotation.
+    """
+    check_tensor("global_orient", global_orient, (None, 3, 3), dtypes=tuple(_WARP_TYPES))
+    batch = global_orient.shape[0]
+    shapes = {
+        "global_orient": (global_orient, (batch, 3, 3)),
+        "translation": (translation, (batch, 3)),
+        "rotations": (rotations, (batch, NUM_PARTS, 3, 3)),
+        "lengths": (lengths, (batch, len(LENGTH_NAMES))),
+        "thicknesses": (thicknesses, (batch, len(THICKNESS_NAMES))),
+    }
+    for name, (tensor, shape) in shapes.items():
+        check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
+    parameters = (global_orient, translation, rotations, lengths, thicknesses)
+    if _in_torch(*parameters):
+        return Posed(*plain_posing.pose_bones(*parameters))
+    if validate:
+        numbers = {name: tensor for name, (tensor, _) in shapes.items()}
+        check_numbers(numbers, rotations=("global_orient", "rotations"))
+    return Posed(*_Bones.apply(*parameters))
+
+
+def _in_torch(*tensors: torch.Tensor) -> bool:
+    """Whether plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
+    return torch.compiler.is_compiling() or is_transformed(*tensors)
+
+
+def _differentiable(*adjoints: torch.Tensor) -> bool:
+    """Whether a backward pass has to be differentiable itself, under ``create_graph``, or is one of many under vmap."""
+    return torch.is_grad_enabled() or is_transformed(*adjoints)
+
+
+def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
+    return wp.from_torch(contiguous(tensor.detach()), dtype=kind, requires_grad=False)
+
+
+class _Bones(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        lengths = parameters[3]
+        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
+        batch = lengths.shape[0]
+        joints = lengths.new_empty(batch, NUM_JOINTS, 3)
+        rotations, axes = lengths.new_empty(2, batch, NUM_PARTS, 3, 3)
+        centres, semi_axes = lengths.new_empty(2, batch, NUM_PARTS, 3)
+        with on_torch_stream(lengths.device) as device:
+            tree = bone_tree(device, scalar)
+            inputs = [_from_torch(p, t) for p, t in zip(parameters, (mat, vec, mat, scalar, scalar), strict=True)]
+            outputs = [
+                _from_torch(t, k)
+                for t, k in ((joints, vec), (rotations, mat), (centres, vec), (axes, mat), (semi_axes, vec))
+            ]
+            kinematics.launch_pose(tree, inputs, *outputs)
+        ctx.save_for_backward(*parameters, rotations)
+        return joints, rotations, centres, axes, semi_axes
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        *parameters, rotations = ctx.saved_tensors
+        if _differentiable(*adjoints):
+            return torch.func.vjp(plain_posing.pose_bones, *parameters)[1](adjoints)
+        global_orient, _, local_rotations, lengths, _ = parameters
+        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
+        # The kernel gathers into the first two, which autograd may share with others: copies.
+        adjoints = (
+            adjoints[0].clone(memory_format=torch.contiguous_format),
+            adjoints[1].clone(memory_format=torch.contiguous_format),
+            *adjoints[2:],
+        )
+        gradients = (
+            torch.zeros_like(global_orient, memory_format=torch.contiguous_format),
+            lengths.new_empty(lengths.shape[0], 3),
+            lengths.new_empty(local_rotations.shape),
+            torch.zeros_like(lengths, memory_format=torch.contiguous_format),
+            lengths.new_zeros(lengths.shape[0], len(THICKNESS_NAMES)),
+        )
+        with on_torch_stream(lengths.device) as device:
+            tree = bone_tree(device, scalar)
+            saved = [
+                _from_torch(t, k)
+                for t, k in ((global_orient, mat), (local_rotations, mat), (lengths, scalar), (rotations, mat))
+            ]
+            sent = [_from_torch(t, k) for t, k in zip(adjoints, (vec, mat, vec, mat, vec), strict=True)]
+            outputs = [_from_torch(t, k) for t, k in zip(gradients, (mat, vec, mat, scalar, scalar), strict=True)]
+            kinematics.launch_pose_adjoint(tree, saved, sent, outputs)
+        return gradients
+
+
+class _Vertices(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
+    ) -> torch.Tensor:
+        scalar, vec, mat = _WARP_TYPES[centres.dtype]
+        with on_torch_stream(centres.device) as device:
+            tree = bone_tree(device, scalar, subdivisions)
+            vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
+            inputs = (_from_torch(centres, vec), _from_torch(axes, mat), _from_torch(semi_axes, vec))
+            kinematics.launch_vertices(tree, *inputs, _from_torch(vertices, vec))
+        ctx.save_for_backward(centres, axes, semi_axes)
+        ctx.subdivisions = subdivisions
+        return vertices
+
+    @staticmethod
+    def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        centres, axes, semi_axes = ctx.saved_tensors
+        if _differentiable(adj_vertices):
+            place = partial(plain_posing.place_vertices, subdivisions=ctx.subdivisions)
+            return *torch.func.vjp(place, centres, axes, semi_axes)[1](adj_vertices), None
+        scalar, vec, mat = _WARP_TYPES[axes.dtype]
+        gradients = (
+            axes.new_empty(semi_axes.shape),
+            axes.new_empty(axes.shape),
+            axes.new_empty(semi_axes.shape),
+        )
+        with on_torch_stream(axes.device) as device:
+            tree = bone_tree(device, scalar, ctx.subdivisions)
+            outputs = [_from_torch(t, k) for t, k in zip(gradients, (vec, mat, vec), strict=True)]
+            kinematics.launch_vertices_adjoint(
+                tree, _from_torch(axes, mat), _from_torch(semi_axes, vec), _from_torch(adj_vertices, vec), outputs
+            )
+        return *gradients, None

@@ -1,0 +1,95 @@
+"""The true derivative of the area that each ellipsoid's label covers, weighed by what a pixel's area costs.
+
+The loss is the integral of cost(label(x), pixel of x) over the picture. It changes where the labels' borders move, by
+(cost inside - cost outside) times the way along the normal. Borders are of two kinds: outlines, which one ellipsoid
+owns and which are walked in steps of a share of a pixel, and creases, where two ellipsoids that meet in space are
+equally near; those are looked for in cells of a share of a pixel. Both become chords, whose costs are summed pixel by
+pixel. Every thread adds in a fixed order.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from ..labels import DenseGradient, LabelTarget, target_of
+from .creases import walk_creases
+from .forces import (
+    BLOCK,
+    Forces,
+    Scene,
+    SurfaceForces,
+    Worker,
+    find_subject,
+    launch_on_ellipsoids,
+    make_scene,
+    rests,
+    store_forces,
+    worker_of,
+)
+from .outlines import walk_outline
+from .silhouette import Seen, launch_find_neighbours
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+
+@wp.func
+def push_coverage(
+    scene: Scene, forces: Forces, w: Worker, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
+):
+    """A thread's share in the forces on an ellipsoid."""
+    sums = SurfaceForces()
+    if rests(scene.active, w.b):
+        return sums
+    s = scene.silhouettes[w.b, w.k]
+    height = scene.parts.shape[1]
+    width = scene.parts.shape[2]
+    if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
+        subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+        # Half of the shares are outlines and half creases; an only share is both.
+        shares = forces.values.shape[2]
+        outlines = wp.max(shares // 2, 1)
+        creases = wp.max(shares - outlines, 1)
+        if w.share < outlines:
+            sums = walk_outline(scene, subject, w.share, outlines, w.lane, lanes, steps_per_pixel, halvings, gradient)
+        if w.share >= shares - creases:
+            share = w.share - (shares - creases)
+            cells = int(wp.ceil(steps_per_pixel))
+            sums = walk_creases(sums, scene, subject, share, creases, w.lane, lanes, cells, halvings, gradient)
+    return sums
+
+
+@wp.kernel(launch_bounds=(BLOCK, 8))
+def coverage_forces(
+    scene: Scene,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,
+    lanes: int,
+    forces: Forces,  # OUTPUT
+):
+    """Sums over the forces on each ellipsoid."""
+    w = worker_of(forces, lanes, wp.tid())
+    store_forces(forces, w, push_coverage(scene, forces, w, lanes, steps_per_pixel, halvings, gradient))
+
+
+for _gradient in (LabelTarget, DenseGradient):
+    wp.overload(coverage_forces, {"gradient": _gradient})
+
+
+def launch_coverage_forces(
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
+    *,
+    perspective: bool,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,  # LabelTarget or DenseGradient
+    forces: Forces,
+    active: wp.array | None = None,
+) -> None:
+    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
+    launch_find_neighbours(seen)
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
+    launch_on_ellipsoids(coverage_forces, [scene, steps_per_pixel, halvings, gradient], forces)

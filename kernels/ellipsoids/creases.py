@@ -1,0 +1,386 @@
+"""Creases as borders of labels: where two ellipsoids that meet in space are equally near.
+
+They are looked for in cells of a share of a pixel: where the two fronts cross on a cell's sides, a crease enters and
+leaves, or it ends in the cell, at an outline. Between such places it is taken as straight.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..lanes import ballot, lowest_bit, nth_bit, tell
+from .borders import chord_shares, find_crossing, front_at, lead, room_at, room_slope, root_at, slope_at
+from .forces import Ellipsoid, Scene, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
+from .silhouette import Silhouette, inside_at, middle_at, to_disc
+
+wp.set_module_options({"enable_backward": False})
+
+_NEWTON_STEPS = wp.constant(4)  # towards a crease's end
+_NOWHERE = wp.constant(1.0e30)  # the lead where one of the two is not there
+_RIM = wp.constant(1.0e-3)  # the smallest root, as a share of the largest, that a slope is taken at
+
+
+@wp.func
+def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
+    """Between which shares of the way from a place an ellipsoid is there; the first is larger if it is nowhere."""
+    place = to_disc(s, start[0] - s.mean[0], start[1] - s.mean[1])
+    move = to_disc(s, way[0], way[1])
+    a = wp.dot(move, move)
+    b = wp.dot(place, move)
+    miss = place[0] * move[1] - place[1] * move[0]
+    square = a - miss * miss
+    if square <= 0.0 or a <= 0.0:
+        return wp.vec2(1.0, 0.0)
+    root = wp.sqrt(square)
+    return wp.vec2((-b - root) / a, (root - b) / a)
+
+
+@wp.func
+def is_hidden(subject: Subject, s: Silhouette, j: int, place: wp.vec2):
+    """Whether a neighbour other than ellipsoid j is nearer than the subject's front."""
+    x = place[0]
+    y = place[1]
+    nearness = front_at(s, x, y)
+    for word in range(subject.neighbours.shape[0]):
+        bits = subject.neighbours[word]
+        while bits != wp.uint32(0):
+            i = 32 * word + lowest_bit(bits)
+            bits &= bits - wp.uint32(1)
+            if i != j:
+                other = subject.silhouettes[i]
+                inside = inside_at(other, x, y)
+                if inside > 0.0 and middle_at(other, x, y) + other.bulge * wp.sqrt(inside) > nearness:
+                    return True
+    return False
+
+
+@wp.func
+def push_crease(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    s: Silhouette,
+    other: Silhouette,
+    place: wp.vec2,
+    cost: float,
+    perspective: bool,
+):
+    """Force of a crease on an ellipsoid at a place: what a way of the crease across itself costs, times that way."""
+    x = place[0]
+    y = place[1]
+    middle = middle_at(s, x, y)
+    other_middle = middle_at(other, x, y)
+    root = root_at(s, x, y)
+    other_root = root_at(other, x, y)
+    # A root is steep where it is small. Both fronts are equally near, so the larger one tells the smaller.
+    if root * other.bulge < other_root * s.bulge:
+        root = other_middle + other_root - middle
+    else:
+        other_root = middle + root - other_middle
+    # At the outline itself slopes are infinite and forces are not.
+    root = wp.max(root, _RIM * s.bulge)
+    other_root = wp.max(other_root, _RIM * other.bulge)
+    slope = slope_at(s, x, y, root)
+    steepness = wp.length(slope - slope_at(other, x, y, other_root))
+    if steepness > 0.0:
+        sums = add_nearness_force(sums, e, x, y, middle + root, slope, cost / steepness, perspective)
+    return sums
+
+
+@wp.func
+def push_chord(
+    sums: SurfaceForces,
+    scene: Scene,
+    subject: Subject,
+    j: int,
+    first: wp.vec2,
+    second: wp.vec2,
+    halvings: int,
+    gradient: Any,
+):
+    """Forces of the bit of crease with ellipsoid j between two places, as far as nothing hides it."""
+    s = subject.silhouettes[subject.k]
+    other = subject.silhouettes[j]
+    start = first
+    end = second
+    start_hidden = is_hidden(subject, s, j, start)
+    end_hidden = is_hidden(subject, s, j, end)
+    if start_hidden and end_hidden:
+        return sums
+    if start_hidden != end_hidden:
+        low = start
+        high = end
+        for _ in range(halvings):
+            middle = 0.5 * (low + high)
+            if is_hidden(subject, s, j, middle) == start_hidden:
+                low = middle
+            else:
+                high = middle
+        if start_hidden:
+            start = 0.5 * (low + high)
+        else:
+            end = 0.5 * (low + high)
+    shares = chord_shares(subject, start, end, s.label, other.label, gradient)
+    if shares[0] != 0.0 or shares[1] != 0.0:
+        # Loaded where it is used: creases are few, and it would take registers all the way.
+        e = load_ellipsoid(scene, subject)
+        shares *= wp.length(end - start)
+        side = int(0)
+        while side < 2:  # a loop over a constant range would be unrolled, which takes registers
+            place = wp.where(side == 0, start, end)
+            sums = push_crease(sums, e, s, other, place, wp.where(side == 0, shares[0], shares[1]), scene.perspective)
+            side += 1
+    return sums
+
+
+@wp.func
+def lead_if_there(one: Silhouette, other: Silhouette, place: wp.vec2):
+    """How much nearer one front surface is than another; _NOWHERE unless both are there."""
+    if inside_at(one, place[0], place[1]) <= 0.0 or inside_at(other, place[0], place[1]) <= 0.0:
+        return _NOWHERE
+    return lead(one, other, place[0], place[1])
+
+
+@wp.func
+def lead_in_spans(
+    one: Silhouette, other: Silhouette, start: wp.vec2, way: wp.vec2, mine: wp.vec2, others: wp.vec2, share: float
+):
+    """The lead at a share of a way. In float32 a root where a span ends would not come out as the 0 that it is."""
+    x = start[0] + share * way[0]
+    y = start[1] + share * way[1]
+    root = wp.where(share == mine[0] or share == mine[1], 0.0, root_at(one, x, y))
+    other_root = wp.where(share == others[0] or share == others[1], 0.0, root_at(other, x, y))
+    return middle_at(one, x, y) - middle_at(other, x, y) + root - other_root
+
+
+@wp.func
+def crossing_between(
+    s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, start_lead: float, end_lead: float
+):
+    """Which share of the way between two places leads to where two fronts cross; -1 if they do not, or twice."""
+    way = end - start
+    low = float(0.0)
+    high = float(1.0)
+    low_lead = start_lead
+    high_lead = end_lead
+    if start_lead == _NOWHERE or end_lead == _NOWHERE:
+        mine = span(s, start, way)
+        others = span(other, start, way)
+        low = wp.max(wp.max(mine[0], others[0]), 0.0)
+        high = wp.min(wp.min(mine[1], others[1]), 1.0)
+        if low >= high:
+            return -1.0
+        low_lead = lead_in_spans(s, other, start, way, mine, others, low)
+        high_lead = lead_in_spans(s, other, start, way, mine, others, high)
+    if (low_lead < 0.0) == (high_lead < 0.0):
+        return -1.0
+    return find_crossing(s, other, start, way, low, high, low_lead, high_lead)
+
+
+@wp.func
+def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
+    """Near a place, where the other's front meets the outline of the first: there creases pass into outlines.
+
+    How much nearer the outline is than the other's middle comes third: where it is not, it meets the other's back.
+    """
+    for _ in range(_NEWTON_STEPS):
+        x = place[0]
+        y = place[1]
+        # Both are 0 there, and smooth.
+        room = room_at(s, x, y)
+        over = middle_at(s, x, y) - middle_at(other, x, y)
+        excess = room_at(other, x, y) - over * over
+        inward = room_slope(s, x, y)
+        along = room_slope(other, x, y) - 2.0 * over * (s.slope - other.slope)
+        area = inward[0] * along[1] - inward[1] * along[0]
+        if area != 0.0:
+            place -= wp.vec2(room * along[1] - excess * inward[1], excess * inward[0] - room * along[0]) / area
+    ahead = middle_at(s, place[0], place[1]) - middle_at(other, place[0], place[1])
+    return wp.vec3(place[0], place[1], ahead)
+
+
+@wp.func
+def crease_end_in(subject: Subject, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
+    """Where a crease that enters a cell at a place ends in it, at an outline; the place itself if nowhere near."""
+    found = place
+    nearest = wp.length(high - low)
+    which = int(0)
+    while which < 2:
+        one = subject.silhouettes[wp.where(which == 0, subject.k, j)]
+        other = subject.silhouettes[wp.where(which == 0, j, subject.k)]
+        end = crease_end(one, other, place)
+        there = wp.vec2(end[0], end[1])
+        far = wp.length(there - place)
+        if end[2] >= 0.0 and far < nearest:
+            nearest = far
+            found = wp.max(wp.min(there, high), low)
+        which += 1
+    return found
+
+
+@wp.func
+def walk_cell(
+    sums: SurfaceForces,
+    scene: Scene,
+    subject: Subject,
+    j: int,
+    low: wp.vec2,
+    high: wp.vec2,
+    halvings: int,
+    gradient: Any,
+):
+    """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
+    s = subject.silhouettes[subject.k]
+    other = subject.silhouettes[j]
+    # The last four places where fronts cross, all around the cell.
+    first = wp.vec2()
+    second = wp.vec2()
+    third = wp.vec2()
+    fourth = wp.vec2()
+    count = int(0)
+    end = low
+    end_lead = lead_if_there(s, other, low)
+    side = int(0)
+    while side < 4:  # a loop over a constant range would be unrolled, which takes registers
+        start = end
+        start_lead = end_lead
+        end = wp.vec2(wp.where(side < 2, high[0], low[0]), wp.where(side == 1 or side == 2, high[1], low[1]))
+        end_lead = lead_if_there(s, other, end)
+        share = crossing_between(s, other, start, end, start_lead, end_lead)
+        if share >= 0.0:
+            first = second
+            second = third
+            third = fourth
+            fourth = start + share * (end - start)
+            count += 1
+        side += 1
+    if count % 2 == 1:
+        first = second
+        second = third
+        third = fourth
+        fourth = crease_end_in(subject, j, third, low, high)
+        count += 1
+    while count > 0:
+        sums = push_chord(sums, scene, subject, j, third, fourth, halvings, gradient)
+        third = first
+        fourth = second
+        count -= 2
+    return sums
+
+
+@wp.func
+def room_range(s: Silhouette, x: float, y: float, half: float):
+    """Bounds of an ellipsoid's room in a square cell around (x, y), whose sides are 2 half long."""
+    room = room_at(s, x, y)
+    slope = room_slope(s, x, y)
+    tilt = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
+    corner = to_disc(s, half, wp.where(s.factor[1] * s.factor[2] < 0.0, -half, half))  # the farthest
+    bend = s.bulge * s.bulge * wp.dot(corner, corner)
+    return wp.vec2(room - tilt - bend, room + tilt)
+
+
+@wp.func
+def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
+    """Whether two fronts can be equally near somewhere in a cell: bounds of each are."""
+    x = middle[0]
+    y = middle[1]
+    room = room_range(s, x, y, half)
+    other_room = room_range(other, x, y, half)
+    if room[1] <= 0.0 or other_room[1] <= 0.0:
+        return False
+    slope = s.slope - other.slope
+    ahead = middle_at(s, x, y) - middle_at(other, x, y)
+    spread = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
+    return (
+        ahead + spread + wp.sqrt(room[1]) - wp.sqrt(wp.max(other_room[0], 0.0)) >= 0.0
+        and ahead - spread + wp.sqrt(wp.max(room[0], 0.0)) - wp.sqrt(other_room[1]) <= 0.0
+    )
+
+
+@wp.func
+def walk_creases(
+    sums: SurfaceForces,
+    scene: Scene,
+    subject: Subject,
+    share: int,
+    shares: int,
+    lane: int,
+    lanes: int,
+    cells: int,
+    halvings: int,
+    gradient: Any,
+):
+    """One of ``shares`` shares in the forces of an ellipsoid's creases, with ``cells``² cells a pixel."""
+    size = 1.0 / float(cells)
+    s = subject.silhouettes[subject.k]
+    creases = scene.creases[subject.b, subject.k]
+    for word in range(creases.shape[0]):
+        bits = creases[word]
+        # Cells between pixel centres are looked at ``lanes`` at a time, and such groups are counted as one line over
+        # all boxes. The cells with a crease wait, one a thread, until all threads have one: looking is quick, working
+        # is not.
+        group = int(share)
+        begin = int(0)
+        end = int(0)
+        left = int(0)
+        top = int(0)
+        columns = int(1)
+        box = int(0)  # cells
+        j = int(-1)
+        waiting = int(0)
+        its_row = int(0)
+        its_column = int(0)
+        its_other = int(0)
+        looking = bool(True)
+        while looking or waiting > 0:
+            while group >= end and bits != wp.uint32(0):
+                j = 32 * word + lowest_bit(bits)
+                bits &= bits - wp.uint32(1)
+                box_low = wp.max(s.low, subject.silhouettes[j].low)
+                box_high = wp.min(s.high, subject.silhouettes[j].high)
+                # Cells that hold a place where both are, clamped in float against overflow. The first begins half a
+                # pixel before the picture.
+                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(subject.width))))
+                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(subject.width - 1))))
+                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(subject.height))))
+                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(subject.height - 1))))
+                columns = right - left + 1
+                box = wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
+                begin = end
+                end = begin + (box + lanes - 1) // lanes
+            looking = group < end
+            n = (group - begin) * lanes + lane
+            row = top + n // wp.max(columns, 1)
+            column = left + n - (row - top) * columns
+            found = bool(False)
+            if looking and n < box:
+                found = fronts_may_meet(s, subject.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
+            group += shares
+            # To the threads behind those that have one already; what is left over waits.
+            finders = ballot(found)
+            total = waiting + wp.bit_count(finders)
+            if total > waiting:
+                finder = nth_bit(finders, lane - waiting)
+                next_row = int(tell(wp.uint32(row), finder))
+                next_column = int(tell(wp.uint32(column), finder))
+                if lane >= waiting:
+                    its_row = next_row
+                    its_column = next_column
+                    its_other = j
+            if total >= lanes or not looking:
+                if lane < total:
+                    corner = wp.vec2(float(its_column) + 0.5, float(its_row) + 0.5)
+                    for i in range(cells * cells):
+                        low = corner + size * wp.vec2(float(i % cells), float(i // cells))
+                        high = low + wp.vec2(size, size)
+                        if cells == 1 or fronts_may_meet(
+                            s, subject.silhouettes[its_other], 0.5 * (low + high), 0.5 * size
+                        ):
+                            sums = walk_cell(sums, scene, subject, its_other, low, high, halvings, gradient)
+                total -= lanes
+                if total > 0:
+                    finder = nth_bit(finders, wp.bit_count(finders) - total + lane)
+                    its_row = int(tell(wp.uint32(row), finder))
+                    its_column = int(tell(wp.uint32(column), finder))
+                    its_other = j
+            waiting = wp.max(total, 0)
+    return sums

@@ -1,0 +1,297 @@
+"""The derivative of covered area from one crossing of a border between each two neighbouring pixels that differ.
+
+What ``ellipsoid_coverage`` walks along outlines and creases is sampled here where the picture shows it: on the lines
+through pixel centres. A row and a column that cross a border share it by the squares of its normal, so that every bit
+of border counts once. Nothing is looked for: who is seen on either side says which border runs between them, and its
+place follows in closed form (an outline) or from a few steps of false position (a crease). Parts too thin to cover a
+pixel's centre have no gradient. Every thread adds in a fixed order.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from ..labels import (
+    EACH_BYTE,
+    HIGH_BITS,
+    DenseGradient,
+    LabelTarget,
+    are_words,
+    excess_at,
+    target_of,
+    unequal_bytes,
+    words_of,
+)
+from ..lanes import count_up, nth_bit, tell
+from .borders import find_crossing, front_at, lead, nearness_slope, outline_end, outward_at
+from .forces import (
+    BLOCK,
+    Forces,
+    Scene,
+    Subject,
+    SurfaceForces,
+    Worker,
+    find_subject,
+    launch_on_ellipsoids,
+    load_ellipsoid,
+    make_scene,
+    pixel_box,
+    rests,
+    store_forces,
+    worker_of,
+)
+from .silhouette import Seen, Silhouette, middle_at
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+_QUAD = wp.constant(4)  # pixels a word
+_LAST_BIT = wp.constant(wp.uint32(0x80000000))
+
+
+@wp.func
+def find_shown(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Which of four pixels show the subject, as the highest bits of four bytes; past the picture's border as at it."""
+    value = subject.k + 1
+    if in_words:
+        return unequal_bytes(words[row * (subject.width // _QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
+    equal = wp.uint32(0)
+    for i in range(_QUAD):
+        if int(subject.parts[row * subject.width + wp.min(_QUAD * quad + i, subject.width - 1)]) == value:
+            equal |= wp.uint32(0x80) << wp.uint32(8 * i)
+    return equal
+
+
+@wp.func
+def find_borders(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Where of 4 by 4 pixels and their neighbour to the right or below one shows the subject: see ``place_of``."""
+    borders = wp.uint32(0)
+    last_row = subject.height - 1
+    here = find_shown(subject, words, in_words, wp.min(row, last_row), quad)
+    for i in range(_QUAD):
+        # Past the picture's border as at it: a pixel does not differ from itself.
+        at = wp.min(row + i, last_row)
+        below = find_shown(subject, words, in_words, wp.min(at + 1, last_row), quad)
+        if row + i <= last_row:
+            right = here >> wp.uint32(8)
+            if int(subject.parts[at * subject.width + wp.min(_QUAD * (quad + 1), subject.width - 1)]) == subject.k + 1:
+                right |= _LAST_BIT
+            borders |= ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
+        here = below
+    return borders
+
+
+@wp.func
+def place_of(bit: int):
+    """Row and column among 4 by 4 pixels, and whether the neighbour is to the right (0) or below (1)."""
+    down = 7 - bit % 8
+    return wp.vec3i(down // 2, bit // 8, down % 2)
+
+
+@wp.struct
+class Lever:
+    """What turns a force at a place of the picture into one on an ellipsoid."""
+
+    centre: wp.vec3  # [m]
+    camera: wp.vec4  # f_x, f_y, c_x, c_y
+    perspective: bool
+
+
+@wp.func
+def push_outline(sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x: float, y: float, excess: float):
+    """Force on an ellipsoid whose outline a line along an axis crosses at (x, y)."""
+    normal = wp.normalize(outward_at(s, x, y))
+    amount = excess * wp.abs(wp.where(axis == 0, normal[0], normal[1]))
+    return push_picture(sums, lever, x, y, middle_at(s, x, y), amount * normal, 0.0)
+
+
+@wp.func
+def push_crease(
+    sums: SurfaceForces, lever: Lever, s: Silhouette, other: Silhouette, axis: int, x: float, y: float, excess: float
+):
+    """Force on an ellipsoid whose front crosses another's at (x, y) on a line along an axis."""
+    slope = nearness_slope(s, x, y)
+    away = slope - nearness_slope(other, x, y)
+    across = wp.abs(wp.where(axis == 0, away[0], away[1]))
+    length2 = wp.dot(away, away)
+    if length2 == 0.0:
+        return sums
+    amount = excess * across / length2
+    # A surface that moves takes its nearness along: at a fixed place that changes it by the slope times the way back.
+    return push_picture(sums, lever, x, y, front_at(s, x, y), -amount * slope, amount)
+
+
+@wp.func
+def push_picture(sums: SurfaceForces, lever: Lever, x: float, y: float, nearness: float, push: wp.vec2, pull: float):
+    """Add dL/d(x, y) = push and dL/d nearness = pull of a surface point; its moment is with the way from the centre."""
+    ray = wp.vec2((x - lever.camera[2]) / lever.camera[0], (y - lever.camera[3]) / lever.camera[1])
+    force = wp.vec3(lever.camera[0] * push[0], lever.camera[1] * push[1], -pull)
+    point = wp.vec3(ray[0], ray[1], -nearness)
+    if lever.perspective:
+        point = wp.vec3(ray[0], ray[1], 1.0) / nearness
+        back = force[0] * ray[0] + force[1] * ray[1] + pull * nearness
+        force = nearness * wp.vec3(force[0], force[1], -back)
+    sums.force += force
+    sums.moment += wp.outer(force, point - lever.centre)
+    sums.camera += wp.vec4(push[0] * ray[0], push[1] * ray[1], push[0], push[1])
+    return sums
+
+
+@wp.func
+def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: float):
+    """How far along an axis, to one side, an outline's end is; not less than 0 or more than 1, the next pixel."""
+    place = outline_end(s, start[0], start[1], axis, end)
+    return wp.clamp(side * (place - wp.where(axis == 0, start[0], start[1])), 0.0, 1.0)
+
+
+@wp.func
+def push_border(
+    sums: SurfaceForces,
+    subject: Subject,
+    lever: Lever,
+    s: Silhouette,
+    row: int,
+    column: int,
+    axis: int,
+    gradient: Any,
+):
+    """Force of the border between a pixel and the next along an axis, one of which shows the subject."""
+    at = row * subject.width + column
+    seen = int(subject.parts[at])
+    other_part = int(subject.parts[at + wp.where(axis == 0, 1, subject.width)])
+    start = wp.vec2(float(column) + 0.5, float(row) + 0.5)
+    way = wp.where(axis == 0, wp.vec2(1.0, 0.0), wp.vec2(0.0, 1.0))
+    side = float(1.0)
+    if seen != subject.k + 1:
+        # Seen from its own pixel, which is the second.
+        side = -1.0
+        start += way
+        way = -way
+        other_part = seen
+    # Distances from its own pixel's centre to the other's, from 0 to 1.
+    place = distance_to_end(s, start, axis, side, side)
+    behind = int(0)  # label across the border
+    meet = bool(False)  # a crease
+    other = Silhouette()
+    if other_part > 0:
+        other = subject.silhouettes[other_part - 1]
+        behind = other.label
+        if behind == s.label:
+            return sums
+        begin = distance_to_end(other, start, axis, side, -side)
+        if place < begin:
+            behind = 0  # background is between them
+        else:
+            end_lead = lead(s, other, start[0] + place * way[0], start[1] + place * way[1])
+            if place == 1.0 or end_lead <= 0.0:
+                begin_lead = lead(s, other, start[0] + begin * way[0], start[1] + begin * way[1])
+                if begin > 0.0 and begin_lead < 0.0:
+                    return sums  # the other's outline hides this one
+                meet = True
+                if begin_lead <= 0.0:
+                    place = begin
+                elif end_lead < 0.0:
+                    place = find_crossing(s, other, start, way, begin, place, begin_lead, end_lead)
+    x = start[0] + place * way[0]
+    y = start[1] + place * way[1]
+    pixel = wp.min(int(y), subject.height - 1) * subject.width + wp.min(int(x), subject.width - 1)
+    excess = excess_at(gradient, subject.target, s.label, behind, pixel)
+    if excess == 0.0:
+        return sums
+    if meet:
+        return push_crease(sums, lever, s, other, axis, x, y, excess)
+    return push_outline(sums, lever, s, axis, x, y, excess)
+
+
+@wp.func
+def find_lane(found: int, number: int, lanes: int):
+    """Which thread found a border, counted over all of them; ``found`` are the counts up to each."""
+    lane = int(0)
+    step = lanes // 2
+    while step > 0:
+        if int(tell(wp.uint32(found), lane + step - 1)) <= number:
+            lane += step
+        step = step // 2
+    return lane
+
+
+@wp.func
+def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
+    """A thread's share in the forces on an ellipsoid."""
+    sums = SurfaceForces()
+    if rests(scene.active, w.b):
+        return sums
+    s = scene.silhouettes[w.b, w.k]
+    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+    left, right, top, bottom = pixel_box(subject, s)
+    if left > right or top > bottom:
+        return sums
+    words = words_of(scene.parts[w.b])
+    in_words = are_words(scene.parts)
+    lever = Lever()
+    lever.centre = scene.centres[w.b, w.k]
+    lever.camera = scene.camera[w.b]
+    lever.perspective = scene.perspective
+    # The pixels that the ellipsoid may show at, and those before them, in squares of 4 by 4.
+    first_quad = wp.max(left - 1, 0) // _QUAD
+    first_row = wp.max(top - 1, 0)
+    across = right // _QUAD - first_quad + 1
+    squares = across * ((bottom - first_row) // _QUAD + 1)
+    # Each thread looks at a square, then the borders that all of them found are dealt out: looking is quick, pushing is
+    # not.
+    for turn in range((squares + w.count - 1) // w.count):
+        square = turn * w.count + w.number
+        borders = wp.uint32(0)
+        if square < squares:
+            row = first_row + _QUAD * (square // across)
+            borders = find_borders(subject, words, in_words, row, first_quad + square % across)
+        found = count_up(wp.bit_count(borders))
+        total = int(tell(wp.uint32(found), lanes - 1))
+        for first in range(0, total, lanes):
+            finder = find_lane(found, first + w.lane, lanes)
+            theirs = tell(borders, finder)
+            before = int(tell(wp.uint32(found), finder)) - wp.bit_count(theirs)
+            origin = int(tell(wp.uint32(square), finder))
+            if first + w.lane < total:
+                place = place_of(nth_bit(theirs, first + w.lane - before))
+                row = first_row + _QUAD * (origin // across) + place[0]
+                column = _QUAD * (first_quad + origin % across) + place[1]
+                sums = push_border(sums, subject, lever, s, row, column, place[2], gradient)
+    # From the way from the centre to the point of the unit sphere.
+    e = load_ellipsoid(scene, subject)
+    for i in range(3):
+        arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])
+        for j in range(3):
+            sums.moment[i, j] = arm[j] / e.semi_axes[j]
+    return sums
+
+
+@wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
+def push_edges(
+    scene: Scene,
+    gradient: Any,
+    lanes: int,
+    forces: Forces,  # OUTPUT
+):
+    """Sums over the forces on each ellipsoid."""
+    w = worker_of(forces, lanes, wp.tid())
+    store_forces(forces, w, push_borders(scene, w, lanes, gradient))
+
+
+for _gradient in (LabelTarget, DenseGradient):
+    wp.overload(push_edges, {"gradient": _gradient})
+
+
+def launch_edge_forces(
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
+    *,
+    perspective: bool,
+    gradient: Any,  # LabelTarget or DenseGradient
+    forces: Forces,
+    active: wp.array | None = None,
+) -> None:
+    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
+    launch_on_ellipsoids(push_edges, [scene, gradient], forces)

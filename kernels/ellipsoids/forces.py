@@ -1,0 +1,387 @@
+"""Gradients as forces F = dL/dX on surface points X = c + A diag(a) u of an ellipsoid (u on the unit sphere).
+
+Whatever moves an ellipsoid moves its surface points, so two sums say all that a loss tells about it: force = sum F and
+moment = sum F u^T. Hence dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
+"""
+
+from collections.abc import Sequence
+
+import warp as wp
+
+from ..labels import flat
+from ..lanes import LANES, sum_lanes
+from .silhouette import Seen, Silhouette
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Ellipsoid:
+    """One posed ellipsoid before its camera."""
+
+    centre: wp.vec3  # [m]
+    axes: wp.mat33  # columns
+    semi_axes: wp.vec3  # [m]
+    camera: wp.vec4  # f_x, f_y, c_x, c_y
+
+
+@wp.struct
+class Scene:
+    """B bodies of P ellipsoids and their picture: what every estimator of a gradient reads."""
+
+    centres: wp.array2d[wp.vec3]  # (B, P)
+    axes: wp.array2d[wp.mat33]  # (B, P)
+    semi_axes: wp.array2d[wp.vec3]  # (B, P)
+    camera: wp.array[wp.vec4]  # (B,)
+    silhouettes: wp.array2d[Silhouette]  # (B, P)
+    neighbours: wp.array3d[wp.uint32]  # (B, P, N) from ``find_neighbours``
+    creases: wp.array3d[wp.uint32]  # (B, P, N)
+    parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
+    active: wp.array[int]  # (B,) 0: the body rests, nothing is asked of it; empty: none rests
+    perspective: bool
+
+
+@wp.func
+def rests(active: wp.array[int], b: int):
+    """Whether nothing is asked of a body."""
+    return active.shape[0] > 0 and active[b] == 0
+
+
+@wp.struct
+class Subject:
+    """The ellipsoid whose forces are summed, and its body in views of their own, whose indices cost a fraction."""
+
+    b: int
+    k: int
+    target: int  # the number of what the picture is compared with
+    silhouettes: wp.array[Silhouette]  # (P,)
+    neighbours: wp.array[wp.uint32]  # (N,)
+    parts: wp.array[wp.uint8]  # (H W,)
+    height: int  # of the picture
+    width: int
+
+
+@wp.func
+def find_subject(scene: Scene, b: int, k: int, target: int):
+    """Ellipsoid k of body b."""
+    subject = Subject()
+    subject.b = b
+    subject.k = k
+    subject.target = target
+    subject.silhouettes = scene.silhouettes[b]
+    subject.neighbours = scene.neighbours[b, k]
+    subject.parts = flat(scene.parts[b])
+    subject.height = scene.parts.shape[1]
+    subject.width = scene.parts.shape[2]
+    return subject
+
+
+@wp.func
+def load_ellipsoid(scene: Scene, subject: Subject):
+    """The subject in space."""
+    e = Ellipsoid()
+    e.centre = scene.centres[subject.b, subject.k]
+    e.axes = scene.axes[subject.b, subject.k]
+    e.semi_axes = scene.semi_axes[subject.b, subject.k]
+    e.camera = scene.camera[subject.b]
+    return e
+
+
+@wp.func
+def pixel_box(subject: Subject, s: Silhouette):
+    """First and last column, first and last row of pixels whose centres the ellipsoid may cover; last < first: none."""
+    # Clamped in float against overflow.
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(subject.width)))
+    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(subject.width - 1)))
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(subject.height)))
+    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(subject.height - 1)))
+    return left, right, top, bottom
+
+
+@wp.struct
+class SurfaceForces:
+    """Sums over the forces on one ellipsoid."""
+
+    force: wp.vec3
+    moment: wp.mat33
+    camera: wp.vec4  # dL/d(f_x, f_y, c_x, c_y)
+
+
+@wp.func
+def from_unit(e: Ellipsoid, unit: wp.vec3):
+    """The point of the unit sphere on the ellipsoid, seen from its centre."""
+    return e.axes * wp.cw_mul(e.semi_axes, unit)
+
+
+@wp.func
+def to_unit(e: Ellipsoid, point: wp.vec3):
+    """Where a surface point is on the unit sphere."""
+    return wp.cw_div(wp.transpose(e.axes) * (point - e.centre), e.semi_axes)
+
+
+@wp.func
+def unproject(e: Ellipsoid, x: float, y: float, nearness: float, perspective: bool):
+    """The camera-frame point of a pixel position and a nearness."""
+    rx = (x - e.camera[2]) / e.camera[0]
+    ry = (y - e.camera[3]) / e.camera[1]
+    if perspective:
+        return wp.vec3(rx, ry, 1.0) / nearness
+    return wp.vec3(rx, ry, -nearness)
+
+
+@wp.func
+def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
+    """Add a force in the camera frame."""
+    sums.force += force
+    sums.moment += wp.outer(force, unit)
+    return sums
+
+
+@wp.func
+def add_image_force(sums: SurfaceForces, e: Ellipsoid, unit: wp.vec3, fx: float, fy: float, perspective: bool):
+    """Add dL/d(u, v) = (fx, fy) of the picture of a surface point [1/px]."""
+    point = e.centre + from_unit(e, unit)
+    ray = wp.vec2(point[0], point[1])
+    force = wp.vec3(e.camera[0] * fx, e.camera[1] * fy, 0.0)
+    if perspective:
+        ray = ray / point[2]
+        force = wp.vec3(force[0], force[1], -(force[0] * ray[0] + force[1] * ray[1])) / point[2]
+    sums = add_force(sums, force, unit)
+    sums.camera += wp.vec4(fx * ray[0], fy * ray[1], fx, fy)
+    return sums
+
+
+@wp.func
+def add_nearness_force(
+    sums: SurfaceForces,
+    e: Ellipsoid,
+    x: float,
+    y: float,
+    nearness: float,
+    slope: wp.vec2,
+    amount: float,
+    perspective: bool,
+):
+    """Add dL/dn = amount of the nearness that the surface has at a fixed place of the picture.
+
+    The surface there moves with the normal part of its points' motion: dn = -N.dX / N_z for n = -z, and
+    dn = -N.dX / (z N.X) for n = 1/z. ``slope`` is the nearness' gradient in the picture, along which the camera moves
+    it.
+    """
+    point = unproject(e, x, y, nearness, perspective)
+    unit = to_unit(e, point)
+    normal = e.axes * wp.cw_div(unit, e.semi_axes)
+    ray = wp.vec2(point[0], point[1])
+    along = normal[2]
+    if perspective:
+        ray = ray / point[2]
+        along = point[2] * wp.dot(normal, point)
+    if along != 0.0:
+        sums = add_force(sums, -amount / along * normal, unit)
+        sums.camera -= amount * wp.vec4(slope[0] * ray[0], slope[1] * ray[1], slope[0], slope[1])
+    return sums
+
+
+@wp.struct
+class Forces:
+    """Sums over the forces on each of P ellipsoids, in S shares to be added up: one from each warp that worked on it.
+
+    Of 16 numbers, force, moment and camera, row by row.
+    """
+
+    values: wp.array4d[float]  # (B, P, S, 16)
+
+
+@wp.struct
+class Worker:
+    """Which thread of those that share an ellipsoid's work this is."""
+
+    b: int
+    k: int
+    share: int
+    lane: int
+    number: int  # of ``count`` threads
+    count: int
+
+
+@wp.func
+def worker_of(forces: Forces, lanes: int, thread: int):
+    """Split the number of a thread: ``lanes`` to a share, S shares to an ellipsoid."""
+    parts = forces.values.shape[1]
+    shares = forces.values.shape[2]
+    w = Worker()
+    w.count = lanes * shares
+    ellipsoid = thread // w.count
+    w.number = thread - ellipsoid * w.count
+    w.share = w.number // lanes
+    w.lane = w.number - w.share * lanes
+    w.b = ellipsoid // parts
+    w.k = ellipsoid - w.b * parts
+    return w
+
+
+@wp.func
+def store_forces(forces: Forces, w: Worker, sums: SurfaceForces):
+    """Add up the threads of a share and store it."""
+    shares = forces.values[w.b, w.k]
+    for i in range(3):
+        force = sum_lanes(sums.force[i])
+        if w.lane == 0:
+            shares[w.share, i] = force
+        for j in range(3):
+            moment = sum_lanes(sums.moment[i, j])
+            if w.lane == 0:
+                shares[w.share, 3 + 3 * i + j] = moment
+    for i in range(4):
+        camera = sum_lanes(sums.camera[i])
+        if w.lane == 0:
+            shares[w.share, 12 + i] = camera
+
+
+@wp.func
+def add_shares(forces: Forces, b: int, k: int, i: int):
+    """One of the 16 numbers."""
+    shares = forces.values[b, k]
+    total = float(0.0)
+    for share in range(shares.shape[0]):
+        total += shares[share, i]
+    return total
+
+
+@wp.kernel
+def spread_forces(
+    axes: wp.array2d[wp.mat33],  # (B, P)
+    semi_axes: wp.array2d[wp.vec3],  # (B, P)
+    forces: Forces,
+    lanes: int,  # of a warp, of which each adds some of the shares
+    grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
+    grad_semi_axes: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
+    grad_camera: wp.array[wp.vec4],  # (B,)  OUTPUT
+):
+    """Gradients with respect to centres, axes, semi-axes and, by one warp more, the camera."""
+    thread = wp.tid()
+    parts = axes.shape[1]
+    lane = thread % lanes
+    b = (thread // lanes) // (parts + 1)
+    k = thread // lanes - b * (parts + 1)
+    shares = forces.values.shape[2]
+    if k == parts:
+        camera = wp.vec4()
+        for n in range(lane, parts * shares, lanes):
+            values = forces.values[b, n // shares]
+            for i in range(4):
+                camera[i] += values[n % shares, 12 + i]
+        for i in range(4):
+            camera[i] = sum_lanes(camera[i])
+        if lane == 0:
+            grad_camera[b] = camera
+        return
+    force = wp.vec3()
+    moment = wp.mat33()
+    values = forces.values[b, k]
+    for share in range(lane, shares, lanes):
+        for i in range(3):
+            force[i] += values[share, i]
+            for j in range(3):
+                moment[i, j] += values[share, 3 + 3 * i + j]
+    for i in range(3):
+        force[i] = sum_lanes(force[i])
+        for j in range(3):
+            moment[i, j] = sum_lanes(moment[i, j])
+    if lane == 0:
+        grad_centres[b, k] = force
+        grad_axes[b, k] = moment * wp.diag(semi_axes[b, k])
+        grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * moment)
+
+
+@wp.kernel
+def sum_rows(
+    values: wp.array2d[float],  # (B, N)
+    totals: wp.array[float],  # (B,)  OUTPUT
+):
+    """One thread a body adds in a fixed order."""
+    b = wp.tid()
+    total = float(0.0)
+    for i in range(values.shape[1]):
+        total += values[b, i]
+    totals[b] = total
+
+
+_FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
+BLOCK = 64  # of the kernels that fill forces
+NUM_SUMS = 16  # of an ellipsoid's forces
+_WARPS_TO_FILL = 2048  # of 132 multiprocessors
+_MAX_SHARES = 16  # measured: docs/performance.md
+
+
+def make_scene(
+    ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool, active: wp.array | None = None
+) -> Scene:
+    """A scene of centres, axes, semi-axes and camera, as ``launch_see`` and ``launch_draw`` left it."""
+    scene = Scene()
+    scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
+    scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
+    scene.parts, scene.perspective = parts, perspective
+    if active is not None:
+        scene.active = active
+    return scene
+
+
+def make_forces(batch: int, parts: int, device: wp.Device) -> Forces:
+    """Room for the sums of forces, in as many shares as it takes to fill the device."""
+    shares = 1
+    if not device.is_cpu:
+        shares = max(min(_WARPS_TO_FILL // max(batch * parts, 1), _MAX_SHARES), 1)
+    forces = Forces()
+    forces.values = wp.empty((batch, parts, shares, NUM_SUMS), dtype=float, device=device)
+    return forces
+
+
+def cut_forces(forces: Forces, part: slice) -> Forces:
+    """Some bodies' share."""
+    if part.stop - part.start == forces.values.shape[0]:
+        return forces
+    cut = Forces()
+    cut.values = forces.values[part]
+    return cut
+
+
+def launch_on_ellipsoids(kernel: wp.Kernel, inputs: Sequence[object], forces: Forces) -> None:
+    """Launch a kernel whose threads find their work by ``worker_of``, given the number of lanes and the forces last."""
+    device = forces.values.device
+    lanes = _lanes(device)
+    dim = forces.values.size // NUM_SUMS * lanes
+    wp.launch(kernel, dim, [*inputs, lanes], [forces], device=device, block_dim=BLOCK)
+
+
+def _lanes(device: wp.Device) -> int:
+    return 1 if device.is_cpu else int(LANES)
+
+
+def launch_spread(
+    axes: wp.array,
+    semi_axes: wp.array,
+    forces: Forces,
+    *,
+    grad_centres: wp.array,
+    grad_axes: wp.array,
+    grad_semi_axes: wp.array,
+    grad_camera: wp.array,
+) -> None:
+    """From sums of forces to gradients."""
+    batch, parts = axes.shape
+    lanes = _lanes(axes.device)
+    wp.launch(
+        spread_forces,
+        batch * (parts + 1) * lanes,
+        [axes, semi_axes, forces, lanes],
+        [grad_centres, grad_axes, grad_semi_axes, grad_camera],
+        device=axes.device,
+        block_dim=BLOCK,
+    )
+
+
+def launch_sum_rows(values: wp.array, totals: wp.array) -> None:
+    """Fill the sum of each row."""
+    wp.launch(sum_rows, values.shape[0], [values], [totals], device=values.device, block_dim=_FEW)

@@ -1,0 +1,215 @@
+"""Outlines as borders of labels: where nothing hides one and another label, or none, lies behind.
+
+An outline belongs to one ellipsoid. It is walked in steps of a share of a pixel; where what lies behind it, or in
+front, changes within a step, the step is halved to find where.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..lanes import ballot, lowest_bit, tell
+from .borders import chord_shares
+from .forces import Ellipsoid, Scene, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
+from .silhouette import Silhouette, inside_at, middle_at
+
+wp.set_module_options({"enable_backward": False})
+
+_MAX_STEPS = wp.constant(float(2**22))  # of an outline: with more, float32 would hardly tell their angles apart
+_NO_BORDER = wp.constant(-1)  # instead of a label
+
+
+@wp.func
+def outline_circle(e: Ellipsoid, perspective: bool):
+    """Where rays of the camera touch the ellipsoid: on the unit sphere, this matrix times (1, cos, sin) of an angle."""
+    # The direction away from the camera in the space where the ellipsoid is the unit sphere.
+    away = wp.cw_div(wp.vec3(e.axes[2, 0], e.axes[2, 1], e.axes[2, 2]), e.semi_axes)
+    if perspective:
+        away = wp.cw_div(wp.transpose(e.axes) * e.centre, e.semi_axes)
+    direction = wp.normalize(away)
+    offset = float(0.0)
+    radius = float(1.0)
+    if perspective:
+        offset = -1.0 / wp.length(away)
+        radius = wp.sqrt(wp.max(1.0 - offset * offset, 0.0))
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(direction[0]) > 0.7:
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    first = wp.normalize(wp.cross(direction, helper))
+    return wp.matrix_from_cols(offset * direction, radius * first, radius * wp.cross(direction, first))
+
+
+@wp.func
+def rim_of(e: Ellipsoid, circle: wp.mat33):
+    """An ellipsoid's outline as if it were one: its "unit sphere" holds (1, cos, sin) of angles."""
+    rim = Ellipsoid()
+    rim.centre = e.centre
+    rim.axes = wp.matrix_from_cols(
+        from_unit(e, wp.vec3(circle[0, 0], circle[1, 0], circle[2, 0])),
+        from_unit(e, wp.vec3(circle[0, 1], circle[1, 1], circle[2, 1])),
+        from_unit(e, wp.vec3(circle[0, 2], circle[1, 2], circle[2, 2])),
+    )
+    rim.semi_axes = wp.vec3(1.0, 1.0, 1.0)
+    rim.camera = e.camera
+    return rim
+
+
+@wp.func
+def turn_to(angle: float):
+    """Which way from an outline's centre."""
+    return wp.vec3(1.0, wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
+    """Where the picture shows a place of an outline [px]."""
+    point = rim.centre + from_unit(rim, turn)
+    if perspective:
+        point = point / point[2]
+    return wp.vec2(rim.camera[0] * point[0] + rim.camera[2], rim.camera[1] * point[1] + rim.camera[3])
+
+
+@wp.func
+def look_behind(subject: Subject, s: Silhouette, place: wp.vec2):
+    """The label behind a place of the outline, 0 = background; _NO_BORDER where the outline is none of labels."""
+    x = place[0]
+    y = place[1]
+    if x < 0.0 or y < 0.0 or x >= float(subject.width) or y >= float(subject.height):
+        return _NO_BORDER
+    nearness = middle_at(s, x, y)
+    behind = float(-wp.inf)
+    label = int(0)
+    for word in range(subject.neighbours.shape[0]):
+        bits = subject.neighbours[word]
+        while bits != wp.uint32(0):
+            j = 32 * word + lowest_bit(bits)
+            bits &= bits - wp.uint32(1)
+            other = subject.silhouettes[j]
+            inside = inside_at(other, x, y)
+            if inside > 0.0:
+                there = middle_at(other, x, y) + other.bulge * wp.sqrt(inside)
+                if there > behind:
+                    behind = there
+                    label = other.label
+    if behind < nearness and label != s.label:
+        return label
+    return _NO_BORDER
+
+
+@wp.func
+def push_outline(
+    sums: SurfaceForces,
+    subject: Subject,
+    rim: Ellipsoid,
+    s: Silhouette,
+    start: wp.vec3,
+    end: wp.vec3,
+    behind: int,
+    perspective: bool,
+    gradient: Any,
+):
+    """Force of a bit of outline: cost times the outward normal times length, which is its chord turned by a quarter."""
+    if behind == _NO_BORDER:
+        return sums
+    here = image_of(rim, start, perspective)
+    there = image_of(rim, end, perspective)
+    shares = chord_shares(subject, here, there, s.label, behind, gradient)
+    if shares[0] == 0.0 and shares[1] == 0.0:
+        return sums
+    normal = wp.vec2(there[1] - here[1], here[0] - there[0])
+    if wp.dot(normal, 0.5 * (here + there) - s.mean) < 0.0:
+        normal = -normal
+    first = shares[0] * normal
+    second = shares[1] * normal
+    sums = add_image_force(sums, rim, start, first[0], first[1], perspective)
+    return add_image_force(sums, rim, end, second[0], second[1], perspective)
+
+
+@wp.func
+def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
+    """The value of the thread before this one; to the first, what the last thread had before."""
+    return tell(wp.where(lane == lanes - 1, last, value), wp.where(lane == 0, lanes, lane) - 1)
+
+
+@wp.func
+def walk_outline(
+    scene: Scene,
+    subject: Subject,
+    share: int,
+    shares: int,
+    lane: int,
+    lanes: int,
+    steps_per_pixel: float,
+    halvings: int,
+    gradient: Any,
+):
+    """Forces of one of ``shares`` pieces of an ellipsoid's own outline; its threads walk it side by side."""
+    sums = SurfaceForces()
+    s = subject.silhouettes[subject.k]
+    e = load_ellipsoid(scene, subject)
+    perspective = scene.perspective
+    circle = outline_circle(e, perspective)
+    rim = rim_of(e, circle)
+    half = 0.5 * (s.high - s.low)
+    # The root mean square of the radii bounds the perimeter from above. One of millions of pixels gets longer steps.
+    count = int(wp.min(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
+    turns = (count + shares * lanes - 1) // (shares * lanes)
+    step = 2.0 * wp.pi / float(turns * shares * lanes)
+    n = share * turns * lanes
+    # Of the place where a thread's step ends.
+    place = turn_to(float(n) * step)
+    behind = look_behind(subject, s, image_of(rim, place, perspective))
+    # Within which step of its own a thread knows what lies behind to change, and from what to what.
+    changing = int(-1)
+    before_change = int(0)
+    after_change = int(0)
+    n += lane
+    for turn in range(turns + 1):
+        changes = bool(False)
+        start_behind = int(behind)
+        if turn < turns:
+            end = turn_to(float(n + 1) * step)
+            end_behind = look_behind(subject, s, image_of(rim, end, perspective))
+            start = wp.vec3(
+                1.0,
+                wp.cast(tell_next(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
+                wp.cast(tell_next(wp.cast(end[2], wp.uint32), wp.cast(place[2], wp.uint32), lane, lanes), float),
+            )
+            start_behind = int(tell_next(wp.uint32(end_behind), wp.uint32(behind), lane, lanes))
+            place = end
+            behind = end_behind
+            changes = start_behind != behind
+            if not changes:
+                sums = push_outline(sums, subject, rim, s, start, place, behind, perspective, gradient)
+        # Changes are few, and to find their places takes long: all threads do so at once, when one meets its second or
+        # nothing is left to walk.
+        if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
+            if changing >= 0:
+                low = float(changing) * step
+                high = low + step
+                for _ in range(halvings):
+                    angle = 0.5 * (low + high)
+                    middle = image_of(rim, turn_to(angle), perspective)
+                    if look_behind(subject, s, middle) == before_change:
+                        low = angle
+                    else:
+                        high = angle
+                # Mostly one of the two pieces is no border.
+                turn_place = turn_to(0.5 * (low + high))
+                piece = int(wp.where(before_change == _NO_BORDER, 1, 0))
+                pieces = int(wp.where(after_change == _NO_BORDER, 1, 2))
+                while piece < pieces:
+                    start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
+                    end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
+                    now_behind = wp.where(piece == 0, before_change, after_change)
+                    sums = push_outline(sums, subject, rim, s, start, end, now_behind, perspective, gradient)
+                    piece += 1
+            changing = -1
+        if changes:
+            changing = n
+            before_change = start_behind
+            after_change = behind
+        n += lanes
+    # From (1, cos, sin) to the point of the unit sphere.
+    sums.moment = sums.moment * wp.transpose(circle)
+    return sums

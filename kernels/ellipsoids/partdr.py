@@ -1,0 +1,291 @@
+"""PartDR's long-range rule (paper, eq. 10 to 12) on exact ellipsoids: the mesh's rule for ever finer meshes.
+
+A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
+silhouette edge is, and the force acts on that point of the surface. ``tests/ellipsoid_reference.py`` is the definition.
+Every thread adds in a fixed order.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from ..labels import DenseGradient, LabelTarget, gradient_at, may_want, may_want_other, pull_range, target_of
+from ..mesh.push_z import MIN_DELTA_Z
+from .borders import front_at, line_root, outline_end
+from .forces import (
+    BLOCK,
+    Ellipsoid,
+    Forces,
+    Scene,
+    Subject,
+    SurfaceForces,
+    Worker,
+    add_force,
+    add_image_force,
+    find_subject,
+    launch_on_ellipsoids,
+    load_ellipsoid,
+    make_scene,
+    pixel_box,
+    rests,
+    store_forces,
+    to_unit,
+    unproject,
+    worker_of,
+)
+from .silhouette import Seen, Silhouette, in_box, inside_at, middle_at
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+
+@wp.func
+def label_at(silhouettes: wp.array[Silhouette], part: int):
+    """Label of an entry of the image of parts."""
+    if part == 0:
+        return 0
+    return silhouettes[part - 1].label
+
+
+@wp.func
+def walk_line(
+    subject: Subject,
+    s: Silhouette,
+    axis: int,
+    line: int,
+    side: int,  # -1: the outline's low end on this line, 1: its high end
+    crossing: float,
+    edge_nearness: float,
+    over_farther: bool,
+    max_distance: float,
+    gradient: Any,
+):
+    """Slope of the loss when the outline moves along one line where it crosses it."""
+    count = wp.where(axis == 0, subject.width, subject.height)
+    # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
+    place = wp.clamp(crossing, -1.0, float(count) + 1.0)
+    inside = int(wp.floor(place - 0.5))
+    outside = inside + 1
+    if side < 0:
+        inside = int(wp.ceil(place - 0.5))
+        outside = inside - 1
+    slope = float(0.0)
+    # Pixels of the line follow one another in memory by ``pitch``.
+    begin = wp.where(axis == 0, line * subject.width, line)
+    pitch = wp.where(axis == 0, 1, subject.width)
+    if outside >= 0 and outside < count:
+        # An outline inside its own label's picture bounds nothing.
+        if label_at(subject.silhouettes, int(subject.parts[begin + outside * pitch])) == s.label:
+            return slope
+    pulls = pull_range(gradient, subject.target, axis, s.label, line, count)
+    pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
+    while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
+        distance = wp.abs(float(pixel) + 0.5 - crossing)
+        if distance > max_distance:
+            break
+        at = begin + pixel * pitch
+        part = int(subject.parts[at])
+        shown = label_at(subject.silhouettes, part)
+        if part > 0 and shown == s.label:
+            break
+        if may_want(gradient, subject.target, s.label, at):
+            switches = part == 0
+            if part > 0 and over_farther:
+                x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
+                y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
+                switches = front_at(subject.silhouettes[part - 1], x, y) < edge_nearness
+            if switches:
+                slope += float(side) * gradient_at(gradient, subject.target, s.label, at, shown) / wp.max(distance, 1.0)
+        pixel += side
+    pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
+    while pixel >= 0 and pixel < count:
+        distance = wp.abs(float(pixel) + 0.5 - crossing)
+        at = begin + pixel * pitch
+        part = int(subject.parts[at])
+        if part == 0 or distance > max_distance:
+            break
+        if label_at(subject.silhouettes, part) == s.label:
+            slope += float(side) * gradient_at(gradient, subject.target, s.label, at, s.label) / wp.max(distance, 1.0)
+        pixel -= side
+    return slope
+
+
+@wp.func
+def walk_lines(
+    sums: SurfaceForces,
+    subject: Subject,
+    e: Ellipsoid,
+    s: Silhouette,
+    thread: int,
+    threads: int,
+    perspective: bool,
+    over_farther: bool,
+    max_distance: float,
+    gradient: Any,
+):
+    """x and y: rows and columns that meet the outline, two ends each."""
+    left, right, top, bottom = pixel_box(subject, s)
+    rows = wp.max(bottom - top + 1, 0)
+    columns = wp.max(right - left + 1, 0)
+    n = int(thread)
+    while n < 2 * (rows + columns):
+        side = 2 * (n % 2) - 1
+        axis = 0
+        line = top + n // 2
+        if n >= 2 * rows:
+            axis = 1
+            line = left + (n - 2 * rows) // 2
+        across = float(line) + 0.5
+        if line_root(s, across, across, axis) > 0.0:
+            crossing = outline_end(s, across, across, axis, float(side))
+            x = wp.where(axis == 0, crossing, across)
+            y = wp.where(axis == 0, across, crossing)
+            nearness = middle_at(s, x, y)
+            slope = walk_line(subject, s, axis, line, side, crossing, nearness, over_farther, max_distance, gradient)
+            if slope != 0.0:
+                unit = to_unit(e, unproject(e, x, y, nearness, perspective))
+                fx = wp.where(axis == 0, slope, 0.0)
+                fy = wp.where(axis == 0, 0.0, slope)
+                sums = add_image_force(sums, e, unit, fx, fy, perspective)
+        n += threads
+    return sums
+
+
+@wp.func
+def push_depth(
+    sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float, perspective: bool
+):
+    """A force along z on the surface point at (x, y)."""
+    unit = to_unit(e, unproject(e, x, y, nearness, perspective))
+    return add_force(sums, wp.vec3(0.0, 0.0, amount), unit)
+
+
+@wp.func
+def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: float, x: float, y: float):
+    """Whether no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
+    label = silhouettes[k].label
+    for j in range(silhouettes.shape[0]):
+        if j != k and silhouettes[j].label == label and in_box(silhouettes[j], x, y):
+            if inside_at(silhouettes[j], x, y) > 0.0:
+                there = front_at(silhouettes[j], x, y)
+                if there > nearness or (there == nearness and j < k):
+                    return False
+    return True
+
+
+@wp.func
+def depth_between(front: float, back: float, perspective: bool):
+    """Distance in depth of two nearnesses [m], never 0."""
+    between = front - back
+    if perspective:
+        between = 1.0 / back - 1.0 / front
+    return wp.max(between, MIN_DELTA_Z)
+
+
+@wp.func
+def walk_depths(
+    sums: SurfaceForces,
+    subject: Subject,
+    e: Ellipsoid,
+    s: Silhouette,
+    thread: int,
+    threads: int,
+    perspective: bool,
+    depth_weight: float,
+    gradient: Any,
+):
+    """z: where this ellipsoid is hidden and wanted it comes forward, where it hides a wanted one it goes back."""
+    silhouettes = subject.silhouettes
+    left, right, top, bottom = pixel_box(subject, s)
+    columns = right - left + 1
+    n = int(thread)
+    while n < columns * (bottom - top + 1):
+        row = top + n // columns
+        column = left + n % columns
+        n += threads
+        at = row * subject.width + column
+        part = int(subject.parts[at])
+        if part == 0:
+            continue
+        x = float(column) + 0.5
+        y = float(row) + 0.5
+        shown = silhouettes[part - 1].label
+        if part == subject.k + 1:
+            if not may_want_other(gradient, subject.target, shown, at):
+                continue
+            front = front_at(s, x, y)
+            for j in range(silhouettes.shape[0]):
+                other = silhouettes[j].label
+                if other != shown and may_want(gradient, subject.target, other, at) and in_box(silhouettes[j], x, y):
+                    g = gradient_at(gradient, subject.target, other, at, shown)
+                    if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
+                        back = front_at(silhouettes[j], x, y)
+                        if is_nearest_of_label(silhouettes, j, back, x, y):
+                            between = depth_between(front, back, perspective)
+                            amount = depth_weight * g * wp.log(1.0 / between + 1.0)
+                            sums = push_depth(sums, e, x, y, front, amount, perspective)
+        elif shown != s.label and may_want(gradient, subject.target, s.label, at) and inside_at(s, x, y) > 0.0:
+            g = gradient_at(gradient, subject.target, s.label, at, shown)
+            if g != 0.0:
+                back = front_at(s, x, y)
+                if is_nearest_of_label(silhouettes, subject.k, back, x, y):
+                    between = depth_between(front_at(silhouettes[part - 1], x, y), back, perspective)
+                    amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
+                    sums = push_depth(sums, e, x, y, back, amount, perspective)
+    return sums
+
+
+@wp.func
+def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float, depth_weight: float, gradient: Any):
+    """A thread's share in the forces on an ellipsoid."""
+    sums = SurfaceForces()
+    if rests(scene.active, w.b):
+        return sums
+    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+    s = subject.silhouettes[w.k]
+    if s.low[0] <= s.high[0]:
+        e = load_ellipsoid(scene, subject)
+        sums = walk_lines(
+            sums, subject, e, s, w.number, w.count, scene.perspective, over_farther, max_distance, gradient
+        )
+        if depth_weight != 0.0:
+            sums = walk_depths(sums, subject, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
+    return sums
+
+
+@wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
+def partdr_forces(
+    scene: Scene,
+    over_farther: bool,
+    max_distance: float,  # [px]
+    depth_weight: float,
+    gradient: Any,
+    lanes: int,
+    forces: Forces,  # OUTPUT
+):
+    """Sums over the forces on each ellipsoid."""
+    w = worker_of(forces, lanes, wp.tid())
+    store_forces(forces, w, push_partdr(scene, w, over_farther, max_distance, depth_weight, gradient))
+
+
+for _gradient in (LabelTarget, DenseGradient):
+    wp.overload(partdr_forces, {"gradient": _gradient})
+
+
+def launch_partdr_forces(
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
+    *,
+    perspective: bool,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    gradient: Any,  # LabelTarget or DenseGradient
+    forces: Forces,
+    active: wp.array | None = None,
+) -> None:
+    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
+    inputs = [scene, over_farther, max_distance, depth_weight, gradient]
+    launch_on_ellipsoids(partdr_forces, inputs, forces)

@@ -1,0 +1,314 @@
+"""Which ellipsoid each pixel shows, how deep, and what that costs: one algorithm for CUDA, one for the CPU device.
+
+Both decide with the same functions: an ellipsoid covers a pixel where ``inside_at`` its centre is positive, the nearest
+shows, and of equal ones that with the lower index.
+"""
+
+import warp as wp
+
+from ..labels import LabelTarget, are_words, cost_of, flat, target_of, words_of
+from ..lanes import LANES, ballot, lowest_bit, sum_lanes
+from .forces import rests
+from .silhouette import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+# On CUDA a warp draws a tile of the picture strip by strip. Its threads draw four neighbouring pixels of a row each.
+# Few long warps cost least, but few bodies need many.
+_QUAD = wp.constant(4)
+_STRIP_WIDTH = wp.constant(16)
+_STRIP_ROWS = wp.constant(8)
+_QUADS = wp.constant(4)  # a row of a strip
+_BLOCK = 128
+_MAX_STRIPS = 8  # a bit for each and each of the 8 ellipsoids of a thread: 64
+_WARPS_TO_FILL = 4096  # of 132 multiprocessors
+_SLACK = wp.constant(1.0e-5)  # relative; of bounds in float32
+
+
+@wp.func
+def depth_of(nearness: float, perspective: bool):
+    """Depth [m] of a nearness."""
+    return wp.where(perspective, 1.0 / nearness, -nearness)
+
+
+@wp.func
+def pack(values: wp.vec4i):
+    """Four bytes as one word, in the order of memory."""
+    return (
+        wp.uint32(values[0])
+        | (wp.uint32(values[1]) << wp.uint32(8))
+        | (wp.uint32(values[2]) << wp.uint32(16))
+        | (wp.uint32(values[3]) << wp.uint32(24))
+    )
+
+
+@wp.func
+def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, values: wp.vec4i):
+    """Write up to four pixels of a row."""
+    for i in range(_QUAD):
+        if column + i < image.shape[2]:
+            image[b, row, column + i] = wp.uint8(values[i])
+
+
+@wp.func
+def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float):
+    """Whether an outline may meet a rectangle of pixels: no is sure, yes is not."""
+    if not (s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top):
+        return False
+    # Within these rows the outline goes farthest right where it does at all, or at the row next to there.
+    half = s.high[0] - s.mean[0]
+    tilt = s.factor[1] / s.factor[2] * half
+    dy = wp.clamp(-tilt, top - s.mean[1], bottom - s.mean[1])
+    along = along_row(s)
+    root = wp.max(row_root(s, dy), 0.0)
+    slack = 0.5 + _SLACK * half
+    if s.mean[0] + (wp.sqrt(root) - row_lean(s, dy)) / along + slack < left:
+        return False
+    dy = wp.clamp(tilt, top - s.mean[1], bottom - s.mean[1])
+    root = wp.max(row_root(s, dy), 0.0)
+    # A root that overflowed is no reason to leave anything out, so the test must not be the other way round.
+    return not s.mean[0] - (wp.sqrt(root) + row_lean(s, dy)) / along - slack > right
+
+
+@wp.kernel(launch_bounds=(_BLOCK, 8))  # 64 registers
+def draw_tiles(
+    silhouettes: wp.array2d[Silhouette],  # (B, P)
+    perspective: bool,
+    target: LabelTarget,
+    active: wp.array[int],  # (B,) 0: the body's picture stays as it is; empty: all are drawn
+    strips: int,  # a tile
+    parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background  OUTPUT
+    labels: wp.array3d[wp.uint8],  # (B, H, W) or empty  OUTPUT
+    depth: wp.array3d[float],  # (B, H, W) [m], inf = background, or empty  OUTPUT
+    losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
+):
+    """CUDA: a warp looks only at the ellipsoids that may meet its strip, each thread at one to find out."""
+    # One dimension, split in 32 bits: Warp's own split takes 64-bit divisions for every dimension.
+    thread = wp.tid()
+    lane = thread % LANES
+    height = parts.shape[1]
+    width = parts.shape[2]
+    tile_height = strips * _STRIP_ROWS
+    tiles = (width + _STRIP_WIDTH - 1) // _STRIP_WIDTH
+    in_picture = tiles * ((height + tile_height - 1) // tile_height)
+    b = (thread // LANES) // in_picture
+    tile = (thread // LANES) - b * in_picture
+    if b >= parts.shape[0] or rests(active, b):
+        return
+    ellipsoids = silhouettes[b]
+    left = (tile % tiles) * _STRIP_WIDTH
+    top = (tile // tiles) * tile_height
+    column = left + (lane % _QUADS) * _QUAD
+    x = float(column) + 0.5
+    count = silhouettes.shape[1]
+    words = (count + LANES - 1) // LANES
+    t = target_of(target, b)
+    has_labels = labels.shape[0] > 0
+    has_losses = losses.shape[0] > 0
+    in_words = are_words(parts) and (are_words(labels) or not has_labels)
+    by_word = in_words and has_losses and are_words(target.target)
+    # Which strips each thread's own ellipsoids may meet: bit 8 word + strip.
+    meets = wp.uint64(0)
+    for word in range(words):
+        k = LANES * word + lane
+        if k < count:
+            own = ellipsoids[k]
+            for strip in range(strips):
+                first = float(top + strip * _STRIP_ROWS)
+                if may_meet(own, float(left), float(left + _STRIP_WIDTH), first, first + float(_STRIP_ROWS)):
+                    meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
+    loss = float(0.0)
+    for strip in range(strips):
+        row = top + strip * _STRIP_ROWS + lane // _QUADS
+        y = float(row) + 0.5
+        best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
+        shown = wp.vec4i(0, 0, 0, 0)
+        label = wp.vec4i(0, 0, 0, 0)
+        for word in range(words):
+            bits = ballot((meets >> wp.uint64(8 * word + strip)) & wp.uint64(1) == wp.uint64(1))
+            while bits != wp.uint32(0):
+                k = LANES * word + lowest_bit(bits)
+                bits &= bits - wp.uint32(1)
+                s = ellipsoids[k]
+                place = to_disc(s, x - s.mean[0], y - s.mean[1])
+                first_middle = middle_at(s, x, y)
+                for i in range(_QUAD):
+                    # Selects, not branches: neighbours disagree.
+                    u = place[0] + float(i) * s.factor[0]
+                    v = place[1] + float(i) * s.factor[1]
+                    inside = 1.0 - u * u - v * v
+                    nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
+                    nearer = inside > 0.0 and nearness > best[i]
+                    best[i] = wp.where(nearer, nearness, best[i])
+                    shown[i] = wp.where(nearer, k + 1, shown[i])
+                    label[i] = wp.where(nearer, s.label, label[i])
+        if row < height and column < width:
+            at = (row * width + column) // _QUAD
+            if in_words:
+                words_of(parts[b])[at] = pack(shown)
+                if has_labels:
+                    words_of(labels[b])[at] = pack(label)
+            else:
+                write_bytes(parts, b, row, column, shown)
+                if has_labels:
+                    write_bytes(labels, b, row, column, label)
+            if depth.shape[0] > 0:
+                for i in range(_QUAD):
+                    if column + i < width:
+                        depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
+            if has_losses:
+                if by_word:
+                    wanted = words_of(target.target[t])[at]
+                    if wanted != pack(label):
+                        for i in range(_QUAD):
+                            loss += cost_of(target, int(wanted >> wp.uint32(8 * i)) & 255, label[i])
+                else:
+                    for i in range(_QUAD):
+                        if column + i < width:
+                            loss += cost_of(target, int(target.target[t, row, column + i]), label[i])
+    if has_losses:
+        total = sum_lanes(loss)
+        if lane == 0:
+            losses[b, tile] = total
+
+
+@wp.kernel
+def draw_rows(
+    silhouettes: wp.array2d[Silhouette],
+    perspective: bool,
+    target: LabelTarget,
+    active: wp.array[int],
+    nearest: wp.array3d[float],  # (B, H, W) scratch
+    parts: wp.array3d[wp.uint8],
+    labels: wp.array3d[wp.uint8],
+    depth: wp.array3d[float],
+    losses: wp.array2d[float],  # (B, H)
+):
+    """CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
+    b, row = wp.tid()
+    if rests(active, b):
+        return
+    width = parts.shape[2]
+    begin = row * width
+    image = flat(parts[b])
+    fronts = flat(nearest[b])
+    ellipsoids = silhouettes[b]
+    y = float(row) + 0.5
+    words = words_of(parts[b])
+    in_words = are_words(parts)
+    if in_words:
+        for at in range(begin // _QUAD, (begin + width) // _QUAD):
+            words[at] = wp.uint32(0)
+    else:
+        for at in range(begin, begin + width):
+            image[at] = wp.uint8(0)
+    first = int(width)
+    last = int(-1)
+    for k in range(ellipsoids.shape[0]):
+        if y > ellipsoids[k].low[1] and y < ellipsoids[k].high[1]:
+            s = ellipsoids[k]
+            dy = y - s.mean[1]
+            root = row_root(s, dy)
+            if root > 0.0:
+                along = along_row(s)
+                middle = s.mean[0] - row_lean(s, dy) / along
+                reach = wp.sqrt(root) / along
+                # One pixel more on either side: ``inside_at`` has the last word.
+                left = int(wp.clamp(middle - reach - 1.0, 0.0, float(width)))
+                right = int(wp.clamp(middle + reach + 1.0, -1.0, float(width - 1)))
+                # The nearness of background is set where an ellipsoid may be, and nowhere else.
+                if last < first:
+                    for column in range(left, right + 1):
+                        fronts[begin + column] = -wp.inf
+                    first = left
+                    last = right
+                else:
+                    for column in range(left, first):
+                        fronts[begin + column] = -wp.inf
+                    for column in range(last + 1, right + 1):
+                        fronts[begin + column] = -wp.inf
+                    first = wp.min(first, left)
+                    last = wp.max(last, right)
+                for column in range(left, right + 1):
+                    x = float(column) + 0.5
+                    inside = inside_at(s, x, y)
+                    if inside > 0.0:
+                        nearness = middle_at(s, x, y) + s.bulge * wp.sqrt(inside)
+                        if nearness > fronts[begin + column]:
+                            fronts[begin + column] = nearness
+                            image[begin + column] = wp.uint8(k + 1)
+    whole_picture = labels.shape[0] > 0 or depth.shape[0] > 0
+    if whole_picture or losses.shape[0] > 0:
+        loss = float(0.0)
+        t = target_of(target, b)
+        if losses.shape[0] > 0:
+            in_words = in_words and are_words(target.target)
+        together = wp.where(in_words, _QUAD, 1)
+        column = int(0)
+        while column < width:
+            wrong_or_shown = bool(True)
+            if in_words and not whole_picture:
+                # Four pixels that show background and should.
+                at = (begin + column) // _QUAD
+                wrong_or_shown = (words[at] | words_of(target.target[t])[at]) != wp.uint32(0)
+            if wrong_or_shown:
+                for i in range(together):
+                    at = begin + column + i
+                    part = int(image[at])
+                    label = int(0)
+                    if part > 0:
+                        label = ellipsoids[part - 1].label
+                    if labels.shape[0] > 0:
+                        labels[b, row, column + i] = wp.uint8(label)
+                    if depth.shape[0] > 0:
+                        depth[b, row, column + i] = wp.inf
+                        if part > 0:
+                            depth[b, row, column + i] = depth_of(fronts[at], perspective)
+                    if losses.shape[0] > 0:
+                        loss += cost_of(target, int(target.target[t, row, column + i]), label)
+            column += together
+        if losses.shape[0] > 0:
+            losses[b, row] = loss
+
+
+def num_partial_losses(device: wp.Device, batch: int, height: int, width: int) -> int:
+    """T, how many sums of each picture's loss ``launch_draw`` fills."""
+    if device.is_cpu:
+        return height
+    return -(-height // (_STRIP_ROWS * _strips(batch, height, width))) * -(-width // _STRIP_WIDTH)
+
+
+def _strips(batch: int, height: int, width: int) -> int:
+    """How many strips a warp draws."""
+    warps = batch * -(-height // _STRIP_ROWS) * -(-width // _STRIP_WIDTH)
+    return max(min(warps // _WARPS_TO_FILL, _MAX_STRIPS), 1)
+
+
+def launch_draw(
+    silhouettes: wp.array,
+    *,
+    perspective: bool,
+    target: LabelTarget,
+    nearest: wp.array,
+    parts: wp.array,
+    labels: wp.array,
+    depth: wp.array,
+    losses: wp.array,
+    active: wp.array | None = None,
+) -> None:
+    """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
+
+    All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses``
+    only. Bodies whose flag in ``active`` is 0 stay as they are.
+    """
+    device = silhouettes.device
+    batch, height, width = parts.shape
+    moving = wp.empty(0, dtype=int, device=device) if active is None else active
+    inputs = [silhouettes, perspective, target, moving]
+    outputs = [parts, labels, depth, losses]
+    if device.is_cpu:
+        wp.launch(draw_rows, (batch, height), [*inputs, nearest], outputs, device=device)
+        return
+    warps = batch * num_partial_losses(device, batch, height, width)
+    dim = -(-warps * int(LANES) // _BLOCK) * _BLOCK
+    wp.launch(draw_tiles, dim, [*inputs, _strips(batch, height, width)], outputs, device=device, block_dim=_BLOCK)

@@ -1,0 +1,80 @@
+"""Threads for the CPU device, which runs a launch on one core: each takes some bodies of a batch.
+
+``wp.launch`` releases the interpreter's lock, so that launches overlap. The CPU device's atomics are not atomic, so
+threads must not share an output.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from types import ModuleType
+
+import warp as wp
+
+from ..errors import check_whole
+
+_MIN_BODIES = 2  # a thread; for less, starting it costs more than it saves
+
+_num_threads = 0  # 0: as many as there are cores
+
+
+def set_num_threads(count: int) -> None:
+    """How many threads share a batch on the CPU device; 0 = as many as there are cores.
+
+    Raises:
+        ValueError: If ``count`` is no integer, or negative.
+    """
+    global _num_threads
+    _num_threads = check_whole("count", count, 0)
+
+
+def get_num_threads() -> int:
+    """How many threads share a batch on the CPU device."""
+    if _num_threads:
+        return _num_threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def launch_in_slices(
+    launch: Callable[[slice], None], batch: int, device: wp.Device, *, modules: Sequence[ModuleType] = ()
+) -> None:
+    """Call ``launch`` for slices that together are the batch: one slice a thread on the CPU device, one in all on CUDA.
+
+    Args:
+        launch: Launches the work of the bodies ``start`` to ``stop``. Whatever it writes belongs to these bodies alone.
+        batch: Number of bodies; 0 calls ``launch`` once, with an empty slice.
+        device: Where the work is launched.
+        modules: Python modules of the kernels it launches: they are loaded before there are threads that would each
+            build what is missing.
+    """
+    slices = split_batch(batch, on_cpu=device.is_cpu)
+    if len(slices) > 1:
+        for module in modules:
+            wp.load_module(module, device=device)
+    run_slices(launch, slices)
+
+
+def split_batch(batch: int, *, on_cpu: bool) -> list[slice]:
+    """Slices that together are the batch: one a thread on the CPU device, one in all on CUDA."""
+    count = max(min(get_num_threads(), batch // _MIN_BODIES), 1) if on_cpu else 1
+    return [slice(batch * k // count, batch * (k + 1) // count) for k in range(count)]
+
+
+def run_slices(work: Callable[[slice], None], slices: Sequence[slice]) -> None:
+    """Call ``work`` for each slice on a thread of its own, the first on this one; raise what any of them raises."""
+    failures: list[BaseException] = []
+
+    def guarded(part: slice) -> None:
+        try:
+            work(part)
+        except BaseException as failure:
+            failures.append(failure)
+
+    threads = [threading.Thread(target=guarded, args=(part,)) for part in slices[1:]]
+    for thread in threads:
+        thread.start()
+    guarded(slices[0])
+    for thread in threads:
+        thread.join()
+    if failures:
+        raise failures[0]

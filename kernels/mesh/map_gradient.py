@@ -1,0 +1,111 @@
+"""The loss gradient g of the part maps, as PartDR's backward pass reads it.
+
+g comes in two forms: dense maps (B, K, H, W), or a target label image, from which L_seg's gradient at a pixel follows
+from two labels (``LabelTarget``).
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..labels import IGNORE, flat
+from .rasterize import MISSING, SURPLUS
+
+
+@wp.struct
+class LabelTarget:
+    """L_seg against a label image: g is 2 w (shown) where a part is wrong and -2 w (wanted) where one is missing."""
+
+    target: wp.array3d[wp.uint8]  # (B, H, W), 255 = ignore
+    label_weights: wp.array[float]  # (256,)
+    scale: wp.array[float]  # (B,) gradient of the loss itself
+    extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, from ``launch_compare_labels``
+
+
+@wp.struct
+class DenseGradient:
+    """Any gradient with respect to the part maps."""
+
+    maps: wp.array4d[float]  # (B, K, H, W)
+    wanted: int  # the z pass looks for one map's part at a time
+
+
+@wp.func
+def pixels_of(g: LabelTarget, b: int, label: int):
+    """What ``gradient_at`` reads for a label: the target."""
+    return flat(g.target[b])
+
+
+@wp.func
+def pixels_of(g: DenseGradient, b: int, label: int):
+    """What ``gradient_at`` reads for a label: its map."""
+    return flat(g.maps[b, label - 1])
+
+
+@wp.func
+def gradient_at(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel that shows this label or another, but for the factor ``weight_of``."""
+    want = int(target[at])
+    if shows_it:
+        return wp.where(want == label or want == IGNORE, 0.0, 2.0)
+    return wp.where(want == label, -2.0, 0.0)
+
+
+@wp.func
+def gradient_at(map: wp.array[float], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel."""
+    return map[at]
+
+
+@wp.func
+def weight_of(g: LabelTarget, b: int, label: int):
+    """The factor of all that ``gradient_at`` says of a label."""
+    return g.label_weights[label] * g.scale[b]
+
+
+@wp.func
+def weight_of(g: DenseGradient, b: int, label: int):
+    """None."""
+    return 1.0
+
+
+@wp.func
+def wanted_at(g: LabelTarget, b: int, at: int):
+    """The label that may come forward at a pixel: what the target shows."""
+    return int(flat(g.target[b])[at])
+
+
+@wp.func
+def wanted_at(g: DenseGradient, b: int, at: int):
+    """The label that may come forward at a pixel: every one in its turn, and its map's gradient says how much."""
+    return g.wanted
+
+
+@wp.func
+def extent(g: LabelTarget, b: int, kind: int, label: int):
+    """First and last row, first and last column of the pixels that are wrong in this way; last < first if none is."""
+    if label >= g.extents.shape[2]:
+        return wp.vec4i(0, -1, 0, -1)
+    reach = g.extents[b, kind, label]
+    return wp.vec4i(g.target.shape[1] - reach[0], reach[1] - 1, g.target.shape[2] - reach[2], reach[3] - 1)
+
+
+@wp.func
+def extent(g: DenseGradient, b: int, kind: int, label: int):
+    """Any pixel can have a gradient."""
+    if label > g.maps.shape[1]:
+        return wp.vec4i(0, -1, 0, -1)
+    return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)
+
+
+@wp.func
+def all_wrong(gradient: Any, b: int, label: int):
+    """What ``extent`` says of pixels that show a label or should, both."""
+    missing = extent(gradient, b, MISSING, label)
+    surplus = extent(gradient, b, SURPLUS, label)
+    return wp.vec4i(
+        wp.min(missing[0], surplus[0]),
+        wp.max(missing[1], surplus[1]),
+        wp.min(missing[2], surplus[2]),
+        wp.max(missing[3], surplus[3]),
+    )

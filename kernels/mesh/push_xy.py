@@ -1,0 +1,390 @@
+"""PartDR's backward pass in x and y: how part maps change as silhouette edges move (paper, eq. 10 and 11).
+
+The definition is docs/renderer.md; ``tests/reference.py`` is the same in slow float64. The result is linear in the loss
+gradient of the part maps (``map_gradient``).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import warp as wp
+
+from ..labels import flat
+from .map_gradient import DenseGradient, LabelTarget, all_wrong, extent, gradient_at, pixels_of, weight_of
+from .rasterize import MISSING, SURPLUS, launch_bodies
+from .triangles import first_pixel
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+# On CUDA, threads a block and blocks a multiprocessor: it takes some spilled registers to have enough threads that wait
+# for memory at once.
+_PUSH_EDGES_BOUNDS = (256, 3)
+
+# Threads on CUDA for one body: about one for each way of each scan line that a silhouette crosses, in a picture of
+# 256 x 256.
+_LINE_THREADS = 4096
+
+_COUNT_STRIDE = 16  # counters of two bodies share no line of memory, or their atomics would queue
+
+
+@wp.func
+def along_and_across(axis: int, p: wp.vec3):
+    """A point's place along the scan lines, then across them, and its depth."""
+    return wp.vec3(wp.where(axis == 0, p[0], p[1]), wp.where(axis == 0, p[1], p[0]), p[2])
+
+
+@wp.func
+def lines_between(start: float, end: float, first: int, last: int, size: int):
+    """First scan line that an edge crosses, of the first to the last, and how many it does."""
+    low = wp.max(first_pixel(wp.min(start, end), size), first)
+    high = wp.min(first_pixel(wp.max(start, end), size), last + 1)
+    return wp.vec2i(low, wp.max(high - low, 0))
+
+
+@wp.func
+def side_of(p0: wp.vec3, p1: wp.vec3, q: wp.vec3):
+    """Which side of an edge a face with the vertex q lies on: 1, -1, or 0 for one that is seen edge-on."""
+    # two products, not their difference, which a fused multiply-add rounds once: not to 0 where q is p1
+    left = (p1[0] - p0[0]) * (q[1] - p0[1])
+    right = (p1[1] - p0[1]) * (q[0] - p0[0])
+    return wp.where(left > right, 1, 0) - wp.where(left < right, 1, 0)
+
+
+@wp.kernel
+def find_silhouettes(
+    first_body: int,
+    threads: int,  # of one body: E
+    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
+    face_labels: wp.array[wp.uint8],  # (F,)
+    edges: wp.array2d[int],  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
+    near: float,
+    size: wp.vec2i,  # width, height
+    gradient: Any,
+    counts: wp.array2d[wp.uint64],  # (B, 16), zeroed  MODIFIED: column 0, edges in the high half, lines in the low one
+    silhouettes: wp.array2d[wp.vec2i],  # (B, E)  OUTPUT: edge and its sides as one number; lines of those before it
+):
+    """List the edges that bound their part, where it is wrong: few of all, and they do all the work."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    ends = edges[thread % threads]
+    points = vertices[b]
+    p0 = points[ends[0]]
+    p1 = points[ends[1]]
+    q = points[ends[4]]
+    side = side_of(p0, p1, q)
+    other_side = side
+    nearest = wp.min(wp.min(p0[2], p1[2]), q[2])
+    if ends[3] >= 0:
+        r = points[ends[5]]
+        other_side = side_of(p0, p1, r)
+        nearest = wp.min(nearest, r[2])
+    if side + other_side == 0 or nearest <= near:
+        return  # the faces lie on either side: no silhouette
+    wrong = all_wrong(gradient, b, int(face_labels[ends[2]]))
+    rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
+    columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
+    lines = rows[1] + columns[1]
+    if lines > 0:
+        # one number, so that lines are counted in the order of the list
+        before = wp.atomic_add(counts, b, 0, (wp.uint64(1) << wp.uint64(32)) + wp.uint64(lines))
+        edge_and_sides = 8 * (thread % threads) + side + other_side + 2
+        silhouettes[b, int(before >> wp.uint64(32))] = wp.vec2i(edge_and_sides, int(before & wp.uint64(0xFFFFFFFF)))
+
+
+@wp.func
+def last_before(found: wp.array[wp.vec2i], count: int, line: int):
+    """Which of a list of silhouettes a line belongs to."""
+    low = int(0)
+    high = int(count)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if found[middle][1] <= line:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def reach_out(
+    picture: wp.array[wp.uint8],
+    depth: wp.array[float],
+    asked: Any,
+    label: int,
+    all_edges: bool,
+    over_farther: bool,
+    edge_depth: float,
+    at: int,  # first pixel
+    step: int,  # to the next
+    left: int,  # how many there are
+    distance: float,  # of the first [px]
+):
+    """What pulls an edge out: the gradient of each pixel over its distance."""
+    pull = float(0.0)
+    while left > 0:
+        # both loads before anything hangs on them, so that they wait together
+        shown = int(picture[at])
+        value = gradient_at(asked, at, label, False)
+        if shown == label:
+            if not all_edges:
+                break
+        elif value != 0.0:
+            switches = shown == 0
+            if over_farther and not switches:
+                switches = depth[at] > edge_depth
+            if switches:
+                pull += value / wp.max(distance, 1.0)
+        at += step
+        distance += 1.0
+        left -= 1
+    return pull
+
+
+@wp.func
+def draw_in(
+    picture: wp.array[wp.uint8],
+    face_index: wp.array[int],
+    asked: Any,
+    label: int,
+    all_edges: bool,
+    face: int,
+    at: int,
+    step: int,
+    left: int,
+    distance: float,
+):
+    """What pushes an edge in, likewise."""
+    pull = float(0.0)
+    while left > 0:
+        shown = int(picture[at])
+        value = gradient_at(asked, at, label, True)
+        if shown == 0:
+            break
+        if all_edges:
+            if face_index[at] != face:
+                break
+        pull += wp.where(shown == label, value, 0.0) / wp.max(distance, 1.0)
+        at += step
+        distance += 1.0
+        left -= 1
+    return pull
+
+
+@wp.kernel(launch_bounds=_PUSH_EDGES_BOUNDS)
+def push_edges(
+    first_body: int,
+    threads: int,  # of one body
+    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
+    face_labels: wp.array[wp.uint8],  # (F,)
+    edges: wp.array2d[int],  # (E, 6)
+    counts: wp.array2d[wp.uint64],  # (B, 16), column 0
+    silhouettes: wp.array2d[wp.vec2i],  # (B, E)
+    perspective: bool,
+    all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
+    over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
+    max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
+    labels: wp.array3d[wp.uint8],  # (B, H, W)
+    face_index: wp.array3d[int],  # (B, H, W), read where something shows
+    depth: wp.array3d[float],  # (B, H, W) [m], likewise
+    gradient: Any,
+    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
+):
+    """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
+
+    Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
+    others do nothing. Threads share the lines of all edges, outward first: neighbours do the same for about as long.
+    """
+    thread = wp.tid()
+    b = first_body + thread // threads
+    found = silhouettes[b]
+    count = int(counts[b, 0] >> wp.uint64(32))
+    lines = int(counts[b, 0] & wp.uint64(0xFFFFFFFF))
+    share = (2 * lines + threads - 1) // threads
+    task = thread % threads * share
+    end = wp.min(task + share, 2 * lines)
+    size = wp.vec2i(labels.shape[2], labels.shape[1])
+    picture = flat(labels[b])
+    while task < end:
+        outward = task < lines
+        line = task - wp.where(outward, 0, lines)
+        silhouette = found[last_before(found, count, line)]
+        line -= silhouette[1]
+        ends = edges[silhouette[0] >> 3]
+        sides = (silhouette[0] & 7) - 2
+        face = ends[2]
+        label = int(face_labels[face])
+        p0 = vertices[b, ends[0]]
+        p1 = vertices[b, ends[1]]
+        wrong = all_wrong(gradient, b, label)
+        rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
+        columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
+        wrong = extent(gradient, b, wp.where(outward, MISSING, SURPLUS), label)
+        asked = pixels_of(gradient, b, label)
+        pull_x = wp.vec2()  # of either end
+        pull_y = wp.vec2()
+        while task < end and line < rows[1] + columns[1]:
+            axis = wp.where(line < rows[1], 0, 1)  # 0: along a row, x moves; 1: along a column, y moves
+            across = wp.where(axis == 0, rows[0] + line, columns[0] + line - rows[1])
+            task += 1
+            line += 1
+            q0 = along_and_across(axis, p0)
+            q1 = along_and_across(axis, p1)
+            length = q1[1] - q0[1]
+            inward = 1
+            if (length > 0.0) == ((sides > 0) == (axis == 0)):
+                inward = -1
+            step = wp.where(outward, -inward, inward)
+            last = wp.where(axis == 0, wrong[2], wrong[0])
+            if step > 0:
+                last = wp.where(axis == 0, wrong[3], wrong[1])
+            count_along = wp.where(axis == 0, size[0], size[1])
+            pitch = wp.where(axis == 0, 1, size[0])  # from one pixel of a scan line to the next
+            start = across * wp.where(axis == 0, size[0], 1)
+            w1 = (float(across) + 0.5 - q0[1]) / length
+            w0 = 1.0 - w1
+            crossing = w0 * q0[0] + w1 * q1[0]
+            edge_depth = w0 * q0[2] + w1 * q1[2]
+            if perspective:
+                edge_depth = 1.0 / (w0 / q0[2] + w1 / q1[2])
+            # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
+            place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
+            inside = int(wp.ceil(place - 0.5))
+            outside = inside - 1
+            if inward < 0:
+                inside = int(wp.floor(place - 0.5))
+                outside = inside + 1
+
+            going = bool(True)
+            if all_edges:
+                # NMR draws on visible faces only: the pixel just inside must show this one
+                going = inside >= 0 and inside < count_along
+                if going:
+                    at = start + inside * pitch
+                    going = picture[at] != wp.uint8(0) and flat(face_index[b])[at] == face
+            elif outside >= 0 and outside < count_along:
+                # an edge inside its own part's picture bounds nothing
+                going = int(picture[start + outside * pitch]) != label
+
+            pixel = wp.where(outward, outside, inside)
+            pixel = wp.where(step > 0, wp.max(pixel, 0), wp.min(pixel, count_along - 1))
+            distance = wp.abs(float(pixel) + 0.5 - crossing)
+            left = (last - pixel) * step + 1
+            if float(left) > max_distance - distance:
+                left = int(wp.floor(max_distance - distance)) + 1
+            if not going:
+                left = 0
+            at = start + pixel * pitch
+            pull = float(0.0)
+            if outward:
+                pull = reach_out(
+                    picture,
+                    flat(depth[b]),
+                    asked,
+                    label,
+                    all_edges,
+                    over_farther,
+                    edge_depth,
+                    at,
+                    step * pitch,
+                    left,
+                    distance,
+                )
+            else:
+                pull = draw_in(
+                    picture, flat(face_index[b]), asked, label, all_edges, face, at, step * pitch, left, distance
+                )
+            pull *= float(-inward)
+            ends_pull = wp.vec2(w0 * pull, w1 * pull)  # by how much either moves the crossing
+            pull_x += wp.where(axis == 0, ends_pull, wp.vec2())
+            pull_y += wp.where(axis == 0, wp.vec2(), ends_pull)
+
+        # an edge of a face that is seen edge-on counts half, for the face has another where the part ends as well
+        factor = weight_of(gradient, b, label) * 0.5 * float(wp.abs(sides))
+        for k in range(2):
+            if pull_x[k] != 0.0:
+                wp.atomic_add(grad_vertices, b, ends[k], 0, factor * pull_x[k])
+            if pull_y[k] != 0.0:
+                wp.atomic_add(grad_vertices, b, ends[k], 1, factor * pull_y[k])
+
+
+# Registered up front: an overload that appears later would compile the module again.
+for _gradient in (LabelTarget, DenseGradient):
+    for _kernel in (find_silhouettes, push_edges):
+        wp.overload(_kernel, {"gradient": _gradient})
+
+
+@dataclass(frozen=True)
+class SilhouetteList:
+    """Scratch: the silhouette edges of each body.
+
+    Attributes:
+        counts: How many a body has, and how many scan lines they cross, in column 0, shape (B, 16), uint64.
+        silhouettes: Room for all edges, shape (B, E), vec2i.
+    """
+
+    counts: wp.array
+    silhouettes: wp.array
+
+    @classmethod
+    def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
+        """Room for a batch."""
+        return cls(
+            counts=wp.empty((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
+            silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),
+        )
+
+
+def launch_push_edges(
+    vertices: wp.array,
+    face_labels: wp.array,
+    edges: wp.array,
+    *,
+    near: float,
+    perspective: bool,
+    all_edges: bool,
+    over_farther: bool,
+    max_distance: float,
+    labels: wp.array,
+    face_index: wp.array,
+    depth: wp.array,
+    gradient: Any,  # LabelTarget or DenseGradient
+    found: SilhouetteList,
+    grad_vertices: wp.array,
+) -> None:
+    """Add the x and y gradient.
+
+    All images are contiguous; ``face_index`` and ``depth`` need no values where nothing shows.
+    """
+    device = vertices.device
+    batch, height, width = labels.shape
+    found.counts.zero_()
+    launch_bodies(
+        find_silhouettes,
+        batch,
+        edges.shape[0],
+        [vertices, face_labels, edges, near, wp.vec2i(width, height), gradient],
+        [found.counts, found.silhouettes],
+        device,
+    )
+    launch_bodies(
+        push_edges,
+        batch,
+        1 if device.is_cpu else _LINE_THREADS,
+        [
+            vertices,
+            face_labels,
+            edges,
+            found.counts,
+            found.silhouettes,
+            perspective,
+            all_edges,
+            over_farther,
+            max_distance,
+            labels,
+            face_index,
+            depth,
+            gradient,
+        ],
+        [grad_vertices],
+        device,
+    )

@@ -1,0 +1,237 @@
+"""PartDR's backward pass in z: what is hidden and should be seen comes forward (paper, eq. 12).
+
+The definition is docs/renderer.md; ``tests/reference.py`` is the same in slow float64. The result is linear in the loss
+gradient of the part maps (``map_gradient``).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import warp as wp
+
+from ..labels import flat
+from .map_gradient import DenseGradient, LabelTarget, extent, gradient_at, pixels_of, wanted_at, weight_of
+from .rasterize import EMPTY_KEY, HIDDEN, launch_bodies, row_lane_bits
+from .triangles import (
+    Triangle,
+    covers,
+    depth_at,
+    depth_key,
+    edge_values,
+    key_face,
+    load_triangle,
+    make_edges,
+    pixel_columns,
+    pixel_rows,
+    weights_3d,
+)
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
+
+_PIXEL_THREADS = 1024  # on CUDA for one body: about one for each hidden pixel in a picture of 256 x 256
+
+_COUNT_STRIDE = 32  # as of the silhouettes' counters
+
+
+@wp.kernel
+def draw_hidden_faces(
+    first_body: int,
+    threads: int,  # of one body
+    vertices: wp.array2d[wp.vec3],  # (B, V)
+    faces: wp.array[wp.vec3i],  # (F,)
+    face_labels: wp.array[wp.uint8],  # (F,)
+    near: float,
+    perspective: bool,
+    lane_bits: int,  # 2 ** lane_bits threads share a face's rows
+    labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
+    gradient: Any,
+    keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: the nearest face of the wanted label's key
+    counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
+    pixels: wp.array2d[int],  # (B, H * W)  OUTPUT: where there is a key
+):
+    """Nearest face of the wanted label where another part hides it."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lanes = 1 << lane_bits
+    face = (thread % threads) >> lane_bits
+    label = int(face_labels[face])
+    wrong = extent(gradient, b, HIDDEN, label)
+    if wrong[1] < 0:
+        return
+    t = load_triangle(vertices[b], faces[face], near)
+    if t.valid == 0:
+        return
+    rows = pixel_rows(t, keys.shape[1])
+    first_row = wp.max(rows[0], wrong[0]) + ((thread % threads) & (lanes - 1))
+    last_row = wp.min(rows[1], wrong[1])
+    if first_row > last_row:
+        return
+    e = make_edges(t)
+    width = keys.shape[2]
+    picture = flat(labels[b])
+    body_keys = flat(keys[b])
+    for row in range(first_row, last_row + 1, lanes):
+        y = float(row) + 0.5
+        columns = pixel_columns(e, y, width)
+        for column in range(wp.max(columns[0], wrong[2]), wp.min(columns[1], wrong[3]) + 1):
+            at = row * width + column
+            # both loads before anything hangs on them, so that they wait together
+            shown = int(picture[at])
+            wanted = wanted_at(gradient, b, at)
+            if shown != 0 and shown != label and wanted == label:
+                values = edge_values(e, float(column) + 0.5, y)
+                if covers(e, values):
+                    depth = depth_at(t, weights_3d(t, values, perspective))
+                    if wp.atomic_min(body_keys, at, depth_key(depth, face)) == EMPTY_KEY:
+                        pixels[b, wp.atomic_add(counts, b, 0, 1)] = at
+
+
+@wp.kernel
+def push_depths(
+    first_body: int,
+    threads: int,  # of one body
+    vertices: wp.array2d[wp.vec3],  # (B, V)
+    faces: wp.array[wp.vec3i],  # (F,)
+    face_labels: wp.array[wp.uint8],  # (F,)
+    near: float,
+    perspective: bool,
+    depth_weight: float,  # the paper's lambda [m]
+    face_index: wp.array3d[int],  # (B, H, W), read where something shows
+    gradient: Any,
+    counts: wp.array2d[int],  # (B, 32), column 0
+    pixels: wp.array2d[int],  # (B, H * W)
+    keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
+    grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
+):
+    """z (paper, eq. 12): the face that should be seen comes forward, the one that hides it goes back by as much."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    width = keys.shape[2]
+    body_keys = flat(keys[b])
+    for i in range(thread % threads, counts[b, 0], threads):
+        at = pixels[b, i]
+        back_index = key_face(body_keys[at])
+        body_keys[at] = EMPTY_KEY
+        wanted = int(face_labels[back_index])
+        amount = gradient_at(pixels_of(gradient, b, wanted), at, wanted, False) * weight_of(gradient, b, wanted)
+        amount *= depth_weight
+        if amount == 0.0:
+            continue
+        x = float(at % width) + 0.5
+        y = float(at // width) + 0.5
+        back_face = faces[back_index]
+        front_face = faces[flat(face_index[b])[at]]
+        back = load_triangle(vertices[b], back_face, near)
+        front = load_triangle(vertices[b], front_face, near)
+        back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
+        front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
+        delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
+        amount *= wp.log(1.0 / delta_z + 1.0)
+        # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
+        add_depth(grad_vertices, back_face, back, b, back_weights, -amount)
+        add_depth(grad_vertices, front_face, front, b, front_weights, amount)
+
+
+@wp.func
+def add_depth(
+    grad_vertices: wp.array3d[float],
+    index: wp.vec3i,
+    t: Triangle,
+    b: int,
+    weights: wp.vec3,
+    amount: float,
+):
+    """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
+    i1 = index[1]
+    i2 = index[2]
+    if t.flipped == 1:
+        i1 = index[2]
+        i2 = index[1]
+    shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
+    wp.atomic_add(grad_vertices, b, index[0], 2, shares[0])
+    wp.atomic_add(grad_vertices, b, i1, 2, shares[1])
+    wp.atomic_add(grad_vertices, b, i2, 2, shares[2])
+
+
+# Registered up front: an overload that appears later would compile the module again.
+for _gradient in (LabelTarget, DenseGradient):
+    for _kernel in (draw_hidden_faces, push_depths):
+        wp.overload(_kernel, {"gradient": _gradient})
+
+
+@dataclass(frozen=True)
+class HiddenPixels:
+    """Scratch: the pixels where another part hides the one that should be seen.
+
+    Attributes:
+        keys: The nearest face of that part, as a ``ZBuffer``'s: empty between launches, shape (B, H, W).
+        counts: How many a body has, in column 0, shape (B, 32), int32.
+        pixels: Room for all pixels, row by row, shape (B, H * W), int32.
+    """
+
+    keys: wp.array
+    counts: wp.array
+    pixels: wp.array
+
+    @classmethod
+    def make(cls, keys: wp.array) -> Self:
+        """For pictures of the size of empty keys."""
+        batch, height, width = keys.shape
+        return cls(
+            keys=keys,
+            counts=wp.empty((batch, _COUNT_STRIDE), dtype=int, device=keys.device),
+            pixels=wp.empty((batch, height * width), dtype=int, device=keys.device),
+        )
+
+
+def launch_push_depths(
+    vertices: wp.array,
+    faces: wp.array,
+    face_labels: wp.array,
+    *,
+    near: float,
+    perspective: bool,
+    depth_weight: float,
+    labels: wp.array,
+    face_index: wp.array,
+    gradient: Any,
+    hidden: HiddenPixels,
+    grad_vertices: wp.array,
+) -> None:
+    """Add the z gradient.
+
+    All images are contiguous; ``face_index`` needs no values where nothing shows.
+    """
+    device = vertices.device
+    batch = labels.shape[0]
+    bits = row_lane_bits(batch * faces.shape[0], device)
+    hidden.counts.zero_()
+    launch_bodies(
+        draw_hidden_faces,
+        batch,
+        faces.shape[0] << bits,
+        [vertices, faces, face_labels, near, perspective, bits, labels, gradient],
+        [hidden.keys, hidden.counts, hidden.pixels],
+        device,
+    )
+    launch_bodies(
+        push_depths,
+        batch,
+        1 if device.is_cpu else _PIXEL_THREADS,
+        [
+            vertices,
+            faces,
+            face_labels,
+            near,
+            perspective,
+            depth_weight,
+            face_index,
+            gradient,
+            hidden.counts,
+            hidden.pixels,
+        ],
+        [hidden.keys, grad_vertices],
+        device,
+    )

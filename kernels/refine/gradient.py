@@ -1,0 +1,98 @@
+"""From forces on parts to the gradient of every parameter.
+
+A bone turns all that hangs on it, so the gradient of its rotation is the torque of its subtree about its start. A
+body's root counts as one more bone, which turns the whole body.
+"""
+
+import warp as wp
+
+from ..rotations import axis_angle_gradient, columns_gradient
+from .prior import mixture_gradient
+from .state import Load, Problem, State, column, has_bit
+
+_DOWN = wp.constant(wp.vec3(0.0, 1.0, 0.0))  # camera frame
+
+
+@wp.func
+def carry(problem: Problem, state: State, b: int, bone: int):
+    """Sum the forces on all that a bone moves."""
+    num_parts = state.wrenches.shape[1]
+    pivot = wp.vec3(0.0)
+    if bone < num_parts:
+        along = column(state.ellipsoids.axes[b, bone], 0)
+        pivot = state.ellipsoids.centres[b, bone] - state.ellipsoids.semi_axes[b, bone][0] * along
+    subtree = problem.skeleton.bones[bone].subtree
+    load = Load()
+    for k in range(num_parts):
+        wrench = state.wrenches[b, k]
+        torque = wrench.torque + wp.cross(state.ellipsoids.centres[b, k] - pivot, wrench.force)
+        # Selected, not skipped: on CUDA the next parts are read meanwhile.
+        load.force += wp.where(has_bit(subtree, k), wrench.force, wp.vec3(0.0))
+        load.torque += wp.where(has_bit(subtree, k), torque, wp.vec3(0.0))
+    state.loads[b, bone] = load
+
+
+@wp.func
+def gather_rotation(problem: Problem, state: State, b: int, k: int):
+    """Rotation of part k."""
+    if not has_bit(problem.skeleton.locked, k):
+        # The global rotation is axes * rest_axes^T.
+        torque = wp.transpose(state.ellipsoids.axes[b, k]) * state.loads[b, k].torque
+        own = problem.skeleton.bones[k].rest_axes * torque
+        total = state.gradient.rotations[b, k] + axis_angle_gradient(state.bodies.rotations[b, k], own)
+        slot = problem.mixture.slots[k]
+        if slot >= 0:
+            total += problem.weights.prior * mixture_gradient(state.likelihood, b, slot)
+        state.gradient.rotations[b, k] = total
+
+
+@wp.func
+def gather_length(problem: Problem, state: State, b: int, i: int):
+    """Length i, of one part or of two."""
+    length = state.gradient.lengths[b, i]
+    for part in range(state.wrenches.shape[1]):
+        if problem.skeleton.bones[part].shape[0] == i:
+            wrench = state.wrenches[b, part]
+            # A longer bone carries along what hangs on it, and its own centre half as far.
+            carried = state.loads[b, part].force - 0.5 * wrench.force
+            length += wp.dot(carried, column(state.ellipsoids.axes[b, part], 0)) + 0.5 * wrench.semi_axes[0]
+    state.gradient.lengths[b, i] = length
+
+
+@wp.func
+def gather_thickness(problem: Problem, state: State, b: int, i: int):
+    """Thickness i."""
+    thickness = state.gradient.thicknesses[b, i]
+    for part in range(state.wrenches.shape[1]):
+        shape = problem.skeleton.bones[part].shape
+        if shape[1] == i:
+            thickness += 0.5 * state.wrenches[b, part].semi_axes[1]
+        if shape[2] == i:
+            thickness += 0.5 * state.wrenches[b, part].semi_axes[2]
+    state.gradient.thicknesses[b, i] = thickness
+
+
+@wp.func
+def gather_orientation(problem: Problem, state: State, b: int):
+    """The root's rotation."""
+    root = state.wrenches.shape[1]
+    torque = state.loads[b, root].torque
+    orientation = state.orientations[b]
+    slot = problem.mixture.slots[root]
+    if slot >= 0:
+        torque += problem.weights.prior * wp.cross(_DOWN, orientation * mixture_gradient(state.likelihood, b, slot))
+    first, second = columns_gradient(
+        state.bodies.orientation[b, 0], state.bodies.orientation[b, 1], orientation, torque
+    )
+    state.gradient.orientation[b, 0] = first
+    state.gradient.orientation[b, 1] = second
+
+
+@wp.func
+def gather_camera(state: State, b: int):
+    """Scale and shift."""
+    camera = wp.vec3(0.0)
+    for k in range(state.wrenches.shape[1]):
+        camera += state.wrenches[b, k].camera
+    state.gradient.log_scale[b] = camera[0]
+    state.gradient.shift[b] = wp.vec2(camera[1], camera[2])

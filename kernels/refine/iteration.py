@@ -1,0 +1,159 @@
+"""Iterations of the refinement: everything beside the renderer in one launch.
+
+On CUDA a block of threads works on a body: they share out the tasks of a stage and wait for one another after it. Tasks
+of different kinds go to different warps, which run at once. On the CPU device a block is one thread.
+"""
+
+import warp as wp
+
+from ..lanes import LANES
+from .costs import add_drawn, cost_rules, pull_landmark, sum_forces
+from .gradient import carry, gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness
+from .pose import place_part, turn_body, turn_part
+from .prior import share_component, slope_component, sum_exponent
+from .state import MODULE, Drawn, Problem, State
+from .step import count_iteration, keep_books, step_number
+
+BLOCK = 512  # threads a body on CUDA, a power of two: the longest stage has 14 x 19 = 266 tasks of the packaged prior
+_LINE = wp.constant(32)  # floats in a line of the cache
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def wait_for_block():
+    """Until all threads of the block are here."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float unused;
+    asm volatile("ld.global.ca.f32 %0, [%1];" : "=f"(unused) : "l"(values.data + i));
+#endif
+""")
+def fetch(values: wp.array3d[float], i: int):
+    """Bring a number, and the line of memory that it is in, into the cache."""
+    ...
+
+
+@wp.func
+def first_task(lane: int, warp: int):
+    """Where a thread begins if task 0 belongs to the first thread of a warp."""
+    return (lane - LANES * warp) & (wp.block_dim() - 1)
+
+
+@wp.func
+def pose_body(problem: Problem, state: State, b: int, lane: int):
+    """From parameters to ellipsoids, and to what the prior says of them."""
+    lanes = wp.block_dim()
+    num_parts = state.wrenches.shape[1]
+    for k in range(lane, num_parts, lanes):
+        turn_part(problem, state, b, k)
+    if first_task(lane, 1) == 0:
+        turn_body(problem, state, b)
+    wait_for_block()
+
+    for k in range(lane, num_parts, lanes):
+        place_part(problem, state, b, k)
+    for i in range(first_task(lane, 1), problem.mixture.precisions.shape[2], lanes):
+        slope_component(problem.mixture, state.likelihood, b, i)
+    wait_for_block()
+
+    for k in range(lane, problem.mixture.means.shape[0], lanes):
+        sum_exponent(problem.mixture, state.likelihood, b, k)
+
+
+@wp.kernel(module=MODULE, launch_bounds=(BLOCK, 2), grid_stride=False)
+def start_bodies(problem: Problem, state: State):
+    """No step taken yet: pose the parameters as they are."""
+    thread = wp.tid()
+    b = thread // wp.block_dim()
+    lane = thread - b * wp.block_dim()
+    for i in range(lane, state.rows.parameters.shape[1], wp.block_dim()):
+        state.rows.first_moment[b, i] = 0.0
+        state.rows.second_moment[b, i] = 0.0
+    if lane == 0:
+        state.active[b] = 1
+        state.iteration[b] = 0
+    pose_body(problem, state, b, lane)
+
+
+@wp.kernel(module=MODULE, launch_bounds=(BLOCK, 2), grid_stride=False)
+def step_bodies(problem: Problem, state: State, drawn: Drawn):
+    """From what was drawn to the next pose."""
+    thread = wp.tid()
+    lanes = wp.block_dim()
+    b = thread // lanes
+    lane = thread - b * lanes
+    num_parts = state.wrenches.shape[1]
+    if state.active[b] == 0:
+        if lane == 0:
+            iteration = state.iteration[b]
+            state.records.history[iteration, b] = state.records.history[iteration - 1, b]
+            count_iteration(problem, state, b)
+        return
+
+    # Threads that have nothing else to do yet bring the prior's matrices into the cache.
+    matrices = problem.mixture.precisions
+    size = matrices.shape[0] * matrices.shape[1] * matrices.shape[2]
+    for i in range(_LINE * first_task(lane, 4), size, _LINE * lanes):
+        fetch(matrices, i)
+    for i in range(lane, num_parts * state.drawn.shape[2], lanes):
+        add_drawn(problem, state, drawn, b, i)
+    for i in range(lane, state.pulls.shape[1], lanes):
+        pull_landmark(problem, state, b, i)
+    for k in range(first_task(lane, 2), num_parts, lanes):
+        cost_rules(problem, state, drawn, b, k)
+    for k in range(first_task(lane, 3), problem.mixture.means.shape[0], lanes):
+        share_component(state.likelihood, b, k)
+    wait_for_block()
+
+    for k in range(lane, num_parts, lanes):
+        sum_forces(problem, state, b, k)
+    wait_for_block()
+
+    for bone in range(lane, num_parts + 1, lanes):
+        carry(problem, state, b, bone)
+    for i in range(first_task(lane, 1), state.bodies.thicknesses.shape[1], lanes):
+        gather_thickness(problem, state, b, i)
+    if first_task(lane, 2) == 0:
+        gather_camera(state, b)
+    if first_task(lane, 3) == 0:
+        keep_books(problem, state, b)
+    wait_for_block()
+
+    for k in range(lane, num_parts, lanes):
+        gather_rotation(problem, state, b, k)
+    for i in range(first_task(lane, 1), state.bodies.lengths.shape[1], lanes):
+        gather_length(problem, state, b, i)
+    if first_task(lane, 2) == 0:
+        gather_orientation(problem, state, b)
+    wait_for_block()
+
+    for i in range(lane, state.rows.parameters.shape[1], lanes):
+        step_number(problem, state, b, i)
+    wait_for_block()
+
+    if lane == 0:
+        count_iteration(problem, state, b)
+    if state.active[b] == 1:
+        pose_body(problem, state, b, lane)
+
+
+def _launch(kernel: wp.Kernel, inputs: list[object], state: State) -> None:
+    device = state.active.device
+    lanes = 1 if device.is_cpu else BLOCK
+    wp.launch(kernel, state.active.shape[0] * lanes, inputs, device=device, block_dim=lanes)
+
+
+def launch_start(problem: Problem, state: State) -> None:
+    """Begin anew from ``state.bodies``: what is remembered is void, the bodies are posed."""
+    _launch(start_bodies, [problem, state], state)
+
+
+def launch_step(problem: Problem, state: State, drawn: Drawn) -> None:
+    """Take a step from what was ``drawn``, and pose the bodies where they are then."""
+    _launch(step_bodies, [problem, state, drawn], state)

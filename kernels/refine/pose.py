@@ -1,0 +1,56 @@
+"""Kinematics with a task a part: each walks its own ancestors up to the root and waits for nobody."""
+
+import warp as wp
+
+from ..rotations import rotation_from_6d, rotation_from_axis_angle
+from .state import Problem, State, column, has_bit
+
+
+@wp.func
+def turn_part(problem: Problem, state: State, b: int, k: int):
+    """Local rotation of part k, and what the prior looks at."""
+    v = state.bodies.rotations[b, k]
+    turn = wp.identity(n=3, dtype=float)
+    if not has_bit(problem.skeleton.locked, k):
+        turn = rotation_from_axis_angle(v)
+    state.turns[b, k] = turn
+    slot = problem.mixture.slots[k]
+    if slot >= 0:
+        state.likelihood.directions[b, slot] = v
+
+
+@wp.func
+def turn_body(problem: Problem, state: State, b: int):
+    """Orientation and camera."""
+    orientation = rotation_from_6d(state.bodies.orientation[b, 0], state.bodies.orientation[b, 1])
+    state.orientations[b] = orientation
+    up = problem.mixture.slots[problem.mixture.slots.shape[0] - 1]
+    if up >= 0:
+        # The camera's y is down.
+        state.likelihood.directions[b, up] = -wp.vec3(orientation[1, 0], orientation[1, 1], orientation[1, 2])
+    half_size = problem.half_size
+    focal = wp.exp(state.bodies.log_scale[b]) * half_size
+    shift = state.bodies.shift[b]
+    state.ellipsoids.camera[b] = wp.vec4(focal, focal, (shift[0] + 1.0) * half_size, (shift[1] + 1.0) * half_size)
+
+
+@wp.func
+def place_part(problem: Problem, state: State, b: int, k: int):
+    """The same as ``pose_bones`` of the flexible path, from local rotations."""
+    rotation = state.turns[b, k]
+    start = wp.vec3(0.0)
+    above = problem.skeleton.bones[k].parent
+    while above >= 0:
+        turn = state.turns[b, above]
+        length = state.bodies.lengths[b, problem.skeleton.bones[above].shape[0]]
+        start = turn * (start + column(problem.skeleton.bones[above].rest_axes, 0) * length)
+        rotation = turn * rotation
+        above = problem.skeleton.bones[above].parent
+    orientation = state.orientations[b]
+    shape = problem.skeleton.bones[k].shape
+    thicknesses = state.bodies.thicknesses[b]
+    semi_axes = 0.5 * wp.vec3(state.bodies.lengths[b, shape[0]], thicknesses[shape[1]], thicknesses[shape[2]])
+    axes = orientation * rotation * problem.skeleton.bones[k].rest_axes
+    state.ellipsoids.axes[b, k] = axes
+    state.ellipsoids.semi_axes[b, k] = semi_axes
+    state.ellipsoids.centres[b, k] = orientation * start + semi_axes[0] * column(axes, 0)

@@ -1,0 +1,264 @@
+"""What an iteration of the refinement works on: the problem, which is the same for all bodies, and the bodies' state.
+
+An iteration of a body is a chain of stages (``refine_iteration``); a stage is a number of tasks that need nothing of
+one another. Each task owns what it writes and adds in a fixed order, so a run repeats bit for bit.
+"""
+
+import warp as wp
+
+from ..ellipsoids.forces import Forces
+
+# One module for all kernels: each of its own would cost seconds when compiled first.
+MODULE = wp.get_module("warp_partdr.refine")
+wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
+
+# Columns of the energy's terms.
+PROJ = wp.constant(0)
+SEG = wp.constant(1)
+LENGTH = wp.constant(2)
+THICKNESS = wp.constant(3)
+PRIOR = wp.constant(4)
+LIMITS = wp.constant(5)
+DEPTH = wp.constant(6)
+NUM_TERMS = 7
+Terms = wp.types.vector(length=NUM_TERMS, dtype=wp.float32)
+
+
+@wp.struct
+class Bone:
+    """One part of the template; it points along the first column of its rest axes. The root is one more bone."""
+
+    parent: int  # -1 = none
+    subtree: int  # bit j: part j moves with it
+    shape: wp.vec3i  # indices of length, first and second thickness
+    rest_axes: wp.mat33  # columns: bone, first thickness, second thickness
+
+
+@wp.struct
+class Skeleton:
+    """The template."""
+
+    bones: wp.array[Bone]  # (P + 1,) the root comes last
+    locked: int  # bit k: part k keeps its rest rotation
+
+
+@wp.struct
+class Landmark:
+    """A weighted mean of a point of each of two parts."""
+
+    parts: wp.vec2i
+    shares: wp.vec2  # sum to 1
+    first: wp.vec3  # in units of the semi-axes
+    second: wp.vec3
+
+
+@wp.struct
+class Touch:
+    """How a landmark holds on to a part."""
+
+    landmark: int
+    share: float
+    normalised: wp.vec3  # in units of the semi-axes
+    counts: int  # 1: the landmark's cost counts here; a landmark of two parts counts once
+
+
+@wp.struct
+class Landmarks:
+    """Every landmark that there is; what is seen of it stands in ``points`` and ``votes``, N = 1 or one row a body."""
+
+    landmarks: wp.array[Landmark]  # (L,)
+    touches: wp.array[Touch]  # of part 0, of part 1, ...
+    first_touch: wp.array[int]  # (P + 1,) where a part's begin
+    points: wp.array2d[wp.vec2]  # (N, L) in the crop, -1 to 1
+    votes: wp.array2d[float]  # (N, L) 0 = not seen
+
+
+@wp.struct
+class Rules:
+    """What needs no picture: joint limits, and usual sizes of N people and their depths."""
+
+    lower_limits: wp.array[wp.vec3]  # (P,) [rad]
+    upper_limits: wp.array[wp.vec3]  # (P,) [rad]
+    usual_lengths: wp.array2d[float]  # (N, 12) [m]
+    usual_thicknesses: wp.array2d[float]  # (N, 15) [m]
+    depths: wp.array2d[float]  # (N, P) of the parts' centres [m]
+
+
+@wp.struct
+class Mixture:
+    """K Gaussians over S directions: the rotation vectors of parts, and up as the pelvis sees it. K = 0: no prior."""
+
+    slots: wp.array[int]  # (P + 1,) which direction a part's rotation is, -1 = none; the last entry is up's
+    means: wp.array2d[wp.vec3]  # (K, S)
+    precisions: wp.array3d[float]  # (S, 9, K S) [j, :, k S + i] is component k's matrix from direction j to slope i
+    log_weights: wp.array[float]  # (K,)
+
+
+@wp.struct
+class TermWeights:
+    """Factors of the energy's terms."""
+
+    proj: float  # with the pixels of a half-side
+    seg: float
+    length: float
+    thickness: float
+    prior: float
+    limits: float
+    depth: float
+
+
+@wp.struct
+class StepRule:
+    """How far each parameter may go."""
+
+    schedule: wp.array[wp.vec2]  # (iterations + 1,) rate / (1 - beta1^t) and sqrt(1 - beta2^t); the last rate is 0
+    rates: wp.array[float]  # (N,) factor of the rate
+    lower: wp.array[float]  # (N,)
+    upper: wp.array[float]  # (N,)
+
+
+@wp.struct
+class Stopping:
+    """When a body has come to rest: its best energy fell by no more than a share in so many iterations."""
+
+    tolerance: float  # negative: never
+    patience: int
+
+
+@wp.struct
+class Problem:
+    """What is minimised, and how."""
+
+    skeleton: Skeleton
+    half_size: float  # of the drawn crop [px]
+    landmarks: Landmarks
+    rules: Rules
+    mixture: Mixture
+    weights: TermWeights
+    step_rule: StepRule
+    stopping: Stopping
+
+
+@wp.struct
+class Drawn:
+    """What the renderer hands over: L_seg in parts that sum to it, and its forces on surface points."""
+
+    loss: wp.array2d[float]  # (B, T) [px]
+    forces: Forces
+
+
+@wp.struct
+class Bodies:
+    """Views of parameters, or of their gradients, that lie side by side in one row a body."""
+
+    orientation: wp.array2d[wp.vec3]  # (B, 2) columns of the 6D orientation
+    rotations: wp.array2d[wp.vec3]  # (B, P) axis times angle [rad]
+    lengths: wp.array2d[float]  # (B, number of lengths) [m]
+    thicknesses: wp.array2d[float]  # (B, number of thicknesses) [m]
+    log_scale: wp.array[float]  # (B,) logarithm of the crop's half-sides a metre
+    shift: wp.array[wp.vec2]  # (B,) the root in the crop, -1 to 1
+
+
+@wp.struct
+class Rows:
+    """Parameters as Adam sees them."""
+
+    parameters: wp.array2d[float]  # (B, N)
+    gradient: wp.array2d[float]  # (B, N)
+    first_moment: wp.array2d[float]  # (B, N)
+    second_moment: wp.array2d[float]  # (B, N)
+    best: wp.array2d[float]  # (B, N) parameters of the least energy
+
+
+@wp.struct
+class Ellipsoids:
+    """Posed parts, and the camera that sees them."""
+
+    centres: wp.array2d[wp.vec3]  # (B, P) [m]
+    axes: wp.array2d[wp.mat33]  # (B, P) columns
+    semi_axes: wp.array2d[wp.vec3]  # (B, P) [m]
+    camera: wp.array[wp.vec4]  # (B,) f_x, f_y, c_x, c_y of the drawn crop [px]
+
+
+@wp.struct
+class Likelihood:
+    """What the mixture says about each body."""
+
+    directions: wp.array2d[wp.vec3]  # (B, S) what it looks at
+    slopes: wp.array3d[wp.vec3]  # (B, K, S) precision times deviation
+    squares: wp.array3d[float]  # (B, K, S) shares of deviation times slope
+    exponents: wp.array2d[float]  # (B, K) log of each component's share of the density
+    shares: wp.array2d[float]  # (B, K) of the density; they sum to 1
+    log_density: wp.array[float]  # (B,)
+
+
+@wp.struct
+class Pull:
+    """What a landmark's distance from where it is seen does."""
+
+    cost: float
+    force: wp.vec3  # on the landmark
+    camera: wp.vec3  # gradient of log scale and shift
+
+
+@wp.struct
+class Wrench:
+    """The forces on one part."""
+
+    force: wp.vec3
+    torque: wp.vec3  # about the part's centre
+    semi_axes: wp.vec3  # gradient of the semi-axes
+    camera: wp.vec3  # gradient of log scale and shift
+
+
+@wp.struct
+class Load:
+    """What a bone carries: the forces on its subtree."""
+
+    force: wp.vec3
+    torque: wp.vec3  # about the bone's start
+
+
+@wp.struct
+class Records:
+    """What is remembered of each body."""
+
+    better: wp.array[int]  # (B,) whether this iteration's state is the best so far
+    energy: wp.array[float]  # (B,) the best
+    terms: wp.array[Terms]  # (B,) of the best
+    history: wp.array2d[float]  # (iterations + 1, B)
+    mark: wp.array[float]  # (B,) energy that the next progress is measured from
+    mark_iteration: wp.array[int]  # (B,)
+
+
+@wp.struct
+class State:
+    """B bodies on their way."""
+
+    active: wp.array[int]  # (B,) 0: the body rests
+    iteration: wp.array[int]  # (B,) the one that comes next; the last one may be repeated
+    bodies: Bodies
+    gradient: Bodies
+    rows: Rows
+    turns: wp.array2d[wp.mat33]  # (B, P) local rotations
+    orientations: wp.array[wp.mat33]  # (B,)
+    ellipsoids: Ellipsoids
+    likelihood: Likelihood
+    drawn: wp.array3d[float]  # (B, P, 16) all shares of the renderer's forces, weighted
+    pulls: wp.array2d[Pull]  # (B, L)
+    wrenches: wp.array2d[Wrench]  # (B, P)
+    loads: wp.array2d[Load]  # (B, P + 1) the last one is the root's
+    costs: wp.array2d[Terms]  # (B, P) shares of the terms, weighted
+    records: Records
+
+
+@wp.func
+def has_bit(mask: int, bit: int):
+    """Whether a bit of a set is there."""
+    return (mask >> bit) & 1 == 1
+
+
+@wp.func
+def column(m: wp.mat33, index: int):
+    """A column of a matrix."""
+    return wp.vec3(m[0, index], m[1, index], m[2, index])

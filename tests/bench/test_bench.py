@@ -1,0 +1,438 @@
+"""``partdr bench kernels``: medians and bytes by hand, kernels in their places, and what a small run leaves behind."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from PIL import Image
+from rich.console import Console
+
+from warp_partdr.bench import kernels, peers
+from warp_partdr.bench.chart import draw_chart
+from warp_partdr.bench.kernels import run_kernels
+from warp_partdr.bench.launches import (
+    Launched,
+    _capture_pieces,
+    _run_first,
+    count_bytes,
+    observe_launches,
+    time_kernels,
+)
+from warp_partdr.bench.machine import about, copy_bandwidth
+from warp_partdr.bench.plan import (
+    EXACT,
+    GRADIENT,
+    LABELS,
+    MESH,
+    MINIMISE,
+    PARTDR,
+    REFINEMENT,
+    TORCH_GRADIENT,
+    Plan,
+    make_plan,
+)
+from warp_partdr.bench.report import (
+    GROUPS,
+    KERNELS,
+    PEER_ROWS,
+    STARTS,
+    TABLE_WIDTH,
+    TARGETS,
+    Report,
+    Row,
+    format_time,
+    print_report,
+    save_json,
+)
+from warp_partdr.bench.runs import ExactRun, MeshRun, RefinementRun
+from warp_partdr.bench.scene import Scene
+from warp_partdr.bench.start import Start
+from warp_partdr.bench.timing import Timing, capture, repeat, time_calls, time_graph
+from warp_partdr.cli import bench
+from warp_partdr.errors import InputError
+from warp_partdr.render.ellipsoids import draw_ellipsoids
+from warp_partdr.render.part_mesh import ellipbody_mesh
+
+SIZE = 32
+
+
+@wp.kernel
+def _double(values: wp.array[float]):
+    i = wp.tid()
+    values[i] = 2.0 * values[i]
+
+
+@wp.kernel
+def _add(values: wp.array[float], more: wp.array[float]):
+    i = wp.tid()
+    values[i] = values[i] + more[i]
+
+
+class FakeClock:
+    """Each look takes no time; what runs moves it on."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def small_plan(device: str) -> Plan:
+    """All that a real one has, on pictures of few pixels."""
+    return Plan(
+        device=device,
+        size=SIZE,
+        targets=(
+            (GRADIENT, EXACT, 2),
+            (LABELS, MESH, 2),
+            (REFINEMENT, EXACT, 1),
+            (TORCH_GRADIENT, EXACT, 1),
+            (TORCH_GRADIENT, MESH, 1),
+        ),
+        others=((GRADIENT, PARTDR, 1, SIZE), (GRADIENT, "mesh E0", 1, 2 * SIZE), (MINIMISE, EXACT, 4, SIZE)),
+        kernels=(2,),
+        peers=(1,),
+        budget=0.0,
+        start=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def report(device: str) -> Report:
+    return run_kernels(small_plan(device))
+
+
+# --- arithmetic ----------------------------------------------------------------------------------------------------
+
+
+def test_medians_and_spread_of_a_fake_clock() -> None:
+    clock = FakeClock()
+    durations = iter([99.0, 3.0, 1.0, 2.0, 5.0, 4.0, 7.0])  # the first does not count
+
+    def call() -> None:
+        clock.now += next(durations)
+
+    timing = time_calls(call, "cpu", budget=15.0, clock=clock)
+    assert timing.seconds == (3.0, 1.0, 2.0, 5.0, 4.0)  # until 15 s are over
+    assert timing.median == 3.0
+    assert timing.spread == 2.0  # from 2 to 4
+    assert timing.fastest == 1.0
+
+
+def test_repeats_are_bounded() -> None:
+    clock = FakeClock()
+    assert len(repeat(lambda: [1.0], 0.0, clock).seconds) == 3
+    assert len(repeat(lambda: [1.0, 2.0], 1.0, clock).seconds) == 200
+
+
+def test_bytes_are_counted_once() -> None:
+    a, b = (Launched(name, np.array(spans)) for name, spans in (("a", [[0, 10], [5, 20], [30, 40]]), ("b", [[2, 35]])))
+    assert (a.bytes, b.bytes) == (30, 33)
+    assert count_bytes([a, b]) == 40
+    assert count_bytes([]) == Launched("c", np.zeros((0, 2), dtype=np.int64)).bytes == 0
+
+
+def test_launches_and_their_arrays_are_seen(device: str) -> None:
+    values, more = wp.zeros(100, dtype=float, device=device), wp.zeros(200, dtype=float, device=device)
+
+    def run() -> None:
+        wp.launch(_double, 100, [values], device=device)
+        wp.launch(_add, dim=50, inputs=[values], outputs=[more[::2]], device=device)
+
+    real = wp.launch
+    seen = observe_launches(run)
+    assert wp.launch is real
+    assert [launched.name for launched in seen] == ["_double", "_add"]
+    assert [launched.bytes for launched in seen] == [400, 400 + 796]  # a stride's last gap is not reached
+    assert count_bytes(seen) == 400 + 796
+
+
+@pytest.fixture
+def counting(device: str) -> tuple[wp.array, Callable[[], None]]:
+    """One number, and a run that makes it 3 by way of 1 and 2."""
+    value, one = wp.zeros(1, dtype=float, device=device), wp.full(1, 1.0, dtype=float, device=device)
+
+    def run() -> None:
+        value.zero_()
+        wp.launch(_add, 1, [value, one], device=device)
+        wp.launch(_double, 1, [value], device=device)
+        wp.launch(_add, 1, [value, one], device=device)
+
+    return value, run
+
+
+def test_each_kernel_is_timed(device: str, counting: tuple[wp.array, Callable[[], None]]) -> None:
+    real = wp.launch
+    timed = time_kernels(counting[1], device, 0.0)
+    assert wp.launch is real
+    assert [launched.name for launched, _ in timed] == ["_add", "_double", "_add"]
+    assert all(len(timing.seconds) >= 3 for _, timing in timed)
+
+
+def test_beginnings_of_a_run(counting: tuple[wp.array, Callable[[], None]]) -> None:
+    """They begin anew, and end after the last kernel asked for."""
+    value, run = counting
+    for count, want in enumerate((1.0, 2.0, 3.0), start=1):
+        value.fill_(9.0)
+        _run_first(run, count)
+        assert value.numpy()[0] == want
+
+
+def test_pieces_of_a_run(counting: tuple[wp.array, Callable[[], None]], device: str) -> None:
+    """Each does its part, and all together the whole."""
+    value, run = counting
+    run()
+    graphs = _capture_pieces(run, device)
+    assert len(graphs) == 3
+    value.fill_(9.0)
+    for graph, want in zip(graphs, (1.0, 2.0, 3.0), strict=True):
+        wp.capture_launch(graph)
+        assert value.numpy()[0] == want
+
+
+def test_a_graph_is_timed(device: str) -> None:
+    values = wp.zeros(1, dtype=float, device=device)
+    ones = wp.full(1, 1.0, dtype=float, device=device)
+    graph = capture(lambda: wp.launch(_add, 1, [values, ones], device=device), device, times=4)
+    before = values.numpy()[0]
+    wp.capture_launch(graph)
+    assert values.numpy()[0] == before + 4.0
+    timing = time_graph(graph, device, 0.01)
+    assert len(timing.seconds) >= 3
+    assert min(timing.seconds) > 0
+
+
+def test_bandwidth_and_images() -> None:
+    row = Row(TARGETS, "a", "b", 8, 256, "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000)
+    assert row.images_per_second == pytest.approx(4000)
+    assert row.bandwidth_share(6e9) == pytest.approx(0.25)  # 1.5 GB/s of 6
+    nothing = Row(KERNELS, "a", "b", 8, 256, "kernel", Timing((-1e-9,)), moved=5)  # a difference within the noise
+    assert nothing.images_per_second is nothing.bandwidth_share(1e9) is nothing.fastest is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "says"),
+    [(0.0, "0 µs"), (-1e-9, "0 µs"), (1.234e-5, "12.3 µs"), (9.999e-4, "1e+03 µs"), (0.01, "10 ms"), (2.5, "2.5 s")],
+)
+def test_format_time(seconds: float, says: str) -> None:
+    assert format_time(seconds) == says
+
+
+def test_copies_have_a_bandwidth(device: str) -> None:
+    assert 1e8 < copy_bandwidth(device, 0.0) < 1e14
+
+
+def test_machine_and_versions(device: str) -> None:
+    where = about(device)
+    assert {"date", "machine", "warp-partdr", "warp", "torch", "python"} <= where.keys()
+    assert ("gpu" in where) == (device != "cpu")
+
+
+# --- what is timed -------------------------------------------------------------------------------------------------
+
+
+def test_scene_is_a_tenth_of_the_picture_and_not_yet_the_target(device: str) -> None:
+    scene = Scene.random(4, 256, device)
+    assert 0.08 < float((scene.targets > 0).float().mean()) < 0.12
+    shown = draw_ellipsoids(scene.posed, scene.camera, (256, 256)).labels
+    assert 0.1 < float((shown != scene.targets).sum() / (scene.targets > 0).sum()) < 0.8
+    again = Scene.random(4, 256, device)
+    assert torch.equal(scene.targets, again.targets)
+    assert len({bytes(target.cpu().numpy()) for target in scene.targets}) == 4
+    assert float(scene.points.abs().max()) < 1.5
+
+
+@pytest.mark.parametrize("gradient", ["coverage", "partdr"])
+def test_exact_runs_compute_what_the_library_does(device: str, gradient: str) -> None:
+    ExactRun(Scene.random(3, SIZE, device), gradient).check()
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_mesh_runs_compute_what_the_library_does(device: str, level: int) -> None:
+    MeshRun(Scene.random(3, SIZE, device), level).check()
+
+
+def test_a_wrong_run_is_not_timed(device: str) -> None:
+    run = MeshRun(Scene.random(1, SIZE, device), 0)
+    run._losses = wp.zeros_like(run._losses)
+    run.gradient = run.labels
+    with pytest.raises(AssertionError):
+        run.check()
+
+
+def test_every_row_is_there(report: Report, device: str) -> None:
+    plan = small_plan(device)
+    for what, name, batch in plan.targets:
+        row = report.find(what, name, batch, SIZE)
+        assert row is not None
+        assert row.group == TARGETS
+        assert row.timing.median > 0
+    assert all(report.find(*row) for row in plan.others)
+    assert report.find(LABELS, MESH, 2, SIZE).memory > 2 * SIZE * SIZE
+    names = [f"{row.renderer}: {row.name}" for row in report.rows if row.group == KERNELS]
+    for name in (
+        *("iteration, exact, edges: push", "iteration, exact, edges: step", "exact, coverage: coverage"),
+        *("exact, PartDR: partdr", "mesh E1: draw", "mesh E1: push", "kinematics, E1: pose", "kinematics, E1: place"),
+    ):
+        assert any(kernel.startswith(name) for kernel in names), name
+
+
+def test_iterations_leave_bodies_where_they_are(device: str) -> None:
+    run = RefinementRun(Scene.random(2, SIZE, device), "coverage", learning_rate=0.0)
+    before = run._fused._parameters.clone()
+    history = run._fused._history.clone()
+    assert (history > 0).all()
+    for _ in range(100):  # more than a run has
+        run.iterate()
+    wp.synchronize_device(device)
+    assert torch.equal(run._fused._parameters, before)
+    assert torch.equal(run._fused._history, history)
+
+
+def test_command_times_the_papers_targets() -> None:
+    cpu = set(make_plan("cpu", quick=True).targets)
+    for batch in (1, 16):
+        assert {(GRADIENT, EXACT, batch), (GRADIENT, MESH, batch), (REFINEMENT, EXACT, batch)} <= cpu
+    cuda = set(make_plan("cuda").targets)
+    assert {(GRADIENT, EXACT, batch) for batch in (1, 128, 1024)} <= cuda
+    assert {(GRADIENT, MESH, 128), (LABELS, EXACT, 128), (LABELS, MESH, 128), (TORCH_GRADIENT, EXACT, 1)} <= cuda
+    assert {(REFINEMENT, EXACT, 1), (REFINEMENT, EXACT, 1024)} <= cuda
+    full = make_plan("cuda")
+    assert full.start
+    assert not {(*row, full.size) for row in full.targets} & set(full.others)  # nothing twice
+    assert len(set(full.others)) == len(full.others)
+
+
+# --- peers ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_missing_peer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = peers.Peer("no_such_package", ("cpu", "cuda"), peers.Drtk)
+    monkeypatch.setattr(kernels, "PEERS", {"Absent": absent})
+    report = Report("cpu", {}, 1.0)
+    assert list(kernels._peer_jobs(small_plan("cpu"), report)) == []
+    assert report.remarks == ["Absent: not timed, no_such_package is not installed"]
+
+
+def test_a_peer_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
+    broken = peers.Peer("json", ("cpu", "cuda"), peers.Drtk)  # which has no drtk inside
+    monkeypatch.setattr(kernels, "PEERS", {**peers.PEERS, "Broken": broken})
+    report = Report(device, {}, 1.0)
+    assert kernels._time_peer(small_plan(device), report, "Broken", 1) == []
+    assert len(report.remarks) == 1
+    assert report.remarks[0].startswith("Broken: not timed, it failed: ModuleNotFoundError")
+
+
+def test_our_renderer_is_timed_as_peers_are(report: Report) -> None:
+    rows = [row for row in report.rows if row.group == PEER_ROWS and row.renderer == peers.OURS]
+    assert [row.name for row in rows] == [LABELS, GRADIENT]
+    assert [row.agreement for row in rows] == [1.0, 1.0]
+
+
+def view(batch: int = 2) -> peers.MeshView:
+    scene = Scene.random(batch, 48, "cpu")
+    points = scene.camera.project(scene.posed.vertices(1)).contiguous()
+    return peers.MeshView(points, ellipbody_mesh(1), scene.targets)
+
+
+def test_loss_of_float_maps_is_ours() -> None:
+    given = view()
+    ours = peers.Ours(given)
+    torch.testing.assert_close(given.loss_of(given.maps_of(ours.labels())), ours.loss(given.vertices))
+
+
+def test_normalised_vertices_fill_the_picture() -> None:
+    given = view()
+    corners = torch.tensor([[0.0, 0.0, 0.0], [48.0, 48.0, 0.0], [24.0, 12.0, 0.0]])
+    assert given.normalised(corners)[:, :2].tolist() == [[-1.0, -1.0], [1.0, 1.0], [0.0, -0.5]]
+    depths = given.normalised(given.vertices)[..., 2]
+    torch.testing.assert_close(torch.stack(depths.aminmax()), torch.tensor([-0.9, 0.9]))
+
+
+@pytest.mark.skipif(not peers.PEERS["Embree"].is_installed, reason="needs embreex")
+def test_embree_sees_what_we_see() -> None:
+    given = view()
+    assert (peers.Embree(given).labels() == peers.Ours(given).labels()).float().mean() > 0.999
+
+
+# --- what is left behind -------------------------------------------------------------------------------------------
+
+
+def test_table_names_machine_rows_and_remarks(report: Report) -> None:
+    console = Console(width=TABLE_WIDTH, file=StringIO())
+    print_report(report, console)
+    said = console.file.getvalue()
+    assert report.machine["warp"] in said
+    assert report.machine["machine"] in said
+    for row in report.rows:
+        assert row.name in said
+        assert row.renderer in said
+    assert [group for group in GROUPS if group in said] == [group for group in GROUPS if group != STARTS]
+    assert all(remark in said for remark in report.remarks)
+    assert "…" not in said  # no column is cut
+
+
+def test_command_leaves_json_and_picture(
+    report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(kernels, "run_kernels", lambda plan, progress: report)
+    bench.bench_kernels(device=device, quick=True, out=tmp_path / "new")
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
+        f"bench-kernels-{device}.json",
+        f"bench-kernels-{device}.png",
+    ]
+    data = json.loads((tmp_path / "new" / f"bench-kernels-{device}.json").read_text())
+    assert data["machine"]["warp"] == wp.config.version
+    assert len(data["rows"]) == len(report.rows)
+    first = data["rows"][0]
+    assert (first["name"], first["renderer"], first["batch"], first["size_px"]) == (GRADIENT, EXACT, 2, SIZE)
+    assert first["median_s"] == report.rows[0].timing.median
+    assert first["moved_bytes"] / first["median_s"] / data["copy_bandwidth_bytes_per_second"] == pytest.approx(
+        first["share_of_copy_bandwidth"]
+    )
+    with Image.open(tmp_path / "new" / f"bench-kernels-{device}.png") as picture:
+        assert picture.width > 800
+    assert "The paper's targets" in capsys.readouterr().out
+
+
+def test_out_that_is_a_file_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out"):
+        bench.bench_kernels(device="cpu", quick=True, out=tmp_path / "file")
+
+
+def test_chart_marks_every_batch(tmp_path: Path) -> None:
+    """Each B has a shape of its own, in black, grey and white alone."""
+    rows = [Row(TARGETS, LABELS, EXACT, batch, 256, "graph", Timing((batch * 1e-4,))) for batch in (1, 8, 128, 1024)]
+    chart = np.asarray(draw_chart(Report("cpu", about(), 1e9, rows)))
+    assert (chart.min(2) == chart.max(2)).all()
+    fewer = np.asarray(draw_chart(Report("cpu", about(), 1e9, rows[:3])))
+    assert fewer.shape == chart.shape
+    assert (fewer != chart).any()
+    assert np.asarray(draw_chart(Report("cpu", about(), 1e9))).min() < 255  # nothing was timed, and it says so
+
+
+def test_json_of_nothing(tmp_path: Path) -> None:
+    save_json(Report("cpu", {}, 1.0), tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text())["rows"] == []
+
+
+def test_starts_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "time_starts", lambda device: (Start(1.0, 5.0), Start(2.0, 0.5)))
+    rows = kernels._time_starts(small_plan("cpu"))
+    assert [row.timing.median for row in rows] == [2.0, 5.0, 0.5]
+    assert {row.group for row in rows} == {STARTS}
+
+
+@pytest.mark.slow
+def test_a_cold_start_takes_longer_than_a_warm_one(device: str) -> None:
+    cold, warm = kernels.time_starts(device)
+    assert cold.first_call > 1.5 * warm.first_call > 0

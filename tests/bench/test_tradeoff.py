@@ -1,0 +1,231 @@
+"""``partdr bench tradeoff``: the truth is the truth, the true gradient is the loss's slope, and what a run leaves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from ellipsoid_reference import Scene, draw
+from PIL import Image
+from rich.console import Console
+
+from warp_partdr.bench.plan import COVERAGE, EXACT, PARTDR
+from warp_partdr.bench.timing import Timing
+from warp_partdr.bench.tradeoff import run_tradeoff
+from warp_partdr.bench.tradeoff_chart import draw_chart
+from warp_partdr.bench.tradeoff_fits import refine_all, score
+from warp_partdr.bench.tradeoff_gradient import gradient_error, true_gradient
+from warp_partdr.bench.tradeoff_plan import DISTANCE, FAR, ITERATIONS, NAMES, NEAR, SIZE, Plan, Setting, make_plan
+from warp_partdr.bench.tradeoff_report import FLOAT32, FLOAT64, Report, findings, front, save_json
+from warp_partdr.bench.tradeoff_tables import NOTES, TABLE_WIDTH, print_report
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.cli import bench
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.observation import REFERENCE_SIZE, resize_nearest
+from warp_partdr.refinement.refine import SHAPE_RATE
+from warp_partdr.synthetic.tradeoff_people import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
+
+
+@pytest.fixture(scope="module")
+def crowds() -> tuple[People, People]:
+    return make_people(2, 2)
+
+
+@pytest.fixture(scope="module")
+def own(crowds: tuple[People, People], device: str) -> People:
+    return crowds[0].to(device)
+
+
+@pytest.fixture(scope="module")
+def report(device: str) -> Report:
+    """A run of everything that there is, with as little of it as can be."""
+    return run_tradeoff(Plan(device, 1, 1, (32, SIZE), (2, ITERATIONS), (DISTANCE,), (DISTANCE,), 0.01, 0))
+
+
+def test_true_labels_are_the_float64_reference(crowds: tuple[People, People]) -> None:
+    """The exact renderer at 3 samples a side of a 512 px picture against the reference at the same samples."""
+    size, people = 192, crowds[0]  # the reference is slow
+    posed, camera = people.bodies.posed(), people.bodies.camera(size)
+    drawn = draw_truth(people.bodies, size)
+    for body in range(len(people)):
+        scale, shift = camera.scale[body].item(), camera.translation[body].tolist()
+        scene = Scene(
+            *(tensor[body].double().numpy() for tensor in (posed.centres, posed.axes, posed.semi_axes)),
+            camera=np.array([scale, scale, *shift]),
+            labels=np.arange(1, 21),
+        )
+        labels, _, _ = draw(scene, (size, size))
+        assert (labels != drawn[body].numpy()).sum() <= 2  # rays that graze an outline
+        assert (labels > 0).sum() > 1000
+    assert people.labels.shape == (2, TRUTH_SIZE, TRUTH_SIZE)
+
+
+def test_annys_are_seen_as_large_as_their_ellipbodies(crowds: tuple[People, People]) -> None:
+    ellipbodies, annys = crowds
+    assert (ellipbodies.name, annys.name) == (ELLIPBODY, ANNY)
+    shares = [(people.labels > 0).float().mean((1, 2)) for people in crowds]
+    assert ((shares[0] / shares[1] - 1).abs() < 0.5).all()
+    for people in crowds:
+        assert people.labels.unique().tolist()[-1] == 20
+        assert (people.points.abs() < 1).float().mean() > 0.95
+        exact = score(people.bodies, people)
+        assert (exact.joint_error < (1e-3 if people.name == ELLIPBODY else 10)).all()  # of Annys, the nearest there is
+        assert (exact.part_f1 > (0.999 if people.name == ELLIPBODY else 0.5)).all()
+
+
+def test_starts_are_as_far_off_as_they_say(own: People) -> None:
+    errors = [score(own.starts(distance), own).joint_error.mean() for distance in (0.0, NEAR, DISTANCE, FAR)]
+    assert errors == sorted(errors)
+    assert errors[0] < 60  # sizes are the mean adult's
+    turned = (own.starts(DISTANCE).rotations - own.bodies.rotations).std()
+    assert float(turned) == pytest.approx(DISTANCE, rel=0.2)
+    again = own.starts(DISTANCE)
+    torch.testing.assert_close(own.starts(DISTANCE).orientation, again.orientation, rtol=0, atol=0)
+
+
+def test_true_gradient_is_the_slope_of_the_supersampled_loss(own: People) -> None:
+    """Central differences of the loss in pictures of 3072 px, along the gradient itself."""
+    start = own.starts(DISTANCE)
+    gradient = true_gradient(own, start)
+    size, step = 2 * TRUTH_SIZE, 3e-3
+
+    def loss(body: BodyParameters, target: torch.Tensor) -> float:
+        drawn = draw_truth(body, size)
+        wrong = drawn != target
+        area = (wrong & (drawn > 0)).sum() + (wrong & (target > 0)).sum()
+        return float(area) * (REFERENCE_SIZE / size) ** 2
+
+    def moved(body: BodyParameters, way: torch.Tensor) -> BodyParameters:
+        tensors, first = {}, 0
+        for name, tensor in body.tensors().items():
+            part = way[first : first + tensor.numel()].view(tensor.shape)
+            tensors[name] = tensor + part * (SHAPE_RATE if name in ("lengths", "thicknesses") else 1.0)
+            first += tensor.numel()
+        return BodyParameters(**tensors)
+
+    for person in range(len(own)):
+        body = start.select(torch.tensor([person], device=start.shift.device))
+        target = resize_nearest(own.labels[person : person + 1], size)
+        way = gradient[person] / gradient[person].norm()
+        slope = (loss(moved(body, step * way), target) - loss(moved(body, -step * way), target)) / (2 * step)
+        assert slope == pytest.approx(float(gradient[person].norm()), rel=0.03)
+
+
+def test_finer_pictures_have_truer_gradients(own: People) -> None:
+    start = own.starts(DISTANCE)
+    true = true_gradient(own, start)
+    for name in (COVERAGE, EXACT):
+        errors = [gradient_error(Setting(name, size), own, start, true) for size in (64, 512)]
+        assert (errors[1].angle < errors[0].angle).all()
+        assert (np.abs(errors[1].ratio - 1) < 0.05).all()
+    assert (gradient_error(Setting(PARTDR, 512), own, start, true).angle > errors[1].angle).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_refinements_come_nearer(own: People, name: str) -> None:
+    """All people at once, and each by itself: the same."""
+    start = own.starts(DISTANCE)
+    setting = Setting(name, 64, 12)
+    bodies, seconds = refine_all(setting, own, start)
+    assert seconds > 0
+    before, after = score(start, own), score(bodies, own)
+    assert (after.part_f1 > before.part_f1).all()
+    if setting.renderer == "mesh":  # where one observation holds all
+        for person in range(len(own)):
+            index = torch.tensor([person], device=start.shift.device)
+            alone = People(own.name, own.bodies.select(index), own.labels[index], own.points[index], own.joints[index])
+            found, _ = refine_all(replace(setting, iterations=2), alone, start.select(index))
+            together, _ = refine_all(replace(setting, iterations=2), own, start)
+            torch.testing.assert_close(together.select(index).rotations, found.rotations, rtol=0, atol=1e-4)
+
+
+def test_front_is_what_nothing_beats() -> None:
+    assert front([(1.0, 3.0), (2.0, 2.0), (3.0, 2.5), (4.0, 1.0), (1.0, 4.0)]) == {0, 1, 3}
+    assert front([(1.0, 1.0), (1.0, 1.0)]) == {0, 1}
+    assert front([]) == set()
+
+
+@pytest.mark.slow
+def test_report_has_every_setting(report: Report) -> None:
+    assert set(report.times) == {(name, size) for name in NAMES for size in (32, SIZE)}
+    for setting in report.settings():
+        for truth in (ELLIPBODY, ANNY):
+            assert report.fit(truth, setting) is not None
+            assert report.fit(truth, replace(setting, iterations=2)) is not None
+            assert report.fit(truth, replace(setting, iterations=2), NEAR) is None
+        assert report.gradient(setting) is not None
+    numbers = {(row.name, row.numbers): row for row in report.precisions}
+    assert numbers[COVERAGE, FLOAT32].moved == 0
+    assert 0 <= numbers[COVERAGE, FLOAT64].moved < 5
+
+
+@pytest.mark.slow
+def test_tables_json_and_chart(report: Report, tmp_path: Path) -> None:
+    out = StringIO()
+    print_report(report, Console(file=out, width=TABLE_WIDTH))
+    said = out.getvalue()
+    for wanted in (*NAMES, report.machine["machine"], NOTES[0][:60], "float64", "labels alone"):
+        assert wanted in said
+    assert "…" not in said  # no column is cut
+    assert len(findings(report)) == 12  # of either truth, three steps, two ways to count
+    save_json(report, tmp_path / "a.json")
+    data = json.loads((tmp_path / "a.json").read_text())
+    assert data["machine"] == report.machine
+    assert len(data["fits"]) == len(report.fits)
+    assert data["times"][0]["seconds"] > 0
+    chart = np.asarray(draw_chart(report))
+    assert chart.shape[1] > 1200
+    grey = chart.astype(float).mean(2)
+    assert (grey < 100).sum() > 2000  # lines and letters are there without colour, too
+
+
+def test_chart_of_nothing() -> None:
+    assert np.asarray(draw_chart(Report("cpu", {"warp": "1"}))).min() < 255
+
+
+@pytest.mark.slow
+def test_dearer_and_worse_is_not_marked(report: Report) -> None:
+    slow = replace_times(report, (PARTDR, 32), 100.0)
+    out = StringIO()
+    print_report(slow, Console(file=out, width=TABLE_WIDTH))
+    lines = [line.split() for line in out.getvalue().splitlines()]
+    row = next(line for line in lines if line[:3] == ["exact,", "PartDR", "32"])
+    assert row[3] == "1e+05"
+    best = [fit for fit in report.fits if fit.truth == ELLIPBODY and fit.distance == DISTANCE]
+    if max(best, key=lambda fit: fit.scores.part_f1.mean()).setting != Setting(PARTDR, 32):
+        assert "*" not in row[5]
+
+
+def replace_times(report: Report, key: tuple[str, int], seconds: float) -> Report:
+    return replace(report, times={**report.times, key: Timing((seconds,))})
+
+
+@pytest.mark.slow
+def test_command_leaves_json_and_picture(
+    report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("warp_partdr.bench.tradeoff.run_tradeoff", lambda plan, progress: report)
+    bench.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
+    names = [f"bench-tradeoff-{device}.{kind}" for kind in ("json", "png")]
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
+    with Image.open(tmp_path / "new" / names[1]) as picture:
+        assert picture.width > 1200
+    assert "an iteration" in capsys.readouterr().out
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out"):
+        bench.bench_tradeoff(device=device, quick=True, out=tmp_path / "file")
+
+
+def test_quick_plan_is_smaller() -> None:
+    quick, full = make_plan("cpu", quick=True), make_plan("cpu")
+    assert quick.ellipbodies < full.ellipbodies
+    assert set(quick.sizes) < set(full.sizes)
+    assert {SIZE} <= set(quick.sizes)  # which the tables beside the first one are about
+    assert set(quick.iterations) < set(full.iterations)
+    assert full.sizes == (64, 128, 256, 512)
+    assert full.iterations == (10, 25, 50, 100)

@@ -1,0 +1,150 @@
+"""Forward kinematics: a NumPy walk of the tree, finite differences in float64, and the Warp class."""
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
+from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.posing import pose
+from warp_partdr.body.template import JOINT_NAMES, PARENTS, SHAPE_INDICES, template
+
+
+def random_parameters(seed: int, batch: int, device="cpu", dtype=torch.float64):
+    rng = np.random.default_rng(seed)
+    parameters = (
+        Rotation.random(batch, rng=rng).as_matrix(),
+        rng.normal(size=(batch, 3)),
+        Rotation.random(batch * 20, rng=rng).as_matrix().reshape(batch, 20, 3, 3),
+        rng.uniform(0.05, 0.5, (batch, 12)),
+        rng.uniform(0.05, 0.3, (batch, 15)),
+    )
+    return [torch.from_numpy(p).to(device, dtype) for p in parameters]
+
+
+def walk(orient, translation, rotations, lengths, thicknesses):
+    """One body, written as the equations read."""
+    constants = template()
+    joints, global_rotations = [translation], []
+    centres, axes, semi_axes = [], [], []
+    for k, parent in enumerate(PARENTS):
+        above = orient if parent < 0 else global_rotations[parent]
+        rotation = above @ rotations[k]
+        length, first, second = SHAPE_INDICES[k]
+        start = joints[parent + 1]
+        joints.append(start + lengths[length] * rotation @ constants.rest_directions[k])
+        global_rotations.append(rotation)
+        centres.append((start + joints[-1]) / 2)
+        axes.append(rotation @ constants.rest_axes[k])
+        semi_axes.append(np.array([lengths[length], thicknesses[first], thicknesses[second]]) / 2)
+    return [np.array(x) for x in (joints, global_rotations, centres, axes, semi_axes)]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_pose_is_the_walk(device, dtype):
+    parameters = random_parameters(0, 3, device, dtype)
+    posed = pose(*parameters)
+    tolerance = 1e-5 if dtype == torch.float32 else 1e-12
+    for b in range(3):
+        want = walk(*[p[b].cpu().double().numpy() for p in parameters])
+        have = (posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes)
+        for h, w in zip(have, want, strict=True):
+            np.testing.assert_allclose(h[b].cpu().numpy(), w, atol=tolerance)
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1])
+def test_adjoint_by_finite_differences(device, subdivisions):
+    parameters = [p.requires_grad_() for p in random_parameters(1, 2, device)]
+
+    def everything(*parameters):
+        posed = pose(*parameters)
+        bones = (posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes)
+        return (*bones, posed.vertices(subdivisions))
+
+    assert torch.autograd.gradcheck(everything, parameters, fast_mode=subdivisions == 1)
+
+
+def test_vertices_lie_on_their_ellipsoids(device):
+    posed = pose(*random_parameters(2, 2, device))
+    for subdivisions in range(4):
+        vertices = posed.vertices(subdivisions).unflatten(1, (20, -1))
+        local = torch.einsum("bkji,bknj->bkni", posed.axes, vertices - posed.centres[:, :, None])
+        radius = (local / posed.semi_axes[:, :, None]).norm(dim=-1)
+        torch.testing.assert_close(radius, torch.ones_like(radius))
+
+
+def test_faces_point_outward_and_count_as_the_paper_says():
+    for subdivisions, count in enumerate((20, 80, 320, 1280)):
+        vertices, faces = icosphere(subdivisions)
+        assert len(faces) == count
+        a, b, c = vertices[faces].transpose(1, 0, 2)
+        assert (np.einsum("fi,fi->f", np.cross(b - a, c - a), a) > 0).all()
+        all_faces, labels = ellipbody_faces(subdivisions)
+        assert all_faces.max() + 1 == 20 * len(vertices)
+        assert np.array_equal(np.bincount(labels)[1:], np.full(20, count))
+    with pytest.raises(ValueError, match="subdivisions: 4"):
+        icosphere(4)
+
+
+def test_class_holds_warp_arrays_and_shares_them_with_torch(device):
+    body = EllipBody.mean(2, device=device)
+    assert isinstance(body.rotations, wp.array)
+    views = body.torch()
+    assert views["rotations"].data_ptr() == body.rotations.ptr
+    assert views["rotations"].shape == (2, 20, 3, 3)
+    views["translation"][1] = torch.tensor([1.0, 2.0, 3.0])
+    posed = body.pose(subdivisions=1).torch()
+    np.testing.assert_allclose(posed["joints"][1, 0].cpu(), [1, 2, 3])
+    same = pose(*views.values())
+    torch.testing.assert_close(same.joints, posed["joints"])
+    torch.testing.assert_close(same.vertices(1), posed["vertices"].flatten(1, 2))
+
+
+def test_mean_adult_is_symmetric_and_stands(device):
+    joints = EllipBody.mean(device=device).pose().torch()["joints"][0].cpu().numpy()
+    place = dict(zip(JOINT_NAMES, joints, strict=True))
+    for name in JOINT_NAMES:
+        if name.startswith("left_"):
+            mirrored = place[name.replace("left_", "right_")] * [-1, 1, 1]
+            np.testing.assert_allclose(place[name], mirrored, atol=1e-6)
+            assert place[name][0] > 0
+    stature = place["head_top"][1] - place["left_toe"][1]
+    assert 1.4 < stature < 1.9
+    assert place["left_toe"][2] > place["left_ankle"][2]
+
+
+def test_measure_names_every_length_and_thickness():
+    measured = EllipBody.mean(device="cpu").measure()
+    constants = template()
+    assert measured["left forearm length"] == pytest.approx(constants.mean_lengths[10])
+    assert measured["right hand width"] == pytest.approx(constants.mean_thicknesses[13])
+    lengths = [name for name in measured if name.endswith("length")]
+    assert len(lengths) == 20
+    values = np.array(list(measured.values()))
+    for value in [*constants.mean_lengths, *constants.mean_thicknesses]:
+        assert np.isclose(values, value, atol=1e-6).any()
+
+
+def test_empty_batch(device):
+    body = EllipBody.mean(0, device=device)
+    assert body.pose().torch()["joints"].shape == (0, 21, 3)
+    parameters = [p.requires_grad_() for p in random_parameters(0, 1, device)]
+    empty = [p[:0] for p in parameters]
+    pose(*empty).joints.sum().backward()
+
+
+def test_bad_calls_name_the_argument():
+    good = random_parameters(0, 2)
+    for index, name in [(1, "translation"), (2, "rotations"), (3, "lengths"), (4, "thicknesses")]:
+        bad = list(good)
+        bad[index] = good[index][:, :2]
+        with pytest.raises(ValueError, match=f"{name}: shape"):
+            pose(*bad)
+        bad[index] = good[index].float()
+        with pytest.raises(ValueError, match=f"{name}: torch.float32"):
+            pose(*bad)
+    arrays = EllipBody.mean(1, device="cpu").numpy()
+    with pytest.raises(ValueError, match="lengths: holds NaN"):
+        EllipBody.from_numpy(**{**arrays, "lengths": arrays["lengths"] * np.nan})

@@ -1,0 +1,195 @@
+"""Landmarks lie where the body has them, and skeletons convert into each other."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_partdr.body.landmarks import LANDMARKS, landmark_points, landmark_positions, mirror_name
+from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, convert, joint_map, skeleton
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
+
+NAMES = list(SKELETONS)
+
+
+@pytest.fixture(scope="module")
+def rest() -> dict[str, np.ndarray]:
+    """Centres, axes, semi-axes and joints of the mean body in the rest pose, root at the origin."""
+    mean = template()
+    lengths = mean.mean_lengths[[length for length, _, _ in SHAPE_INDICES]]
+    thicknesses = np.array([[mean.mean_thicknesses[k] for k in pair] for _, *pair in SHAPE_INDICES])
+    starts, ends = np.zeros((2, NUM_PARTS, 3))
+    for part, parent in enumerate(PARENTS):
+        starts[part] = ends[parent] if parent >= 0 else 0.0
+        ends[part] = starts[part] + lengths[part] * mean.rest_directions[part]
+    return {
+        "centres": (starts + ends) / 2,
+        "axes": mean.rest_axes,
+        "semi_axes": np.column_stack([lengths, thicknesses]) / 2,
+        "joints": np.concatenate([np.zeros((1, 3)), ends]),
+    }
+
+
+@pytest.fixture(scope="module")
+def at(rest: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Position [m] of every landmark in the rest pose: x to the left, y up, z forward."""
+    positions = landmark_positions(list(LANDMARKS), rest["centres"], rest["axes"], rest["semi_axes"])
+    return dict(zip(LANDMARKS, positions, strict=True))
+
+
+def test_the_models_joints_are_landmarks(at: dict[str, np.ndarray], rest: dict[str, np.ndarray]) -> None:
+    for name, position in zip(JOINT_NAMES, rest["joints"], strict=True):
+        np.testing.assert_allclose(at[name], position, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(at["mid_hip"], (at["left_hip"] + at["right_hip"]) / 2, atol=1e-12)
+
+
+def test_landmarks_are_where_a_body_has_them(at: dict[str, np.ndarray]) -> None:
+    head = (at["head"] + at["head_top"]) / 2
+    assert at["nose"][2] > at["left_eye"][2] > at["left_ear"][2]
+    assert at["nose"][2] > head[2] + 0.08
+    assert at["head"][1] < at["nose"][1] < at["left_eye"][1] < at["head_top"][1]
+    assert at["mouth_left"][1] < at["nose"][1]
+    assert 0 < at["left_eye_inner"][0] < at["left_eye"][0] < at["left_eye_outer"][0] < at["left_ear"][0]
+    for side in ("left", "right"):
+        assert at[f"{side}_thumb"][2] > at[f"{side}_index"][2] > at[f"{side}_pinky"][2] + 0.03
+        knuckles = [np.abs(at[f"{side}_{finger}"][0]) for finger in ("index", "pinky")]
+        wrist, tip = (np.abs(at[f"{side}_{joint}"][0]) for joint in ("wrist", "fingertip"))
+        assert all(wrist < knuckle < tip for knuckle in knuckles)
+        assert at[f"{side}_heel"][2] < at[f"{side}_ankle"][2] < at[f"{side}_small_toe"][2] < at[f"{side}_toe"][2]
+        assert at[f"{side}_heel"][1] < at[f"{side}_ankle"][1] - 0.02
+        assert np.abs(at[f"{side}_small_toe"][0]) > np.abs(at[f"{side}_big_toe"][0]) + 0.03
+
+
+def test_left_and_right_mirror_each_other(at: dict[str, np.ndarray]) -> None:
+    for name, position in at.items():
+        assert mirror_name(mirror_name(name)) == name
+        np.testing.assert_allclose(at[mirror_name(name)], position * [-1, 1, 1], atol=1e-9, err_msg=name)
+        if "left" in name:
+            assert position[0] > 0, name
+
+
+CHAINS = {
+    ("shoulder", "elbow", "wrist", "fingertip"): ("upper arm", "forearm", "hand"),
+    ("hip", "knee", "ankle", "toe"): ("upper leg", "lower leg", "foot"),
+}
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_limbs_hang_on_their_own_side(at: dict[str, np.ndarray], side: str) -> None:
+    """From the shoulder to the fingertip and from the hip to the toe, bones are as long as they are called."""
+    for joints, bones in CHAINS.items():
+        for start, end, bone in zip(joints, joints[1:], bones, strict=False):
+            length = template().mean_lengths[LENGTH_NAMES.index(bone)]
+            assert np.linalg.norm(at[f"{side}_{end}"] - at[f"{side}_{start}"]) == pytest.approx(length), bone
+
+
+def test_landmarks_follow_their_part(rest: dict[str, np.ndarray], rng: np.random.Generator) -> None:
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turned = rest["axes"].copy()
+    part = PART_NAMES.index("head")
+    turned[part] = rotation @ turned[part]
+    before, after = (
+        landmark_positions(["nose", "left_thumb"], rest["centres"], axes, rest["semi_axes"])
+        for axes in (rest["axes"], turned)
+    )
+    centre = rest["centres"][part]
+    np.testing.assert_allclose(after[0] - centre, rotation @ (before[0] - centre), atol=1e-12)
+    np.testing.assert_array_equal(after[1], before[1])
+
+
+def test_landmark_points_gather(rest: dict[str, np.ndarray]) -> None:
+    parts, normalised, weights = landmark_points(SKELETONS["body25"].landmarks)
+    assert parts.shape == weights.shape == normalised.shape[:2] == (25, 2)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert landmark_points(SKELETONS["coco17"].landmarks).parts.shape == (17, 1)
+    assert landmark_points([]).parts.shape == (0, 1)
+    batch = {key: np.broadcast_to(value, (4, 2, *value.shape)) for key, value in rest.items() if key != "joints"}
+    assert landmark_positions(["nose", "mid_hip"], **batch).shape == (4, 2, 2, 3)
+    with pytest.raises(ValueError, match=r"names: no landmark 'tail'; expected some of pelvis"):
+        landmark_points(["nose", "tail"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_skeleton_tables(name: str) -> None:
+    this = SKELETONS[name]
+    assert len(this) == int(name[-2:])
+    assert len(set(this.landmarks)) == len(this)
+    np.testing.assert_array_equal(this.mirror[this.mirror], np.arange(len(this)))
+    edges = {frozenset(edge) for edge in this.edges}
+    assert len(edges) == len(this.edges)
+    assert edges == {frozenset(this.mirror[list(edge)].tolist()) for edge in this.edges}
+    assert {joint for edge in edges for joint in edge} == set(range(len(this)))
+
+
+@pytest.mark.parametrize(
+    ("name", "joints"),
+    [  # Spot checks against the formats' own documentation.
+        ("coco17", {0: "nose", 5: "left_shoulder", 10: "right_wrist", 16: "right_ankle"}),
+        ("body25", {1: "neck", 4: "right_wrist", 8: "mid_hip", 15: "right_eye", 19: "left_big_toe", 24: "right_heel"}),
+        ("blazepose33", {3: "left_eye_outer", 9: "mouth_left", 18: "right_pinky", 21: "left_thumb", 29: "left_heel"}),
+        ("h36m17", {0: "mid_hip", 1: "right_hip", 4: "left_hip", 7: "spine", 10: "head_top", 16: "right_wrist"}),
+        ("lsp14", {0: "right_ankle", 5: "left_ankle", 6: "right_wrist", 12: "neck", 13: "head_top"}),
+        ("mpii16", {6: "mid_hip", 7: "neck", 8: "head", 9: "head_top", 10: "right_wrist", 15: "left_wrist"}),
+    ],
+)
+def test_joint_order(name: str, joints: dict[int, str]) -> None:
+    assert {joint: SKELETONS[name].landmarks[joint] for joint in joints} == joints
+
+
+@pytest.mark.parametrize(
+    ("name", "sides"),
+    [
+        ("coco17", "-" + "lr" * 8),
+        ("body25", "--rrrlll-rrrlllrlrllllrrr"),
+        ("blazepose33", "-lllrrr" + "lr" * 13),
+        ("h36m17", "-rrrlll----lllrrr"),
+        ("lsp14", "rrrlllrrrlll--"),
+        ("mpii16", "rrrlll----rrrlll"),
+    ],
+)
+def test_sides(name: str, sides: str) -> None:
+    words = [set(landmark.split("_")) for landmark in SKELETONS[name].landmarks]
+    assert "".join("l" if "left" in word else "r" if "right" in word else "-" for word in words) == sides
+
+
+@pytest.mark.parametrize(("source", "target"), list(product(NAMES, NAMES)))
+def test_conversion_round_trip(source: str, target: str, rng: np.random.Generator) -> None:
+    points = rng.normal(size=(3, len(SKELETONS[source]), 2))
+    there = convert(points, source, target)
+    shared = [landmark in SKELETONS[target].landmarks for landmark in SKELETONS[source].landmarks]
+    assert np.isnan(there).all(axis=-1).sum() == 3 * (len(SKELETONS[target]) - sum(shared))
+    back = convert(there, target, source)
+    np.testing.assert_array_equal(back[:, shared], points[:, shared])
+    assert np.isnan(back[:, ~np.array(shared)]).all()
+
+
+@given(name=st.sampled_from(NAMES), seed=st.integers(0, 99))
+def test_mirroring_commutes_with_conversion(name: str, seed: int) -> None:
+    source = SKELETONS["blazepose33"]
+    points = np.random.default_rng(seed).normal(size=(len(source), 2))
+    mirrored_first = convert(points[source.mirror], "blazepose33", name)
+    np.testing.assert_array_equal(mirrored_first, convert(points, "blazepose33", name)[SKELETONS[name].mirror])
+
+
+def test_body25_and_human36m_hold_the_mpjpe_joints() -> None:
+    assert (joint_map("h36m17", MPJPE_SKELETON) >= 0).all()
+    missing = [SKELETONS["lsp14"].landmarks[j] for j in np.flatnonzero(joint_map("body25", MPJPE_SKELETON) < 0)]
+    assert missing == ["head_top"]
+
+
+def test_conversion_of_confidences_and_integers() -> None:
+    confidence = convert(np.ones((17, 1), dtype=np.float32), "coco17", "lsp14", missing=0)
+    assert confidence.dtype == np.float32
+    assert confidence[:, 0].tolist() == [1.0] * 12 + [0.0] * 2
+    assert convert(np.ones((17, 2), dtype=int), "coco17", "body25").dtype == np.float64
+
+
+def test_conversion_errors() -> None:
+    with pytest.raises(ValueError, match=r"skeleton: 'coco'; expected one of coco17, body25"):
+        skeleton("coco")
+    with pytest.raises(ValueError, match=r"values: shape \(16, 2\); expected \(\.\.\., 17, C\) of coco17"):
+        convert(np.zeros((16, 2)), "coco17", "lsp14")

@@ -1,0 +1,93 @@
+"""``partdr register`` with part labels: whose they are, and what it says of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from typer.testing import CliRunner
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.cli.main import app
+from warp_partdr.clothing import registration
+from warp_partdr.clothing.registration import RegistrationWeights, register
+from warp_partdr.errors import InputError
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import Stage
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.part_labels import read_parts, read_photo
+from warp_partdr.results.save import save_fit, save_registered
+
+EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
+LABELS = label_set("cdcl14")
+
+
+@pytest.fixture
+def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_steps: None) -> dict[str, object]:
+    """A fit of the packaged example in the folder ``fit``, and the report of its detailed body; p.png holds labels."""
+    from warp_partdr.clothing.anny import anny
+
+    monkeypatch.chdir(tmp_path)
+    torch.set_num_threads(1)
+    person, parts = read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", LABELS)
+    result = fit_body(person, parts, options=FitOptions(stages=(Stage("labels", 2, 4, 0.02, 64),)))
+    photo = read_photo(EXAMPLE / "photo.png")
+    save_fit(result, "fit", photo=photo)
+    options = registration.RegistrationOptions(RegistrationWeights.fitted(), growth=False)
+    registered = register(result.posed, anny(), options=options)
+    Image.open(EXAMPLE / "parts.png").save("p.png")
+    return save_registered(registered, "fit", result.camera, photo.shape[:2], evidence=result.evidence)
+
+
+def call(*options: str) -> str:
+    line = ["register", "fit/body.npz", "--out", "new", "--device", "cpu", *options]
+    done = CliRunner().invoke(app, line)
+    if isinstance(done.exception, InputError):
+        raise done.exception
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def change(ids: np.ndarray) -> None:
+    Image.fromarray(ids).save("p.png")
+
+
+def test_it_says_what_the_fit_said(fitted: dict[str, object]) -> None:
+    """Also with somebody else in the picture."""
+    assert "F1" not in call()
+    assert "parts" not in json.loads(Path("new/registration.json").read_text())
+    ids = np.array(Image.open("p.png"))
+    apart = ids.copy()
+    apart[5:200, 2:20] = 2
+    for shown in (ids, apart):
+        change(shown)
+        said = call("--parts", "p.png", "--labels", "cdcl14")
+        found, expected = json.loads(Path("new/registration.json").read_text())["parts"], fitted["parts"]
+        assert found["pixels"].pop("ignored") == (shown != ids).sum()
+        assert expected["pixels"].pop("ignored", 0) == 0
+        assert abs(found["foreground_f1"] - expected["foreground_f1"]) < 2e-3
+        assert abs(found["part_f1"] - expected["part_f1"]) < 2e-3
+        assert f"foreground F1 {found['foreground_f1']:.3f}, part F1 {found['part_f1']:.3f}, " in said
+        assert f"{100 * found['left_out']:.0f} % of the person left out; new" in said
+
+
+def test_labels_of_another_picture_are_refused(fitted: dict[str, object]) -> None:
+    ids = np.array(Image.open("p.png"))
+    away = np.zeros_like(ids)
+    away[:20, :20], away[:20, 20:30] = 1, 2
+    change(away)
+    with pytest.raises(InputError, match="--parts: no labelled pixel where the body is"):
+        call("--parts", "p.png", "--labels", "cdcl14")
+    change(ids[::2, ::2])
+    with pytest.raises(InputError, match="body: 384x512; parts: 192x256"):
+        call("--parts", "p.png", "--labels", "cdcl14")
+    Path("new").mkdir()
+    Image.fromarray(ids).save("new/detailed.png")
+    with pytest.raises(InputError, match="would replace"):
+        call("--parts", "new/detailed.png", "--labels", "cdcl14")
+    assert not Path("new/registration.json").exists()

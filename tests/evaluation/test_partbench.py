@@ -1,0 +1,269 @@
+"""PartBench: its truth is true, its noise is what the levels say, and its report says what was found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.cli.evaluate import evaluate
+from warp_partdr.errors import InputError
+from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
+from warp_partdr.evaluation.evaluate import Report
+from warp_partdr.evaluation.partbench.anny_fit import fit_anny
+from warp_partdr.evaluation.partbench.methods import METHODS, choose_methods, registered_vertices
+from warp_partdr.evaluation.partbench.report import findings, worst, write_report
+from warp_partdr.evaluation.partbench.samples import LABELS, make_sample, partbench, source_name
+from warp_partdr.evaluation.scoring import Pixels, Score
+from warp_partdr.fit.start_search import hypothesize
+from warp_partdr.inputs.observation import observe
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.synthetic.bench_noise import LEVELS, Level, spoil_keypoints, spoil_labels
+from warp_partdr.synthetic.bench_people import COCO, NUM_PEOPLE, draw_anny, make_person, pose_kind
+from warp_partdr.synthetic.bench_poses import POSES, draw_pose
+
+PEOPLE = (0, 1, 7)
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_a_person_is_the_same_every_time(index: int) -> None:
+    person = make_person(index)
+    again = make_person.__wrapped__(index)
+    np.testing.assert_array_equal(person.parts, again.parts)
+    np.testing.assert_array_equal(person.keypoints, again.keypoints)
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_camera_and_vertices_draw_the_labels(index: int) -> None:
+    person = make_person(index)
+    labels, _ = draw_anny(torch.from_numpy(person.vertices)[None], person.camera, person.parts.shape)
+    assert (labels[0].numpy() == person.parts).mean() > 0.985  # half-size pixels differ at edges
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_joints_in_sight_lie_on_limbs_of_their_own_side(index: int) -> None:
+    person = make_person(index)
+    height, width = person.parts.shape
+    tested = 0
+    for name, (u, v), hidden in zip(COCO.landmarks, person.keypoints, person.hidden, strict=True):
+        side, _, joint = name.partition("_")
+        if hidden or joint not in ("elbow", "knee") or not (0 <= u < width and 0 <= v < height):
+            continue
+        part = PART_NAMES[person.parts[int(v), int(u)] - 1]
+        assert part.startswith(side), f"{name} on {part}"
+        tested += 1
+    assert tested
+
+
+def test_any_first_people_have_all_kinds_of_poses() -> None:
+    kinds = [pose_kind(index) for index in range(NUM_PEOPLE)]
+    assert set(kinds[:15]) == {"prior", *POSES}
+    assert abs(kinds.count("prior") / NUM_PEOPLE - 0.6) < 0.01
+    counts = [kinds.count(kind) for kind in POSES]
+    assert max(counts) - min(counts) <= 1
+
+
+def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
+    rng, prior = np.random.default_rng(0), PosePrior()
+    for _ in range(3):
+        pose = draw_pose("prior", rng)
+        assert prior.joint_limits(torch.from_numpy(pose.rotations)[None]) < 0.021
+        np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
+
+
+def test_who_walks_away_shows_the_back_of_the_head() -> None:
+    walking = [index for index in range(20) if pose_kind(index) == "walking away"]
+    person = make_person(walking[0])
+    assert person.hidden[COCO.landmarks.index("nose")]
+    left, right = (person.keypoints[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
+    assert left < right  # from behind, the person's left is the picture's
+
+
+def test_clean_samples_hold_the_truth_alone() -> None:
+    sample = make_sample(0, "clean")
+    person = make_person(0)
+    assert sample.parts is not None
+    np.testing.assert_array_equal(sample.parts.groups, sample.target)
+    there = sample.keypoints.visible
+    np.testing.assert_allclose(sample.keypoints.points[there], person.keypoints[there], rtol=1e-6)
+    np.testing.assert_array_equal(sample.keypoints.confidence[there], np.where(person.hidden, 0.5, 1.0)[there])
+
+
+def test_each_level_is_farther_from_the_truth() -> None:
+    def disagreement(level: str) -> float:
+        samples = [make_sample(index, level) for index in range(3)]
+        return float(
+            np.mean([(s.parts.groups != s.target).mean() for s in samples if s.parts and s.target is not None])
+        )
+
+    wrong = [disagreement(level) for level in LEVELS]
+    assert wrong[0] == 0
+    assert wrong == sorted(wrong)
+    assert wrong[-1] > 2 * wrong[1]
+
+
+def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:
+    samples = partbench(2, ["realistic", "hard"])
+    assert [sample.source for sample in samples] == [source_name("realistic")] * 2 + [source_name("hard")] * 2
+    again = make_sample(1, "hard")
+    np.testing.assert_array_equal(samples[-1].keypoints.points, again.keypoints.points)
+    assert samples[-1].parts is not None
+    assert again.parts is not None
+    np.testing.assert_array_equal(samples[-1].parts.groups, again.parts.groups)
+
+
+@pytest.mark.parametrize(("count", "levels"), [(0, ["clean"]), (NUM_PEOPLE + 1, ["clean"]), (1, ["spotless"])])
+def test_bad_requests_are_refused(count: int, levels: list[str]) -> None:
+    with pytest.raises(InputError, match="expected"):
+        partbench(count, levels)
+    with pytest.raises(InputError, match="expected"):
+        choose_methods(["magic"])
+
+
+def _keypoints() -> np.ndarray:
+    places = np.arange(len(COCO)) * 5.0 + 3
+    return np.column_stack([places, places, np.ones(len(COCO))])
+
+
+def test_dropped_keypoints_have_no_confidence() -> None:
+    spoiled = spoil_keypoints(
+        _keypoints(), COCO.landmarks, (200, 200), Level(1.0, dropout=1.0), np.random.default_rng(0)
+    )
+    assert (spoiled == 0).all()
+
+
+def test_keypoints_beyond_the_border_are_not_found() -> None:
+    spoiled = spoil_keypoints(_keypoints(), COCO.landmarks, (40, 200), Level(0.0), np.random.default_rng(0))
+    np.testing.assert_array_equal(spoiled[:, 2] > 0, _keypoints()[:, 1] <= 41)
+
+
+def test_swapped_keypoints_change_sides() -> None:
+    # every limb's chance is a quarter of 4
+    spoiled = spoil_keypoints(_keypoints(), COCO.landmarks, (200, 200), Level(0.0, swap=4.0), np.random.default_rng(0))
+    elbows = [COCO.landmarks.index(f"{side}_elbow") for side in ("left", "right")]
+    np.testing.assert_array_equal(spoiled[elbows], _keypoints()[elbows[::-1]])
+
+
+def _man() -> np.ndarray:
+    """Two legs, shape (60, 60)."""
+    groups = np.zeros((60, 60), dtype=np.uint8)
+    for column, side in ((10, "left"), (35, "right")):
+        for row, part in enumerate(("upper_leg", "lower_leg", "foot")):
+            groups[10 + 13 * row : 23 + 13 * row, column : column + 15] = LABELS.group_names.index(f"{side}_{part}") + 1
+    return groups
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_swapped_limbs_keep_the_outline(seed: int) -> None:
+    spoiled = spoil_labels(_man(), LABELS, 50.0, Level(0.0, swap=1.0), np.random.default_rng(seed))
+    np.testing.assert_array_equal(spoiled > 0, _man() > 0)
+    assert np.bincount(spoiled.ravel(), minlength=15).tolist() == np.bincount(_man().ravel(), minlength=15).tolist()
+
+
+def test_legs_are_missing_and_holes_are_background() -> None:
+    lost = [spoil_labels(_man(), LABELS, 50.0, Level(0.0, missing=1.0), np.random.default_rng(k)) for k in range(12)]
+    assert any((labels > 0).sum() < 0.6 * (_man() > 0).sum() for labels in lost)
+    holes = spoil_labels(_man(), LABELS, 50.0, Level(0.0, holes=5.0), np.random.default_rng(1))
+    assert 0 < ((_man() > 0) & (holes == 0)).sum() < 0.5 * (_man() > 0).sum()
+    np.testing.assert_array_equal(holes[holes > 0], _man()[holes > 0])
+
+
+def test_growth_moves_the_outline_by_so_many_pixels() -> None:
+    areas = {
+        int((spoil_labels(_man(), LABELS, 50.0, Level(0.0, growth=2), np.random.default_rng(seed)) > 0).sum())
+        for seed in range(20)
+    }
+    # two blocks of 39 by 15 pixels, grown as a cross or shrunk
+    assert {2 * (39 - 2 * k) * (15 - 2 * k) for k in (0, 1, 2)} <= areas
+    assert max(areas) == 2 * (39 * 15 + 4 * (39 + 15) + 4)
+
+
+@pytest.mark.parametrize("method", ["full silhouette", "parts"])
+def test_only_parts_have_a_z_gradient_and_it_can_be_left_out(method: str, device: str) -> None:
+    sample = make_sample(1, "clean")
+    assert sample.parts is not None
+    seen, _ = observe(sample.keypoints, SUPERVISIONS[method].see(sample.parts), device=device)
+    start = hypothesize(seen, 8)[0]
+    ends = [
+        minimise(start, Energy(seen, 64, prior=PosePrior().to(device), depth_weight=weight), iterations=5).parameters
+        for weight in (1.0, 0.0)
+    ]
+    same = torch.equal(ends[0].rotations, ends[1].rotations)
+    assert same == (method == "full silhouette")
+
+
+def _score(sample: str, method: str, pa_mpjpe: float, right: int) -> Score:
+    counts = np.array([[80, 0], [20 - right, right]])
+    classes = ("background", "body")
+    return Score(
+        source=source_name("clean"),
+        sample=sample,
+        method=method,
+        keypoints=np.array([0.01]),
+        seconds=1.0,
+        hypotheses=1,
+        pixels=Pixels(classes=classes, parts=counts, undisputed=counts, filled=counts, foreground=counts),
+        mpjpe=pa_mpjpe,
+        pa_mpjpe=pa_mpjpe,
+        pve=np.nan,
+    )
+
+
+def test_findings_say_what_was_met_and_what_is_better() -> None:
+    scores = [
+        _score(person, method, error, right)
+        for person, extra in (("a", 0.0), ("b", 10.0))
+        for method, error, right in (("parts", 50.0 + extra, 19), ("full silhouette", 70.0 + extra, 10))
+    ]
+    found = findings(Report(tuple(scores)))
+    assert "clean, parts: PA-MPJPE [mm] 55, hoped for under 60: met" in found
+    assert any(text.startswith("clean, parts: part F1 0.98") and text.endswith("met") for text in found)
+    comparison = next(text for text in found if "minus" in text)
+    assert comparison.startswith("clean: parts minus full silhouette: PA-MPJPE -20.0 (-20.0 to -20.0) mm, part F1 +0.1")
+    assert [score.sample for score in worst(Report(tuple(scores)), "parts")] == ["b", "a"]
+
+
+def test_missed_targets_are_named() -> None:
+    found = findings(Report((_score("a", "parts", 90.0, 5), _score("b", "parts", 90.0, 5))))
+    assert "clean, parts: PA-MPJPE [mm] 90, hoped for under 60: not met" in found
+
+
+def test_annys_mesh_follows_the_labels_and_the_report_draws_the_worst(tmp_path: Path, device: str) -> None:
+    sample = make_sample(4, "clean")
+    assert sample.parts is not None
+    assert sample.target is not None
+    assert sample.vertices is not None
+    options = METHODS["parts, Anny's mesh"].options
+    result = fit_anny(sample.keypoints, sample.parts, options=options, device=device)
+    shown = LABELS.from_parts(result.draw(sample.target.shape).labels[0].cpu().numpy())
+    before = LABELS.from_parts(result.first.draw(sample.target.shape).labels[0].cpu().numpy())
+    assert (shown != sample.target).mean() < 0.75 * (before != sample.target).mean()
+    assert result.vertices.shape == sample.vertices.shape
+    assert registered_vertices(result.first).shape == sample.vertices.shape
+
+    kept = {"keypoints only": replace(SUPERVISIONS["keypoints only"], vertices=None)}
+    score = replace(_score(sample.name, "keypoints only", 50.0, 10), source=sample.source)
+    write_report(tmp_path / "report.html", Report((score,)), [sample], kept, {"machine": "<any>"}, device=device)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 1
+    assert "&lt;any&gt;" in page
+
+
+def test_the_command_writes_table_and_figures(tmp_path: Path) -> None:
+    arguments = ["partbench", "--people", "2", "--level", "mild", "--method", "keypoints only", "--jobs", "1"]
+    result = CliRunner().invoke(evaluate, [*arguments, "--device", "cpu", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert "PartBench 1, mild: 2 people" in result.output
+    figures = json.loads((tmp_path / "out" / "partbench.json").read_text())
+    row = figures["pooled"]["PartBench 1, mild"]["keypoints only"]
+    assert row["people"] == 2
+    assert {"foreground_f1", "part_f1", "mpjpe_mm", "pa_mpjpe_mm", "pve_mm", "seconds"} <= row.keys()
+    assert (tmp_path / "out" / "partbench.html").stat().st_size > 10_000

@@ -1,0 +1,184 @@
+"""Files from outside: JSON that would be read otherwise than meant, and arrays that would fill the memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from warp_partdr.body import pose_prior
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.errors import InputError, shown
+from warp_partdr.files.array_files import read_npz
+from warp_partdr.files.json_files import parse_json, read_json
+from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
+from warp_partdr.inputs.part_labels import read_label_set, read_parts
+from warp_partdr.network.checkpoint import _FILES, about_network, load_label_network
+from warp_partdr.network.label_network import LabelNetworkConfig
+from warp_partdr.results.body_file import load_body
+from warp_partdr.synthetic.poses import PoseBank
+from warp_partdr.training.config_files import read_config
+
+DEEP = "[" * 100_000
+READERS: dict[str, Callable[[Path], Any]] = {
+    "keypoints": read_keypoints,
+    "labels": label_set,
+    "label set": read_label_set,
+}
+
+
+def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
+    said = str(caught.value)
+    assert len(said.splitlines()) == 1
+    assert len(said) < 500
+    return said
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (DEEP, r"file\.json: not JSON \(nested too deeply\); expected"),
+        ('{"a":' * 100_000, r"not JSON \(nested too deeply\)"),
+        ('{"groups": {"a": ["head"], "b": ["neck"], "a": ["chest"]}, "ids": {}}', "key 'a' twice in one object"),
+        ('{"ids": {}, "ids": {}}', "key 'ids' twice in one object"),
+        ('[{"keypoints": [], "keypoints": []}]', "key 'keypoints' twice in one object"),
+        ("{", "not JSON"),
+    ],
+)
+def test_json(reader: str, text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        READERS[reader](path)
+    assert one_line(caught).startswith(str(path))
+
+
+def test_json_that_is_fine(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    path.write_text('{"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}')
+    assert read_json(path, "numbers") == {"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match="not JSON"):
+        read_json(path, "numbers")
+    with pytest.raises(InputError, match=r"text: not JSON .*; expected numbers"):
+        parse_json("1" * 5000, "text", "numbers")  # longer than Python turns into a number
+
+
+@pytest.mark.parametrize("key", ["config", "about"])
+@pytest.mark.parametrize(
+    ("text", "says"), [(DEEP, "nested too deeply"), ('{"size": 1, "size": 2}', "key 'size' twice in one object")]
+)
+def test_metadata_of_networks(key: str, text: str, says: str, tmp_path: Path) -> None:
+    from safetensors import safe_open
+    from safetensors.numpy import save_file
+
+    path = tmp_path / "network.safetensors"
+    _FILES.save(path, {}, LabelNetworkConfig(), {})
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata() | {key: text}
+    save_file({"weights": np.zeros(1, dtype=np.float32)}, path, metadata)
+    for read in (load_label_network, about_network):
+        with pytest.raises(InputError, match=f"{path.name}: {key}: .*{says}") as caught:
+            read(path)
+        one_line(caught)
+
+
+def test_configs(tmp_path: Path) -> None:
+    path = tmp_path / "deep.toml"
+    path.write_text(f"steps = {DEEP}")
+    with pytest.raises(InputError, match=r"deep\.toml: .*; expected TOML") as caught:
+        read_config(path)
+    one_line(caught)
+
+
+def test_values_in_messages_are_short() -> None:
+    deep: Any = []
+    for _ in range(100_000):
+        deep = [deep]
+    for value in (deep, "x" * 10_000, list(range(10_000)), {"a": deep}):
+        assert len(shown(value)) < 200
+    row: list[Any] = [[1.0, 2.0, 1.0]] * 16
+    with pytest.raises(InputError, match="keypoint 16") as caught:
+        parse_keypoints([*row, [deep, 1.0, 1.0]])
+    one_line(caught)
+
+
+# --- arrays ----------------------------------------------------------------------------------------------------------
+
+
+def lying(shape: tuple[int, ...], member: str, path: Path, held: int = 1000) -> Path:
+    """An archive of an array that says it has a shape, and holds so many bytes."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(f"{member}.npy", header.getvalue() + bytes(held))
+    return path
+
+
+def forbid_unpacking(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("unpacked")
+
+    monkeypatch.setattr(np.lib.format, "read_array", never)
+
+
+def test_a_body_that_unpacks_to_gigabytes_is_refused_by_its_header(tmp_path: Path, monkeypatch: Any) -> None:
+    path = tmp_path / "body.npz"
+    names = ("global_orient", "translation", "lengths", "thicknesses", "camera_scale", "camera_translation")
+    np.savez(path, format=np.array("x"), image_size=np.zeros(2), **dict.fromkeys(names, np.zeros(3)))
+    lying((500_000, 3), "rotations", path, held=12_000_000)
+    assert path.stat().st_size < 100_000
+    forbid_unpacking(monkeypatch)
+    with pytest.raises(InputError, match=r"12\.0 MB when unpacked; expected a body\.npz .*, at most 1\.0 MB"):
+        load_body(path)
+
+
+@pytest.mark.parametrize("shape", [(10**9, 3), (-1,), (-2, -3)])
+def test_headers_that_lie_are_refused(shape: tuple[int, ...], tmp_path: Path, monkeypatch: Any) -> None:
+    path = lying(shape, "rotations", tmp_path / "poses.npz")
+    forbid_unpacking(monkeypatch)
+    with pytest.raises(InputError, match=r"rotations: says that its shape is .* but holds \d+ bytes"):
+        read_npz(path, ("rotations",), expected="poses")
+
+
+def test_every_reader_looks_at_the_header(tmp_path: Path, monkeypatch: Any) -> None:
+    forbid_unpacking(monkeypatch)
+    for name in ("rotations", "ups", "held_out"):
+        lying((10**9, 3), name, tmp_path / "poses.npz")
+    for name in pose_prior._SHAPES:
+        lying((10**9, 3), name, tmp_path / "prior.npz")
+    array = tmp_path / "labels.npy"
+    with array.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (9000, 9000)})
+        file.write(bytes(1000))
+    for read in (
+        lambda: PoseBank.read(tmp_path / "poses.npz"),
+        lambda: PosePrior(tmp_path / "prior.npz"),
+        lambda: read_parts(array, label_set("cdcl14")),
+    ):
+        with pytest.raises(InputError, match="says that its shape is"):
+            read()
+
+
+def test_other_arrays_may_be_anything(tmp_path: Path) -> None:
+    path = tmp_path / "some.npz"
+    np.savez(path, wanted=np.arange(3))
+    lying((10**9, 3), "other", path)
+    found = read_npz(path, ("wanted",), ("missing",), expected="some")
+    assert list(found) == ["wanted"]
+    assert found["wanted"].tolist() == [0, 1, 2]
+
+
+def test_json_of_the_docs_has_no_key_twice() -> None:
+    """What pages show can be read."""
+    page = Path(__file__).resolve().parents[2] / "docs" / "inputs.md"
+    for block in page.read_text().split("```json\n")[1:]:
+        assert parse_json(block.split("```")[0], "page", "JSON") == json.loads(block.split("```")[0])

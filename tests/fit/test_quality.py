@@ -1,0 +1,244 @@
+"""Qualities of a fit, and the level of the mesh that keeps a tolerance."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.posing import LandmarkGather, Posed
+from warp_partdr.body.skeletons import skeleton
+from warp_partdr.cameras import Camera, Perspective, WeakPerspective
+from warp_partdr.cli import main
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.result import FitResult
+from warp_partdr.fit.stages import STAGES, Stage, Start
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.observation import Observation
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
+
+LABELS = label_set("ellipbody20")
+COCO = skeleton("coco17")
+SIZE = 128
+FINE = 8  # samples a side of a pixel, where silhouettes are measured
+
+
+def random_bodies(count: int, device: str) -> BodyParameters:
+    generator = torch.Generator().manual_seed(count)
+
+    def noise(like: torch.Tensor, spread: float) -> torch.Tensor:
+        return (spread * torch.randn(like.shape, generator=generator)).to(device)
+
+    mean = BodyParameters.mean(count, device=device)
+    return replace(
+        mean,
+        orientation=mean.orientation + noise(mean.orientation, 0.5),
+        rotations=noise(mean.rotations, 0.4),
+        lengths=mean.lengths * noise(mean.lengths, 0.1).exp(),
+        thicknesses=mean.thicknesses * noise(mean.thicknesses, 0.2).exp(),
+        log_scale=noise(mean.log_scale, 0.3) - 0.3,
+    )
+
+
+def views(bodies: BodyParameters) -> dict[str, tuple[Posed | Ellipsoids, Camera]]:
+    """The same bodies seen by both cameras, the perspective one from near by."""
+    posed, weak = bodies.posed(), bodies.camera(SIZE)
+    focal = torch.full_like(weak.scale, 1.5 * SIZE)
+    camera, offset = weak.to_perspective(focal, torch.full_like(weak.translation, SIZE / 2))
+    moved = Ellipsoids(posed.centres + offset[:, None], posed.axes, posed.semi_axes)
+    return {"weak": (posed, weak), "perspective": (moved, camera)}
+
+
+def enlarged(camera: Camera) -> Camera:
+    if isinstance(camera, Perspective):
+        return Perspective(camera.focal * FINE, camera.centre * FINE)
+    return replace(camera, scale=camera.scale * FINE, translation=camera.translation * FINE)
+
+
+def measured_error(parts: Posed | Ellipsoids, camera: Camera, level: int) -> np.ndarray:
+    """How far pixels of the exact silhouette are from the mesh's [px], the farthest of each body."""
+    size, fine = (SIZE * FINE, SIZE * FINE), enlarged(camera)
+    exact = draw_ellipsoids(parts, fine, size).labels.cpu().numpy() > 0
+    posed = Posed(parts.centres, parts.axes, parts.centres, parts.axes, parts.semi_axes)  # vertices ask for three
+    mesh = ellipbody_mesh(level, device=parts.centres.device)
+    image = rasterize_parts(fine.project(posed.vertices(level)), mesh, size, perspective=camera.perspective)
+    drawn = image.labels.cpu().numpy() > 0
+    assert not (drawn & ~exact).any()  # the mesh is inscribed
+    return np.array([distance_transform_edt(~mine)[true].max() for mine, true in zip(drawn, exact, strict=True)]) / FINE
+
+
+@pytest.mark.parametrize("kind", ["weak", "perspective"])
+@pytest.mark.parametrize("tolerance", [2.0, 0.5, 0.2])
+def test_auto_keeps_its_tolerance(device: str, kind: str, tolerance: float) -> None:
+    bodies = random_bodies(4, device)
+    for index in range(4):
+        parts, camera = views(bodies.select(torch.tensor([index], device=device)))[kind]
+        level = coarsest_subdivisions(parts, camera, tolerance=tolerance)
+        assert measured_error(parts, camera, level)[0] <= tolerance + 1.5 / FINE  # a sample, and its diagonal
+        if level > 0:  # a coarser one would not do
+            assert float(silhouette_error(parts, camera, level - 1).max()) > tolerance
+
+
+@pytest.mark.parametrize("kind", ["weak", "perspective"])
+@pytest.mark.parametrize("level", [0, 1])
+def test_silhouette_error_is_what_pictures_show(device: str, kind: str, level: int) -> None:
+    parts, camera = views(random_bodies(3, device))[kind]
+    # The body's own error can be less, where the worst part is before another one: so one part at a time.
+    errors = silhouette_error(parts, camera, level)
+    looked_at = 0
+    for part in (0, 5, 13):
+        alone = Ellipsoids(*(tensor[:, part : part + 1] for tensor in (parts.centres, parts.axes, parts.semi_axes)))
+        size, fine = (SIZE * FINE, SIZE * FINE), enlarged(camera)
+        exact = draw_ellipsoids(alone, fine, size).labels.cpu().numpy() > 0
+        unit = ellipbody_mesh(level, device=device)
+        posed = Posed(alone.centres, alone.axes, alone.centres, alone.axes, alone.semi_axes)
+        vertices = fine.project(posed.vertices(level))
+        mesh = replace(
+            unit, faces=unit.faces[unit.face_labels == 1], face_labels=unit.face_labels[unit.face_labels == 1]
+        )
+        drawn = rasterize_parts(vertices, mesh, size, perspective=camera.perspective).labels.cpu().numpy() > 0
+        for body in range(3):
+            if exact[body].any() and not exact[body][[0, -1]].any() and not exact[body][:, [0, -1]].any():
+                seen = distance_transform_edt(~drawn[body])[exact[body]].max() / FINE
+                assert seen == pytest.approx(float(errors[body, part]), abs=1.5 / FINE)
+                looked_at += 1
+    assert looked_at >= 6  # of nine; the picture's border may cut others
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_silhouette_error_of_a_sphere_is_its_polygons_gap(device: str, level: int) -> None:
+    """The circle's radius less how near the polygon's edges come to its centre, from whichever side it is seen.
+
+    Hardly more, where a corner is too blunt to be found, and never less: a level must keep its tolerance.
+    """
+    radius, scale, count = 0.7, 100.0, 12
+    axes = torch.from_numpy(Rotation.random(count, rng=0).as_matrix()).to(device)[:, None]
+    centres = torch.zeros(count, 1, 3, dtype=torch.float64, device=device)
+    sphere = Ellipsoids(centres, axes, torch.full_like(centres, radius))
+    camera = WeakPerspective(centres[:, 0, 0] + scale, centres[:, 0, :2])
+    corners = (radius * scale * (axes[:, 0].cpu().numpy() @ icosphere(level)[0].T))[:, :2].transpose(0, 2, 1)
+    gaps = [radius * scale - np.abs(ConvexHull(each).equations[:, 2]).min() for each in corners]
+    shares = silhouette_error(sphere, camera, level)[:, 0].cpu().numpy() / gaps
+    assert shares.min() > 1 - 1e-9
+    assert shares.max() < 1.02
+    assert np.median(shares) < 1 + 1e-9
+
+
+def test_tolerance_beyond_the_finest_level_is_said(device: str) -> None:
+    parts, camera = views(random_bodies(1, device))["weak"]
+    with pytest.raises(ValueError, match=r"tolerance: 0.001 px; expected 0\.\d+ or more, what E3 keeps here"):
+        coarsest_subdivisions(parts, camera, tolerance=1e-3)
+    with pytest.raises(ValueError, match="tolerance: 0; expected a positive number"):
+        coarsest_subdivisions(parts, camera, tolerance=0)
+
+
+def test_nothing_to_draw_needs_no_level(device: str) -> None:
+    parts, camera = views(random_bodies(2, device))["perspective"]
+    none = torch.tensor([], dtype=torch.long, device=device)
+    empty = Ellipsoids(parts.centres[none], parts.axes[none], parts.semi_axes[none])
+    assert coarsest_subdivisions(empty, Perspective(camera.intrinsics[none, :2], camera.intrinsics[none, 2:])) == 0
+    behind = Ellipsoids(parts.centres - torch.tensor([0.0, 0.0, 100.0], device=device), parts.axes, parts.semi_axes)
+    assert float(silhouette_error(behind, camera, 0).max()) == 0.0
+
+
+def observation(bodies: BodyParameters) -> Observation:
+    posed = bodies.posed()
+    points = bodies.camera(2).project(LandmarkGather(COCO.landmarks, bodies.shift.device)(posed))[0, :, :2] - 1
+    labels = draw_ellipsoids(posed, bodies.camera(SIZE), (SIZE, SIZE)).labels[0]
+    return Observation(COCO.landmarks, points, torch.ones_like(points[:, 0]), labels, LABELS)
+
+
+def test_energy_and_result_take_auto(device: str) -> None:
+    bodies = random_bodies(1, device)
+    seen = observation(bodies)
+    found = Energy(seen, SIZE, renderer="mesh", subdivisions="auto", tolerance=0.3)(bodies)["seg"]
+    level = coarsest_subdivisions(bodies.posed(), bodies.camera(SIZE), tolerance=0.3)
+    assert level > 0
+    assert float(found) == float(Energy(seen, SIZE, renderer="mesh", subdivisions=level)(bodies)["seg"])
+    assert float(found) != float(Energy(seen, SIZE, renderer="mesh", subdivisions=level - 1)(bodies)["seg"])
+
+
+def person(device: str) -> tuple[Keypoints2D, BodyParameters]:
+    bodies = random_bodies(1, device)
+    points = (observation(bodies).points.cpu().numpy() + 1) * SIZE / 2
+    return Keypoints2D("coco17", points.astype(np.float32), np.ones(len(points), dtype=np.float32)), bodies
+
+
+def short(result: FitResult) -> list[tuple[str, int, int]]:
+    return [(stage.name, stage.iterations, stage.size) for stage in result.stages]
+
+
+def test_balanced_is_the_default(device: str) -> None:
+    assert FitOptions() == FitOptions.at("balanced")
+    keypoints, _ = person(device)
+    assert short(fit_body(keypoints, device=device)) == short(fit_body(keypoints, quality="balanced", device=device))
+
+
+def test_quality_chooses_the_stages_and_options_override_it(device: str) -> None:
+    keypoints, _ = person(device)
+    fast = fit_body(keypoints, quality="fast", device=device)
+    assert fast.stages == tuple(replace(stage, size=0) for stage in STAGES["network"]["fast"])
+    searched = fit_body(keypoints, options=FitOptions.at("fast", "search"), device=device)
+    assert searched.stages == tuple(stage for stage in STAGES["search"]["fast"] if stage.size == 0)
+    own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
+    assert fit_body(keypoints, quality="fast", options=own, device=device).stages == own.stages
+    assert FitOptions.at("accurate").without_outline().stages == STAGES["network"]["accurate"][:-1]
+
+
+def test_command_takes_a_quality_and_flags_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [each.value for each in main.QualityName] == list(STAGES["network"])
+    assert [each.value for each in main.StartName] == list(STAGES)
+    (tmp_path / "points.json").write_text(json.dumps(person("cpu")[0].points.tolist()))
+    given: list[FitOptions] = []
+
+    def refuse(*people: object, options: FitOptions, **rest: object) -> None:
+        given.append(options)
+        raise main.InputError("enough")
+
+    monkeypatch.setattr("warp_partdr.fit.fitting.fit_body", refuse)
+    for flags in ({}, {"quality": main.QualityName.fast}, {"quality": main.QualityName.accurate, "outline": False}):
+        with pytest.raises(main.InputError, match="enough"):
+            main.fit(
+                tmp_path / "points.json",
+                out=tmp_path / "out",
+                model="none",
+                keypoint_format="coco17",
+                device="cpu",
+                **flags,
+            )
+    assert [options.stages for options in given] == [
+        STAGES["network"]["balanced"],
+        STAGES["network"]["fast"],
+        STAGES["network"]["accurate"][:-1],
+    ]
+
+
+def test_unknown_quality_is_said(device: str) -> None:
+    keypoints, _ = person(device)
+    with pytest.raises(ValueError, match="quality: 'best'; expected fast, balanced, accurate"):
+        fit_body(keypoints, quality="best", device=device)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("start", STAGES)
+def test_qualities_are_in_order_of_work(start: Start) -> None:
+    """Pixels drawn: bodies times iterations times the area of the picture."""
+    work = {
+        quality: sum(stage.bodies * stage.iterations * stage.size**2 for stage in stages)
+        for quality, stages in STAGES[start].items()
+    }
+    assert 4 * work["fast"] < work["balanced"] < work["accurate"]

@@ -1,0 +1,127 @@
+"""Where fits start: the label network's body, or a search; and when the one gives way to the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from test_fitting import seen_by, walker
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions, stages_of
+from warp_partdr.fit.stages import STAGES, Stage
+from warp_partdr.inputs.observation import observe
+from warp_partdr.network.checkpoint import packaged_network, save_label_network
+from warp_partdr.network.label_network import LabelNetwork, LabelNetworkConfig
+from warp_partdr.network.predict import predict_bodies
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import refine
+
+QUICK = (Stage("lift", 16, 15, 0.1), Stage("labels", 2, 20, 0.03, 64))
+
+
+@pytest.fixture
+def astray(tmp_path):
+    """A network that has learned nothing."""
+    torch.manual_seed(0)
+    config = LabelNetworkConfig()
+    network = LabelNetwork(config)
+    for head in network.regressor.heads.values():
+        torch.nn.init.normal_(head.weight, std=0.3)
+    path = tmp_path / "astray.safetensors"
+    save_label_network(path, network.state_dict(), config, {})
+    return str(path)
+
+
+def test_a_fit_starts_from_the_network(device):
+    keypoints, parts = seen_by(walker(device))
+    result = fit_body(keypoints, parts, quality="fast", device=device)
+    assert result.start == "network"
+    assert result.hypotheses == 1
+    assert set(result.stage_seconds) == {"network", "labels"}
+
+
+def test_the_network_finds_somebody_it_never_saw(device):
+    body = walker(device)
+    keypoints, parts = seen_by(body)
+    found = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
+    off = (found.posed.joints - body.posed().joints).norm(dim=-1).mean()
+    assert float(off) < 0.12  # [m]
+    refined = fit_body(keypoints, parts, quality="fast", device=device)
+    size = parts.groups.shape
+    wrong = [float((each.draw(size).labels[0].cpu().numpy() != parts.groups).sum()) for each in (found, refined)]
+    assert wrong[1] < 0.8 * wrong[0]
+
+
+def test_without_stages_the_networks_body_stays_as_it_is(device):
+    keypoints, parts = seen_by(walker(device))
+    result = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
+    seen, _ = observe(keypoints, parts, device=device)
+    said = predict_bodies([seen], packaged_network(device if device == "cpu" else str(seen.points.device)))
+    assert torch.equal(result.parameters.rotations, said.rotations)
+    assert result.energy == {}
+    assert result.history == []
+
+
+def test_a_search_takes_over_from_a_network_gone_astray(device, astray):
+    keypoints, parts = seen_by(walker(device))
+    lost = FitOptions(stages=(), search=(), network=astray)
+    options = replace(lost, search=QUICK)
+    found, again = (fit_body(keypoints, parts, options=each, device=device) for each in (lost, options))
+    assert found.start == "network"
+    assert again.start == "search"
+    assert again.hypotheses > 2
+    assert {"network, network", "lift, search", "labels, search"} == set(again.stage_seconds)
+    alone = fit_body(keypoints, parts, options=FitOptions(stages=QUICK, start="search"), device=device)
+    assert torch.equal(again.parameters.rotations, alone.parameters.rotations)
+
+
+def test_the_better_of_both_wins(device, monkeypatch):
+    """Where a search is tried and finds nothing better, the network's body stays."""
+    monkeypatch.setattr("warp_partdr.fit.plausibility.MOST_OFF", 0.0)
+    keypoints, parts = seen_by(walker(device))
+    options = replace(FitOptions.at("fast"), search=(Stage("lift", 1, 1, 0.01), Stage("labels", 1, 1, 0.01, 32)))
+    result = fit_body(keypoints, parts, options=options, device=device)
+    assert result.start == "network"
+    assert result.hypotheses == 2
+
+
+def test_keypoints_alone_start_from_the_network_too(device):
+    keypoints, _ = seen_by(walker(device))
+    result = fit_body(keypoints, device=device)
+    assert result.start == "network"
+    assert [stage.size for stage in result.stages] == [0]
+
+
+def test_starts_are_checked():
+    with pytest.raises(ValueError, match="start: 'guess'; expected network, search"):
+        FitOptions(start="guess")
+    with pytest.raises(ValueError, match="start: 'guess'"):
+        FitOptions.at("fast", "guess")
+    keypoints, _ = seen_by(walker())
+    drawn = replace(FitOptions.at("fast", "search"), stages=STAGES["search"]["fast"][2:])
+    with pytest.raises(ValueError, match="none without labels"):
+        stages_of(drawn, None)
+    assert np.isfinite(fit_body(keypoints, options=replace(drawn, start="network")).posed.joints.numpy()).all()
+
+
+def test_expected_sizes_are_held_alike_on_both_paths(device):
+    keypoints, parts = seen_by(walker(device))
+    seen, _ = observe(keypoints, parts, device=device)
+    mean = BodyParameters.mean(2, device=device)
+    expected = replace(seen, lengths=0.6 * mean.lengths[0], thicknesses=1.4 * mean.thicknesses[0])
+    start = replace(mean, orientation=walker(device).orientation.expand(2, -1).contiguous())
+    energies = [Energy(each, 64, gradient="edges") for each in (seen, expected)]
+    terms = [energy(start) for energy in energies]
+    assert float(terms[0]["length"].max()) == 0
+    deviation = 400 * mean.lengths[0]
+    assert float(terms[1]["length"][0]) == pytest.approx(1e-3 * float(deviation.square().sum()), rel=1e-4)
+    slow, fast = (by(start, energies[1], iterations=10) for by in (refine, minimise))
+    assert torch.allclose(slow.energy, fast.energy, rtol=1e-3)
+    assert torch.allclose(slow.parameters.lengths, fast.parameters.lengths, atol=1e-3)
+    usual = minimise(start, energies[0], iterations=10)
+    assert float(fast.parameters.lengths.sum()) < 0.98 * float(usual.parameters.lengths.sum())

@@ -1,0 +1,254 @@
+"""The layout holds: each wing imports from those below it alone, files are small, and a name is defined once.
+
+``LEVELS`` is the order of the wings, lowest first. The limits are those that the code keeps today; they only go down.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# Folder of the repository: its place in the package.
+SOURCES = {"warp_partdr": "", "kernels": "kernels.", "body": "body.", "demos/viewer": "viewer."}
+LEVELS = (
+    "errors",
+    "kernels",
+    "interop",
+    "files",
+    "cameras",
+    "body",
+    "metrics",
+    "inputs",
+    "render",
+    "clothing",
+    "network",
+    "refinement",
+    "fit",
+    "synthetic",
+    "results",
+    "evaluation",
+    "bench",
+    "training",
+    "cli",
+    "viewer",
+)
+BESIDE_THE_WINGS = {"__init__", "__main__", "cameras", "errors", "metrics"}
+LONGEST_PRODUCT_FILE = 400
+LONGEST_TEST_FILE = 600
+MOST_PARAMETERS = 10
+# Files and functions that are larger still, to be made smaller; none may join them.
+LONG_FILES = {
+    "benchmarks/fuzz.py": 888,
+    "demos/two_triangles.py": 443,
+    "tests/cli/test_cli.py": 608,
+    "tests/clothing/test_detailed.py": 697,
+    "tests/inputs/test_inputs.py": 638,
+    "tests/render/test_ellipsoids.py": 838,
+    "tests/render/test_extremes.py": 712,
+    "tests/viewer/test_viewer.py": 811,
+    "warp_partdr/clothing/registration.py": 530,
+    "warp_partdr/render/mesh.py": 733,
+    "warp_partdr/results/plot.py": 465,
+    "warp_partdr/synthetic/mocap.py": 491,
+    "warp_partdr/synthetic/noise.py": 431,
+    "warp_partdr/synthetic/poses.py": 440,
+}
+LONG_SIGNATURES = {
+    "kernels/kinematics.py::pose_bones": 14,
+    "kernels/kinematics.py::pose_bones_adjoint": 18,
+    "kernels/mesh/push_xy.py::launch_push_edges": 14,
+    "kernels/mesh/push_xy.py::push_edges": 16,
+    "kernels/mesh/push_xy.py::reach_out": 11,
+    "kernels/mesh/push_z.py::draw_hidden_faces": 13,
+    "kernels/mesh/push_z.py::launch_push_depths": 11,
+    "kernels/mesh/push_z.py::push_depths": 14,
+    "kernels/registration.py::vertex_costs": 13,
+    "warp_partdr/cli/demo.py::demo": 22,
+    "warp_partdr/cli/main.py::fit": 21,
+    "warp_partdr/render/ellipsoid_ops.py::_loss_op": 18,
+    "warp_partdr/render/ellipsoid_ops.py::_maps_backward_op": 16,
+    "warp_partdr/render/ellipsoid_ops.py::_maps_op": 16,
+    "warp_partdr/render/ellipsoids.py::draw_ellipsoids": 13,
+    "warp_partdr/render/ellipsoids.py::ellipsoid_label_loss": 13,
+    "warp_partdr/render/mesh.py::_label_loss_backward_op": 18,
+    "warp_partdr/render/mesh.py::_label_loss_op": 13,
+    "warp_partdr/render/mesh.py::_part_maps_backward_op": 14,
+    "warp_partdr/render/mesh.py::_part_maps_op": 13,
+    "warp_partdr/render/mesh.py::label_loss": 11,
+    "warp_partdr/render/mesh.py::rasterize_parts": 11,
+}
+# Public names that stand twice.
+DEFINED_TWICE = set(
+    "DenseGradient Ellipsoids LabelTarget People Picture Plan Report Row Scene Skeleton compare_labels draw_chart "
+    "f1_scores findings gradient_at label_table landmarks main make_plan partbench place_vertices pose_bones "
+    "print_report push_crease push_edges push_outline rotation_from_6d rotation_from_axis_angle save_json score "
+    "skeleton target_of train turn_to turntable".split()
+)
+MOST_QUESTIONS = 302  # docstrings that begin so; 2 % is what is wanted
+QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
+
+pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Files by their dotted name in the package; of a folder, that of its ``__init__.py``."""
+    found = {}
+    for folder, prefix in SOURCES.items():
+        for path in (ROOT / folder).rglob("*.py"):
+            name = prefix + path.relative_to(ROOT / folder).with_suffix("").as_posix().replace("/", ".")
+            found[re.sub(r"\.?__init__$", "", name)] = path
+    return found
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """What each module imports of the package, also inside functions and for type checkers alone."""
+    graph: dict[str, set[str]] = {}
+    for name, path in modules().items():
+        graph[name] = {target for node in ast.walk(tree(path)) for target in _targets(name, path, node)}
+    return graph
+
+
+def _targets(name: str, path: Path, node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name.partition("warp_partdr.")[2] for alias in node.names if "warp_partdr." in alias.name)
+    if not isinstance(node, ast.ImportFrom):
+        return
+    if node.level:
+        package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+        base = [*package[: len(package) - node.level + 1], *([node.module] if node.module else [])]
+        source = ".".join(part for part in base if part)
+    elif (node.module or "").partition(".")[0] == "warp_partdr":
+        source = (node.module or "").partition(".")[2]
+    else:
+        return
+    for alias in node.names:
+        inner = f"{source}.{alias.name}".lstrip(".")
+        yield inner if inner in modules() else source
+
+
+def level(name: str) -> int:
+    return LEVELS.index(name.partition(".")[0])
+
+
+def product_files() -> list[Path]:
+    folders = ("warp_partdr", "kernels", "body", "demos", "benchmarks", "scripts")
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def short(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def lines(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def test_few_modules_lie_beside_the_wings():
+    assert {path.stem for path in (ROOT / "warp_partdr").glob("*.py")} == BESIDE_THE_WINGS
+
+
+def test_every_wing_has_its_level_and_says_what_it_holds():
+    wings = {name.partition(".")[0] for name in modules()} - {"", "__main__"}
+    assert wings == set(LEVELS)
+    for name, path in modules().items():
+        assert ast.get_docstring(tree(path)), f"{name}: no docstring"
+
+
+def test_imports_go_down():
+    top = {"", "__main__"}  # the table of public names, and the launcher
+    upward = [
+        f"{name} -> {target}"
+        for name, targets in imports().items()
+        for target in targets
+        if name not in top and target and level(target) > level(name)
+    ]
+    assert sorted(upward) == []
+
+
+def test_the_formula_book_is_read_by_tests_alone():
+    readers = [n for n, targets in imports().items() for t in targets if t.partition(".")[0] == "reference" != n[:9]]
+    assert readers == []
+
+
+def test_no_circles():
+    graph = {name: targets - {""} for name, targets in imports().items() if name}  # "": a lazy table of names
+    done: set[str] = set()
+    path: list[str] = []
+
+    def visit(name: str) -> None:
+        assert name not in path, f"circle: {' -> '.join([*path[path.index(name) :], name])}"
+        if name in done:
+            return
+        path.append(name)
+        for target in sorted(graph.get(name, ())):
+            visit(target)
+        done.add(path.pop())
+
+    for name in sorted(graph):
+        visit(name)
+
+
+def test_files_are_small():
+    limits = dict.fromkeys(product_files(), LONGEST_PRODUCT_FILE)
+    limits |= dict.fromkeys((ROOT / "tests").rglob("*.py"), LONGEST_TEST_FILE)
+    long = {
+        short(path): lines(path) for path, limit in limits.items() if lines(path) > LONG_FILES.get(short(path), limit)
+    }
+    assert long == {}
+    assert [name for name in LONG_FILES if lines(ROOT / name) <= limits[ROOT / name]] == [], "no longer long"
+
+
+def test_functions_take_few_parameters():
+    found = {}
+    for path in product_files():
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                count = sum(each.arg not in ("self", "cls") for each in arguments)
+                name = f"{short(path)}::{node.name}"
+                if count > MOST_PARAMETERS:
+                    found[name] = max(count, found.get(name, 0))
+    assert {name: count for name, count in found.items() if count > LONG_SIGNATURES.get(name, 0)} == {}
+    assert [name for name in LONG_SIGNATURES if name not in found] == [], "no longer long"
+
+
+def public_definitions() -> dict[str, set[str]]:
+    """Modules that define each public top-level function and class, type aliases and constants aside."""
+    where: dict[str, set[str]] = defaultdict(set)
+    for name, path in modules().items():
+        for node in tree(path).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                where[node.name].add(name)
+    return where
+
+
+def test_a_name_is_defined_once():
+    twice = {name: sorted(where) for name, where in public_definitions().items() if len(where) > 1}
+    assert {name: where for name, where in twice.items() if name not in DEFINED_TWICE} == {}
+    assert sorted(DEFINED_TWICE - twice.keys()) == [], "defined once now"
+
+
+def test_docstrings_begin_with_a_noun_or_a_verb():
+    texts = []
+    for path in product_files():
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                text = ast.get_docstring(node)
+                if text:
+                    texts.append((short(path), text.splitlines()[0]))
+    questions = [text for text in texts if re.match(QUESTIONS, text[1])]
+    assert len(questions) <= max(MOST_QUESTIONS, 0.02 * len(texts)), questions

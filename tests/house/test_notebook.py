@@ -1,0 +1,46 @@
+"""The notebook runs from top to bottom, shows what it tells of, and is kept without outputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from conftest import HANG
+from nbclient import NotebookClient
+
+NOTEBOOK = Path(__file__).resolve().parents[2] / "demos" / "partdr.ipynb"
+
+
+def read() -> nbformat.NotebookNode:
+    return nbformat.read(NOTEBOOK, as_version=4)
+
+
+def test_it_is_kept_without_outputs():
+    notebook = read()
+    nbformat.validate(notebook)
+    assert NOTEBOOK.stat().st_size < 50_000
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == []
+            assert cell.execution_count is None
+
+
+@pytest.mark.slow
+def test_it_runs_anywhere(monkeypatch, tmp_path):
+    """Nothing of it lies beside it, and it leaves nothing behind."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    notebook = read()
+    NotebookClient(notebook, timeout=HANG, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert list(tmp_path.iterdir()) == []
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    faults = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
+    assert faults == []
+    said = "".join(output.text for output in outputs if output.output_type == "stream")
+    for words in ("upper leg 39", "exact, partdr", "mesh E1, partdr"):
+        assert words in said
+    errors = [float(line.split(": ")[1].split("°")[0]) for line in said.splitlines() if "training: " in line]
+    before, after = errors
+    assert after < 0.75 * before
+    pictures = [output for output in outputs if "image/png" in output.get("data", {})]
+    assert len(pictures) == 12

@@ -1,0 +1,170 @@
+"""What a user gets: everything in the wheel, and a light import."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from configparser import ConfigParser
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+import warp_partdr
+
+ROOT = Path(__file__).resolve().parents[2]
+# Folder at the top of the repository: where it lies in the package.
+SOURCES = {
+    "warp_partdr": "warp_partdr",
+    "kernels": "warp_partdr/kernels",
+    "body": "warp_partdr/body",
+    "demos/viewer": "warp_partdr/viewer",
+}
+EXAMPLE_FILES = ("photo.png", "parts.png", "keypoints.json")
+# Loaded only when a feature needs it. The plain import starts not even torch and Warp.
+EXTRAS = {
+    "PIL",
+    "accelerate",
+    "anny",
+    "matplotlib",
+    "pyvista",
+    "rich",
+    "safetensors",
+    "scipy",
+    "tensorboard",
+    "transformers",
+    "trimesh",
+    "typer",
+    "vtk",
+    "vtkmodules",
+}
+NOT_AT_IMPORT = EXTRAS | {"numpy", "torch", "warp"}
+
+pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
+
+
+def _source_files() -> dict[str, Path]:
+    """Each file below the source folders, by the path it must have in the wheel."""
+    return {
+        f"{target}/{path.relative_to(ROOT / folder).as_posix()}": path
+        for folder, target in SOURCES.items()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """The wheel, built from a copy: a build folder left in the tree can't bring back files that are gone."""
+    copy, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
+    for folder in SOURCES:
+        shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    build = "import sys; from setuptools import build_meta; print(build_meta.build_wheel(sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", build, out], cwd=copy, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (path,) = out.glob("*.whl")
+    return zipfile.ZipFile(path)
+
+
+def test_every_python_folder_is_listed_as_a_package() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    there = {path.rpartition("/")[0].replace("/", ".") for path in _source_files() if path.endswith(".py")}
+    assert sorted(listed) == sorted(there), "tool.setuptools.packages must list every folder with Python files"
+
+
+def test_every_package_folder_has_an_init() -> None:
+    files = _source_files()
+    folders = {path.rpartition("/")[0] for path in files if path.endswith(".py")}
+    assert [folder for folder in sorted(folders) if f"{folder}/__init__.py" not in files] == []
+
+
+def test_every_source_file_is_in_the_wheel(wheel: zipfile.ZipFile) -> None:
+    assert sorted(set(_source_files()) - set(wheel.namelist())) == []
+
+
+def test_nothing_else_is_in_the_wheel(wheel: zipfile.ZipFile) -> None:
+    extra = set(wheel.namelist()) - set(_source_files())
+    assert [name for name in sorted(extra) if ".dist-info/" not in name] == []
+
+
+def test_assets_are_in_the_wheel(wheel: zipfile.ZipFile) -> None:
+    wanted = [f"warp_partdr/assets/example/{name}" for name in EXAMPLE_FILES]
+    wanted += ["warp_partdr/body/mean_body.json", "warp_partdr/py.typed"]
+    assert [name for name in wanted if name not in wheel.namelist()] == []
+
+
+def test_metadata(wheel: zipfile.ZipFile) -> None:
+    (folder,) = {name.partition("/")[0] for name in wheel.namelist() if ".dist-info/" in name}
+    metadata = Parser().parsestr(wheel.read(f"{folder}/METADATA").decode())
+    assert metadata["Version"] == warp_partdr.__version__
+    assert metadata["License-Expression"] == "Apache-2.0"
+    assert f"{folder}/licenses/LICENSE" in wheel.namelist()
+    scripts = ConfigParser()
+    scripts.read_string(wheel.read(f"{folder}/entry_points.txt").decode())
+    module, _, function = scripts["console_scripts"]["partdr"].partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_constraints_pin_every_direct_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = [
+        *project["dependencies"],
+        *(name for extra in project["optional-dependencies"].values() for name in extra),
+    ]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {line.partition("==")[0] for line in lines if "==" in line}
+    assert sorted({name.partition(">=")[0] for name in needed} - pinned) == []
+
+
+def _modules_loaded_by(code: str, folder: Path) -> set[str]:
+    """Top-level modules in a fresh process after ``code``; fails if it wrote anything into Warp's kernel cache."""
+    cache = folder / "kernels"
+    cache.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", f"import json, sys\n{code}\nprint(json.dumps(list(sys.modules)))"],
+        env={**os.environ, "WARP_CACHE_PATH": str(cache)},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path for path in cache.rglob("*") if path.is_file()] == [], "a kernel was compiled"
+    return {name.partition(".")[0] for name in json.loads(done.stdout.splitlines()[-1])}
+
+
+def test_import_is_light(tmp_path: Path) -> None:
+    assert sorted(_modules_loaded_by("import warp_partdr", tmp_path) & NOT_AT_IMPORT) == []
+
+
+def test_fetching_every_public_name_loads_no_extra_and_compiles_nothing(tmp_path: Path) -> None:
+    code = "import warp_partdr as p\nfor name in p.__all__: getattr(p, name)"
+    assert sorted(_modules_loaded_by(code, tmp_path) & EXTRAS) == []
+
+
+def test_every_public_name_is_there_and_no_submodule_hides_one() -> None:
+    for name in warp_partdr.__all__:
+        assert getattr(warp_partdr, name) is not None
+    assert dir(warp_partdr) == warp_partdr.__all__  # whatever is loaded by now
+    modules = {path.stem for path in (ROOT / "warp_partdr").glob("*.py")} | {"body", "kernels"}
+    assert sorted(modules & set(warp_partdr.__all__)) == []
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = warp_partdr.no_such_name
+
+
+def test_type_checkers_see_the_names_that_users_see() -> None:
+    """The imports under TYPE_CHECKING and the table of lazy names are the same."""
+    tree = ast.parse((ROOT / "warp_partdr" / "__init__.py").read_text())
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    seen = {
+        alias.asname: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert seen == warp_partdr._EXPORTS

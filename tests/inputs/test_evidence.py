@@ -1,0 +1,341 @@
+"""Labels that contradict keypoints: sides exchanged, strangers' blobs, other ids; what is mended, told, left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
+from warp_partdr.body.landmarks import mirror_name
+from warp_partdr.cameras import Crop
+from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.result import FitResult
+from warp_partdr.inputs.agreement import Agreement, compare_sides, disagreement
+from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
+from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.inputs.part_labels import PartLabels, read_parts
+from warp_partdr.inputs.person import select_person
+from warp_partdr.inputs.stray_labels import ignore_stray_labels
+from warp_partdr.results.save import compare_labels, compared_labels, draw_overlay
+
+EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
+CDCL = label_set("cdcl14")
+PHOTOS = ("000000032081", "000000203864", "000000468632")
+MOST_LOST = 0.03  # part F1
+
+Person = tuple[Keypoints2D, PartLabels]
+
+
+@cache
+def example() -> Person:
+    return read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", CDCL)
+
+
+def photo(shared: Path, name: str) -> Person:
+    parts = read_parts(shared / "data" / "people" / f"{name}.parts.png", CDCL)
+    people = read_keypoints(shared / "data" / "people" / f"{name}.keypoints.json")
+    return choose_person(people, parts.groups), parts
+
+
+def group(name: str) -> int:
+    return CDCL.group_names.index(name) + 1
+
+
+def mirrored_labels(parts: PartLabels, *kinds: str) -> PartLabels:
+    """Left and right of all groups, or of some kinds of them, exchanged."""
+    table = np.arange(256, dtype=np.uint8)
+    for name in CDCL.group_names:
+        if not kinds or name.partition("_")[2] in kinds:
+            table[group(name)] = group(mirror_name(name))
+    return replace(parts, groups=table[parts.groups])
+
+
+def mirrored_keypoints(keypoints: Keypoints2D, *joints: str) -> Keypoints2D:
+    mirror = np.arange(len(keypoints.format))
+    for i, name in enumerate(keypoints.format.landmarks):
+        if not joints or name.partition("_")[2] in joints:
+            mirror[i] = keypoints.format.mirror[i]
+    return replace(keypoints, points=keypoints.points[mirror], confidence=keypoints.confidence[mirror])
+
+
+def place(keypoints: Keypoints2D, name: str) -> np.ndarray:
+    return keypoints.points[keypoints.format.landmarks.index(name)]
+
+
+def over_leg(person: Person, side: str) -> np.ndarray:
+    """A rectangle over one leg from below the hip, a mask (H, W)."""
+    keypoints, parts = person
+    height = person_height(keypoints)
+    joints = np.array([place(keypoints, f"{side}_{joint}") for joint in ("hip", "knee", "ankle")])
+    (x0, y0), (x1, y1) = joints.min(0) - 0.06 * height, joints.max(0) + 0.06 * height
+    if joints[0, 1] < joints[2, 1]:
+        y0 = joints[0, 1] + 0.05 * height
+    mask = np.zeros(parts.groups.shape, dtype=bool)
+    mask[max(int(y0), 0) : int(y1), max(int(x0), 0) : int(x1)] = True
+    return mask
+
+
+def painted(parts: PartLabels, mask: np.ndarray, label: int) -> PartLabels:
+    return replace(parts, groups=np.where(mask, label, parts.groups).astype(np.uint8))
+
+
+def part_f1(result: FitResult, person: Person) -> float:
+    """Of LSP's parts, against a person's own labels."""
+    target = select_person(person[1].groups, person[0])
+    shown = CDCL.part_groups[result.draw(target.shape).labels[0].numpy()]
+    return float(compare_labels(shown, target, CDCL)["parts_lsp6"]["part_f1"])
+
+
+def check_mended(person: Person) -> None:
+    """The default fit loses at most ``MOST_LOST`` with sides exchanged and with a blob over a leg."""
+    keypoints, parts = person
+    clean = fit_body(keypoints, parts)
+    assert clean.warnings == ()
+    for contrary in (fit_body(keypoints, mirrored_labels(parts)), fit_body(mirrored_keypoints(keypoints), parts)):
+        assert part_f1(contrary, person) >= part_f1(clean, person) - MOST_LOST
+        assert len(contrary.warnings) == 1
+        assert "left and right exchanged" in contrary.warnings[0]
+    for side in ("left", "right"):
+        mask = over_leg(person, side)
+        spoiled = fit_body(keypoints, painted(parts, mask, group("torso")))
+        told = fit_body(keypoints, painted(parts, mask, IGNORE))
+        assert part_f1(spoiled, person) >= part_f1(told, person) - MOST_LOST
+        assert any("torso" in warning for warning in spoiled.warnings)
+        assert told.warnings == ()
+
+
+def test_the_example_with_contradictions_ends_where_it_does_without() -> None:
+    check_mended(example())
+
+
+@pytest.mark.parametrize("name", PHOTOS)
+def test_photos_with_contradictions_end_where_they_do_without(name: str, shared: Path) -> None:
+    check_mended(photo(shared, name))
+
+
+# --- Sides -----------------------------------------------------------------------------------------------------------
+
+
+def test_agreement_along_the_bones() -> None:
+    keypoints, parts = example()
+    for limb, found in compare_sides(parts.groups, keypoints, CDCL).items():
+        assert found.own > 150, limb
+        assert found.mirrored == 0
+        assert not found.swapped
+    for found in compare_sides(mirrored_labels(parts).groups, keypoints, CDCL).values():
+        assert found.swapped
+
+
+@pytest.mark.parametrize(
+    ("own", "mirrored", "swapped"), [(0, 24, True), (0, 23, False), (25, 75, True), (26, 75, False), (100, 100, False)]
+)
+def test_legs_of_which_one_hides_the_other_are_not_exchanged(own: int, mirrored: int, swapped: bool) -> None:
+    assert Agreement(own, mirrored, other=50).swapped == swapped
+
+
+def test_a_set_without_sides_has_none_to_compare() -> None:
+    keypoints, parts = example()
+    pascal = label_set("pascal6")
+    groups = pascal.from_parts(np.where(parts.groups > 0, 10, 0))
+    assert compare_sides(groups, keypoints, pascal) == {}
+    assert len(weigh_evidence(keypoints, PartLabels(pascal, groups))) == 1
+
+
+@pytest.mark.parametrize(
+    ("kinds", "limb"),
+    [((), ""), (("upper_arm", "forearm", "hand"), " of arms"), (("upper_leg", "lower_leg", "foot"), " of legs")],
+)
+def test_two_readings_of_exchanged_sides(kinds: tuple[str, ...], limb: str) -> None:
+    keypoints, parts = example()
+    contrary = mirrored_labels(parts, *kinds)
+    ours, theirs = weigh_evidence(keypoints, contrary)
+    assert ours.groups is not None
+    assert theirs.groups is not None
+    np.testing.assert_array_equal(ours.groups, select_person(parts.groups, keypoints))
+    np.testing.assert_array_equal(ours.keypoints.points, keypoints.points)
+    np.testing.assert_array_equal(theirs.groups, select_person(contrary.groups, keypoints))
+    moved = (theirs.keypoints.points != keypoints.points).any(axis=1)
+    assert moved.sum() == {"": 16, " of arms": 4, " of legs": 4}[limb]
+    np.testing.assert_array_equal(theirs.keypoints.points[moved], keypoints.points[keypoints.format.mirror][moved])
+    assert [each.warnings for each in (ours, theirs)] == [
+        (f"labels: left and right{limb} exchanged, say the keypoints; taken so",),
+        (f"keypoints: left and right{limb} exchanged, say the labels; taken so",),
+    ]
+
+
+def test_probabilities_change_sides_with_their_groups() -> None:
+    keypoints, parts = example()
+    mirrored = mirrored_labels(parts)
+    maps = (mirrored.groups == np.arange(CDCL.num_groups + 1)[:, None, None]).astype(np.float32)
+    ours, theirs = weigh_evidence(keypoints, replace(mirrored, maps=maps))
+    assert ours.labels.maps is not None
+    np.testing.assert_array_equal(ours.labels.maps.argmax(0), parts.groups)
+    np.testing.assert_array_equal(ours.labels.groups, parts.groups)
+    np.testing.assert_array_equal(theirs.labels.maps, maps)
+
+
+@pytest.mark.parametrize("start", ["network", "search"])
+def test_the_wrong_one_is_mended_whichever_it_is(start: str) -> None:
+    keypoints, parts = example()
+    options = FitOptions.at("fast", start)  # type: ignore[arg-type]
+    clean = fit_body(keypoints, parts, options=options)
+    for contrary in ((keypoints, mirrored_labels(parts)), (mirrored_keypoints(keypoints), parts)):
+        mended = fit_body(*contrary, options=options)
+        np.testing.assert_array_equal(mended.parameters.rotations, clean.parameters.rotations)
+        np.testing.assert_array_equal(mended.evidence.keypoints.points, keypoints.points)
+        assert mended.start == clean.start
+
+
+# --- Blobs -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_blob_far_from_its_bones_is_ignored_and_the_part_itself_is_not() -> None:
+    keypoints, parts = example()
+    mask = over_leg(example(), "left")
+    cleaned, names = ignore_stray_labels(painted(parts, mask, group("torso")).groups, keypoints, CDCL)
+    assert names == {"torso"}
+    assert (cleaned[mask] == IGNORE).mean() > 0.9
+    assert (cleaned[~mask] == parts.groups[~mask]).all()
+
+
+def test_nothing_is_a_blob_where_nothing_is_wrong() -> None:
+    keypoints, parts = example()
+    cleaned, names = ignore_stray_labels(parts.groups, keypoints, CDCL)
+    assert names == set()
+    np.testing.assert_array_equal(cleaned, parts.groups)
+
+
+@pytest.mark.parametrize("joint", ["left_hip", "right_shoulder"])
+def test_without_the_trunks_keypoints_no_torso_is_stray(joint: str) -> None:
+    keypoints, parts = example()
+    confidence = keypoints.confidence.copy()
+    confidence[keypoints.format.landmarks.index(joint)] = 0.1
+    groups = painted(parts, over_leg(example(), "left"), group("torso")).groups
+    assert ignore_stray_labels(groups, replace(keypoints, confidence=confidence), CDCL)[1] == set()
+
+
+def test_a_part_that_is_all_elsewhere_puts_its_keypoints_in_doubt() -> None:
+    keypoints, parts = example()
+    moved = np.where(parts.groups == group("torso"), BACKGROUND, parts.groups)
+    moved[over_leg(example(), "left")] = group("torso")
+    assert ignore_stray_labels(moved.astype(np.uint8), keypoints, CDCL)[1] == set()
+
+
+# --- Other ids -------------------------------------------------------------------------------------------------------
+
+
+def test_labels_of_another_set_are_told() -> None:
+    keypoints, parts = example()
+    ids = CDCL.to_ids(parts.groups)
+    for name in ("sapiens28", "atr18"):
+        other = label_set(name)
+        contrary = PartLabels(other, other.to_groups(ids))
+        assert disagreement(select_person(contrary.groups, keypoints), keypoints, other) > 1.0
+        assert any(f"are these ids of {name}?" in text for text in weigh_evidence(keypoints, contrary)[0].warnings)
+
+
+def test_people_with_noise_are_not_told_that_their_labels_are_others() -> None:
+    for index in range(20):
+        sample = make_sample(index, "realistic")
+        assert sample.parts is not None
+        selected = select_person(sample.parts.groups, sample.keypoints, sample.others)
+        assert disagreement(selected, sample.keypoints, CDCL) < 0.9
+
+
+def test_an_implausible_end_is_told() -> None:
+    keypoints, parts = example()
+    twenty = label_set("ellipbody20")
+    wrong = PartLabels(twenty, twenty.to_groups(CDCL.to_ids(parts.groups)))
+    result = fit_body(keypoints, wrong, options=FitOptions(search=()))
+    assert any("are these ids of ellipbody20?" in warning for warning in result.warnings)
+    points = keypoints.points[np.random.default_rng(0).permutation(len(keypoints.points))]
+    result = fit_body(replace(keypoints, points=points), options=FitOptions(search=()))
+    assert [warning.split(":")[0] for warning in result.warnings] == ["keypoints"]
+
+
+# --- Large pictures --------------------------------------------------------------------------------------------------
+
+
+def enlarged(person: Person, factor: int) -> Person:
+    keypoints, parts = person
+    groups = np.kron(parts.groups, np.ones((factor, factor), dtype=np.uint8))
+    return replace(keypoints, points=keypoints.points * np.float32(factor)), replace(parts, groups=groups)
+
+
+def test_a_large_picture_is_looked_at_in_a_window() -> None:
+    large, small = enlarged(example(), 6), example()
+    (seen,) = weigh_evidence(*large)
+    assert max(seen.window.size) <= WINDOW_SIDE
+    assert seen.groups is not None
+    assert seen.groups.shape == seen.window.size
+    target = seen.target(small[1].groups.shape)
+    expected = select_person(small[1].groups, small[0])
+    assert (target != expected).mean() < 5e-3
+    coarse = seen.target((300, 225))  # what lies under each of its pixels' centres: nothing moves
+    places, wanted = (np.argwhere(each == group("torso")).mean(0) + 0.5 for each in (coarse, expected))
+    np.testing.assert_allclose(places / (300, 225), wanted / expected.shape, atol=5e-4)
+    whole = seen.target(large[1].groups.shape)
+    assert whole.shape == large[1].groups.shape
+    assert (whole != select_person(large[1].groups, large[0])).mean() < 5e-3
+    fitted, plain = (fit_body(*person, quality="fast") for person in (large, small))
+    scale = float(fitted.camera.scale / plain.camera.scale)
+    assert scale == pytest.approx(6, rel=5e-3)
+    assert part_f1(fitted, large) == pytest.approx(part_f1(plain, small), abs=5e-3)
+
+
+def test_a_small_person_in_a_large_picture_is_seen_pixel_by_pixel() -> None:
+    keypoints, parts = example()
+
+    def inside(size: tuple[int, int], top: int, left: int) -> Person:
+        groups = np.zeros(size, dtype=np.uint8)
+        groups[top : top + 512, left : left + 384] = parts.groups
+        return replace(keypoints, points=keypoints.points + np.float32([left, top])), replace(parts, groups=groups)
+
+    moved, large = inside((2400, 1700), 1000, 700)
+    large.groups[2300:, 1600:] = group("torso")  # somebody else
+    (seen,) = weigh_evidence(moved, large)
+    assert seen.window.zoom == 1.0
+    target = seen.target(large.groups.shape)
+    np.testing.assert_array_equal(target[1000:1512, 700:1084], select_person(parts.groups, keypoints))
+    assert (target[2300:, 1600:] == IGNORE).all()
+    (there, crop), (here, same) = (
+        crop_evidence(weigh_evidence(*person)[0])
+        for person in ((moved, large), inside((WINDOW_SIDE, WINDOW_SIDE), 128, 192))
+    )
+    assert there.labels is not None
+    assert here.labels is not None
+    np.testing.assert_array_equal(there.labels, here.labels)
+    np.testing.assert_allclose(there.points, here.points, atol=1e-6)
+    assert (crop.left - same.left, crop.top - same.top, crop.zoom) == (508, 872, same.zoom)
+
+
+def test_scores_of_a_large_picture_are_of_a_smaller_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = fit_body(*example(), quality="fast")
+    plain = compare_labels(*compared_labels(result, (512, 384)), CDCL)
+    monkeypatch.setattr("warp_partdr.results.save.OVERLAY_SIDE", 256)
+    shown, target = compared_labels(result, (512, 384))
+    assert shown.shape == target.shape == (256, 192)
+    assert compare_labels(shown, target, CDCL)["parts"]["part_f1"] == pytest.approx(plain["parts"]["part_f1"], abs=0.01)
+
+
+def test_evidence_without_labels_has_no_target() -> None:
+    seen = Evidence(example()[0], None, Crop(0.0, 0.0, 1.0, (1, 1)), None)
+    for ask in (lambda: seen.target((4, 4)), lambda: seen.labels):
+        with pytest.raises(ValueError, match=r"evidence: without part labels; expected some"):
+            ask()
+
+
+def test_overlay_of_keypoints_taken_for_the_other_side_is_the_same_picture() -> None:
+    """The keypoints are drawn as they were believed to be: sides have colours."""
+    keypoints, parts = example()
+    clean, mended = fit_body(keypoints, parts), fit_body(mirrored_keypoints(keypoints), parts)
+    first, second = (np.asarray(draw_overlay(result, parts.groups.shape)) for result in (clean, mended))
+    np.testing.assert_array_equal(first, second)

@@ -1,0 +1,60 @@
+"""Keypoints that are to be relied on, and the stature that each bone tells."""
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.body.skeletons import SKELETONS, skeleton
+from warp_partdr.inputs.keypoint_files import parse_keypoints
+from warp_partdr.inputs.keypoints import MIN_CONFIDENCE, Keypoints2D, person_height
+
+COCO = skeleton("coco17").landmarks
+
+
+def test_confidence_of_the_least_is_enough():
+    confidence = np.full(17, 0.9, np.float32)
+    confidence[0] = MIN_CONFIDENCE
+    confidence[1] = np.nextafter(np.float32(MIN_CONFIDENCE), np.float32(0.0))
+    confidence[2] = 0.0
+    keypoints = Keypoints2D("coco17", np.zeros((17, 2), np.float32), confidence)
+    assert keypoints.confident[:3].tolist() == [True, False, False]
+    assert keypoints.visible[:3].tolist() == [True, True, False]
+    doubtful = Keypoints2D("coco17", keypoints.points, np.minimum(confidence, np.float32(0.2)))
+    np.testing.assert_array_equal(doubtful.confident, doubtful.visible)  # then any will do
+
+
+@pytest.mark.parametrize("bone", ["shoulder-hip", "hip-knee", "knee-ankle", "shoulder-elbow", "elbow-wrist"])
+def test_bones_are_the_mean_bodys_shares_of_its_height(bone):
+    """Whichever bone alone is seen, the mean adult is as tall as it stands, from its soles to the top of its head."""
+    body, scale = BodyParameters.mean(1), 100.0
+    posed = body.posed()
+    stature = float(np.ptp(posed.vertices(3)[0, :, 1].numpy()))
+    points = scale * LandmarkGather(COCO, "cpu")(posed)[0, :, :2].numpy()
+    confidence = np.zeros(17, np.float32)
+    for end in bone.split("-"):
+        confidence[[COCO.index(f"{side}_{end}") for side in ("left", "right")]] = 1
+    keypoints = Keypoints2D("coco17", points.astype(np.float32), confidence)
+    assert person_height(keypoints) == pytest.approx(scale * stature, rel=0.05)
+    assert torch.isfinite(posed.joints).all()
+
+
+@pytest.mark.parametrize(
+    ("count", "name"), [(17, "coco17"), (25, "body25"), (33, "blazepose33"), (14, "lsp14"), (16, "mpii16")]
+)
+def test_the_number_of_keypoints_tells_their_format(count, name):
+    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint, 0.5] for joint in range(count)]
+    for data in (rows, [value for row in rows for value in row]):
+        (keypoints,) = parse_keypoints(data)
+        assert keypoints.skeleton == name
+        assert len(SKELETONS[name]) == count
+
+
+def test_keypoints_on_the_pictures_border_are_there():
+    """Without confidences, (0, 0) alone says that a keypoint is missing."""
+    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint] for joint in range(17)]
+    rows[1], rows[2], rows[3] = [0.0, 50.0], [50.0, 0.0], [0.0, 0.0]
+    (keypoints,) = parse_keypoints(rows)
+    assert np.flatnonzero(~keypoints.visible).tolist() == [3]
+    assert keypoints.points[1:3].tolist() == [[0.0, 50.0], [50.0, 0.0]]

@@ -1,0 +1,310 @@
+"""Second derivatives: the body's are true, those of what is drawn are an error, and torch.func finds either."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from test_posing import random_parameters
+from test_registration import ellipbodies
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.posing import pose
+from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_axis_angle
+from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.pose import pose_from_ellipbody
+from warp_partdr.clothing.registration import _VertexCosts, vertex_parts
+from warp_partdr.metrics import align_similarity, mpjpe
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import ellipbody_mesh
+
+SIZE = (24, 20)
+NAMES = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
+
+
+def everything(*parameters):
+    """Each tensor of posed bodies."""
+    posed = pose(*parameters)
+    return posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes, posed.vertices(0)
+
+
+def cubes(*parameters):
+    """A number that hangs on each tensor of posed bodies, with derivatives of all orders."""
+    return torch.stack([tensor.pow(3).sum() for tensor in everything(*parameters)]).sum()
+
+
+def gradients(function, inputs, **options):
+    return torch.autograd.grad(function(*inputs), inputs, **options)
+
+
+def assert_second_derivative(function, *inputs):
+    """The gradient's derivative in a random direction, against differences of ordinary gradients."""
+    generator = torch.Generator().manual_seed(0)
+    inputs = [tensor.detach().requires_grad_() for tensor in inputs]
+    ways = [torch.randn(x.shape, generator=generator, dtype=x.dtype).to(x.device) for x in inputs]
+    first = gradients(function, inputs, create_graph=True)
+    for have, want in zip(first, gradients(function, inputs), strict=True):
+        torch.testing.assert_close(have, want)
+    along = torch.stack([(slope * way).sum() for slope, way in zip(first, ways, strict=True)]).sum()
+    second = torch.autograd.grad(along, inputs)
+    step = 1e-5
+    ahead, behind = (
+        gradients(
+            function, [(x + sign * step * way).detach().requires_grad_() for x, way in zip(inputs, ways, strict=True)]
+        )
+        for sign in (1, -1)
+    )
+    for have, high, low in zip(second, ahead, behind, strict=True):
+        want = (high - low) / (2 * step)
+        assert want.abs().max() > 0
+        torch.testing.assert_close(have, want, rtol=1e-5, atol=1e-7 * float(want.abs().max()) + 1e-9)
+
+
+# --- the body: true second derivatives ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wanted", [*NAMES, "all"])
+def test_double_backward_by_finite_differences(device, wanted):
+    parameters = random_parameters(3, 1, device)
+    for name, parameter in zip(NAMES, parameters, strict=True):
+        parameter.requires_grad_(wanted in (name, "all"))
+    assert torch.autograd.gradcheck(everything, parameters, fast_mode=True)
+    assert torch.autograd.gradgradcheck(everything, parameters, fast_mode=True)
+
+
+def test_second_derivative_of_each_argument(device):
+    assert_second_derivative(cubes, *random_parameters(4, 2, device))
+
+
+def test_hessian_of_lengths(device):
+    orient, translation, rotations, lengths, thicknesses = random_parameters(5, 1, device)
+
+    def squares(lengths):
+        return pose(orient, translation, rotations, lengths, thicknesses).joints.square().sum()
+
+    hessian = torch.autograd.functional.hessian(squares, lengths).reshape(12, 12)
+    step = 1e-5
+    for index in range(12):
+        moved = [lengths.clone().requires_grad_() for _ in range(2)]
+        with torch.no_grad():
+            moved[0][0, index] += step
+            moved[1][0, index] -= step
+        high, low = (gradients(squares, [each])[0] for each in moved)
+        torch.testing.assert_close(hessian[index], ((high - low) / (2 * step))[0], rtol=1e-6, atol=1e-8)
+    assert hessian.diagonal().min() > 1
+
+
+def test_gradient_penalty_moves_what_stands_behind_the_body(device):
+    """As in training: parameters come from others, and of two arguments one is a function of the other."""
+    parameters = random_parameters(6, 2, device)
+
+    def penalty(factor, create_graph=True):
+        lengths = parameters[3] * factor
+        thicknesses = lengths.mean() * parameters[4]
+        posed = pose(*parameters[:3], lengths, thicknesses)
+        value = posed.vertices(0).pow(3).sum() + posed.joints.pow(3).sum()
+        slopes = torch.autograd.grad(value, (lengths, thicknesses), create_graph=create_graph)
+        return torch.stack([slope.square().sum() for slope in slopes]).sum()
+
+    factor = torch.tensor(1.1, dtype=torch.float64, device=device, requires_grad=True)
+    (have,) = torch.autograd.grad(penalty(factor), factor)
+    step = 1e-5
+    high, low = (penalty((factor + sign * step).detach().requires_grad_(), create_graph=False) for sign in (1, -1))
+    torch.testing.assert_close(have, (high - low) / (2 * step), rtol=1e-6, atol=0.0)
+
+
+def test_third_derivative(device):
+    orient, translation, rotations, lengths, thicknesses = random_parameters(7, 1, device)
+
+    def slope_squared(lengths):
+        parameters = (orient, translation * lengths.sum(), rotations, lengths, thicknesses)
+        (slope,) = torch.autograd.grad(cubes(*parameters), lengths, create_graph=True)
+        return slope.square().sum()
+
+    assert_second_derivative(slope_squared, lengths)
+
+
+def test_no_body_at_all(device):
+    parameters = [tensor[:0].requires_grad_() for tensor in random_parameters(0, 1, device)]
+    first = gradients(cubes, parameters, create_graph=True)
+    torch.stack([slope.sum() for slope in first]).sum().backward()
+    assert parameters[3].grad.shape == (0, 12)
+
+
+def test_other_functions_of_poses(device):
+    turns = torch.randn(1, 20, 3, dtype=torch.float64).to(device) * 0.3
+    six, up = (torch.randn(*shape, dtype=torch.float64).to(device) for shape in ((2, 6), (1, 3)))
+    points = torch.randn(2, 5, 3, dtype=torch.float64).to(device) + torch.tensor([0.0, 0.0, 5.0]).to(device)
+    pair, pairs = six[:, 0].exp(), six[:, :2].exp()
+    prior = PosePrior().to(device, torch.float64)
+    assert_second_derivative(lambda x: rotation_from_axis_angle(x).pow(3).sum(), turns)
+    assert_second_derivative(lambda x: rotation_from_axis_angle(x).pow(3).sum(), turns * 0)
+    assert_second_derivative(lambda x: rotation_from_6d(x).pow(3).sum(), six)
+    assert_second_derivative(lambda x: rotation_to_axis_angle(x).pow(3).sum(), rotation_from_axis_angle(turns))
+    assert_second_derivative(lambda x, y: prior(x, y).sum(), turns, up)
+    assert_second_derivative(lambda x: prior.joint_limits(x).sum(), turns * 6)
+    assert_second_derivative(lambda s, t, x: WeakPerspective(s, t).project(x).square().sum(), pair, six[:, :2], points)
+    assert_second_derivative(lambda f, c, x: Perspective(f, c).project(x).square().sum(), pairs, six[:, 2:4], points)
+    assert_second_derivative(lambda x: mpjpe(x, points.roll(1, 1)).sum(), points)
+    assert_second_derivative(lambda x: mpjpe(align_similarity(x, points.roll(1, 1)), points).sum(), points)
+
+
+def test_detailed_model(device):
+    model = anny(torch.device(device)).to(dtype=torch.float64)
+    orient, translation, rotations, lengths, thicknesses = random_parameters(8, 1, device)
+    shape = torch.randn(1, model.num_shapes, dtype=torch.float64).to(device) * 0.3
+
+    def clothed(shape, turns, lengths):
+        posed = pose(orient, translation, rotation_from_axis_angle(turns), lengths, thicknesses)
+        local, place = pose_from_ellipbody(model, posed, shape)
+        return model.pose(shape, local, place).vertices.square().mean()
+
+    turns = rotation_to_axis_angle(rotations) * 0.2
+    assert_second_derivative(clothed, shape, turns, lengths)
+
+
+# --- torch.func ---------------------------------------------------------------------------------------------------
+
+
+def test_torch_func_on_the_body(device):
+    parameters = random_parameters(9, 2, device)
+    leaves = [tensor.clone().requires_grad_() for tensor in parameters]
+    want = gradients(cubes, leaves)
+    have = torch.func.grad(cubes, argnums=(0, 1, 2, 3, 4))(*parameters)
+    for one, other in zip(have, want, strict=True):
+        torch.testing.assert_close(one, other)
+
+    def of_lengths(lengths):
+        return cubes(*parameters[:3], lengths, parameters[4])
+
+    hessian = torch.autograd.functional.hessian(of_lengths, parameters[3])
+    torch.testing.assert_close(torch.func.hessian(of_lengths)(parameters[3]), hessian)
+    torch.testing.assert_close(torch.func.jacrev(torch.func.grad(of_lengths))(parameters[3]), hessian)
+    several = [torch.stack([tensor, tensor.flip(0)]) for tensor in parameters]
+    together = torch.func.vmap(lambda *each: pose(*each).vertices(1))(*several)
+    torch.testing.assert_close(together[1], pose(*parameters).vertices(1).flip(0))
+
+
+# --- what is drawn: an error --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(device) -> dict[str, tuple[Callable[[torch.Tensor], torch.Tensor], torch.Tensor]]:
+    """By public function: a loss of its gradient's input, and that input."""
+    body = BodyParameters.mean(2, device=device)
+    posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
+    vertices = camera.project(posed.vertices(0)).detach()
+    target = rasterize_parts(vertices, mesh, SIZE).labels.roll(2, 2)
+
+    def ellipsoids(centres: torch.Tensor) -> Ellipsoids:
+        return Ellipsoids(centres, posed.axes, posed.semi_axes)
+
+    return {
+        "rasterize_parts": (
+            lambda v: rasterize_parts(v, mesh, SIZE, num_maps=20).maps.square().sum(),
+            vertices,
+        ),
+        "label_loss": (lambda v: label_loss(v, mesh, target)[0].sum(), vertices),
+        "draw_ellipsoids": (
+            lambda c: draw_ellipsoids(ellipsoids(c), camera, SIZE, num_maps=20).maps.square().sum(),
+            posed.centres,
+        ),
+        "ellipsoid_label_loss": (
+            lambda c: ellipsoid_label_loss(ellipsoids(c), camera, target)[0].sum(),
+            posed.centres,
+        ),
+    }
+
+
+DRAWN = ["rasterize_parts", "label_loss", "draw_ellipsoids", "ellipsoid_label_loss"]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_second_derivative_of_a_picture_is_an_error(drawn, name):
+    loss, given = drawn[name]
+    leaf = given.clone().requires_grad_()
+    (first,) = gradients(loss, [leaf])
+    assert first.abs().max() > 0
+    (again,) = gradients(loss, [leaf], create_graph=True)
+    torch.testing.assert_close(again, first, rtol=1e-4, atol=1e-4)
+    for try_it in (
+        lambda: again.square().sum().backward(),
+        lambda: torch.autograd.functional.hessian(loss, given),
+        lambda: gradients(lambda x: gradients(lambda y: loss(y).square(), [x], create_graph=True)[0].sum(), [leaf]),
+    ):
+        with pytest.raises(NotImplementedError, match=f"^{name}: differentiated twice; expected once"):
+            try_it()
+
+
+@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize(
+    "transform",
+    [torch.func.grad, torch.func.jacrev, torch.func.hessian, torch.func.vmap],
+    ids=["grad", "jacrev", "hessian", "vmap"],
+)
+def test_torch_func_on_a_picture_is_an_error(drawn, name, transform):
+    loss, given = drawn[name]
+    if transform is torch.func.vmap:
+        given = torch.stack([given, given])
+    with pytest.raises(NotImplementedError, match=rf"^{name}: called under torch\.func; expected plain tensors"):
+        transform(loss)(given)
+
+
+def test_torch_func_on_targets_is_an_error(device, drawn):
+    body = BodyParameters.mean(1, device=device)
+    posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
+    targets = torch.zeros(3, 1, *SIZE, dtype=torch.uint8, device=device)
+    vertices = camera.project(posed.vertices(0))
+    with pytest.raises(NotImplementedError, match=r"^label_loss: called under torch\.func"):
+        torch.func.vmap(lambda target: label_loss(vertices, mesh, target)[0])(targets)
+    with pytest.raises(NotImplementedError, match=r"^ellipsoid_label_loss: called under torch\.func"):
+        torch.func.vmap(lambda target: ellipsoid_label_loss(posed, camera, target)[0])(targets)
+
+
+def test_the_compiled_operations_have_no_second_derivative(device):
+    body = BodyParameters.mean(1, device=device)
+    posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
+    ops, weights = torch.ops.warp_partdr, torch.ones(256, device=device)
+    target = torch.zeros(1, *SIZE, dtype=torch.uint8, device=device)
+    far = float("inf")
+    shown = (*SIZE, -far, False, list(range(1, 21)), "coverage", True, far, 1.0, 1.0, 4)
+    rest = (posed.axes, posed.semi_axes, camera.intrinsics)
+    drawing = (mesh.faces, mesh.face_labels, mesh.edges)
+    rules = (-far, False, False, True, far, 1.0)
+    for name, function, given in (
+        ("draw_ellipsoids", lambda c: ops.ellipsoid_maps(c, *rest, 20, *shown)[0].square().sum(), posed.centres),
+        (
+            "ellipsoid_label_loss",
+            lambda c: ops.ellipsoid_label_loss(c, *rest, target, weights, True, *shown)[0].sum(),
+            posed.centres,
+        ),
+        (
+            "rasterize_parts",
+            lambda v: ops.part_maps(v, *drawing, 20, *SIZE, *rules)[0].square().sum(),
+            camera.project(posed.vertices(0)),
+        ),
+        (
+            "label_loss",
+            lambda v: ops.label_loss(v, *drawing, target, weights, 20, *rules)[0].sum(),
+            camera.project(posed.vertices(0)),
+        ),
+    ):
+        leaf = given.detach().requires_grad_()
+        (first,) = gradients(function, [leaf], create_graph=True)
+        with pytest.raises(NotImplementedError, match=f"^{name}: differentiated twice"):
+            first.sum().backward()
+
+
+def test_a_second_derivative_of_a_registration_is_an_error(device):
+    model = anny(torch.device(device))
+    posed = ellipbodies(device)
+    parts, areas = vertex_parts(model)
+    vertices = (model.rest_vertices.expand(2, -1, -1) + posed.joints[:, :1]).requires_grad_()
+    fit, inside = _VertexCosts.apply(vertices, parts, areas, posed, 0.03)
+    (first,) = torch.autograd.grad(fit.sum() + inside.sum(), vertices, create_graph=True)
+    with pytest.raises(NotImplementedError, match=r"^register: differentiated twice"):
+        first.sum().backward()

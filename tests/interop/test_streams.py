@@ -1,0 +1,130 @@
+"""Captures hold nothing that another thread launched meanwhile, and are not spoilt by it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from concurrent.futures import ThreadPoolExecutor, wait
+
+import pytest
+import torch
+import warp as wp
+from conftest import HANG
+from test_fitting import seen_by, walker
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.inputs.observation import observe
+from warp_partdr.interop.streams import capture_graph, on_torch_stream
+from warp_partdr.refinement.energy import Energy
+from warp_partdr.refinement.fused import minimise
+from warp_partdr.render.ellipsoids import draw_ellipsoids
+
+
+def test_a_capture_waits_for_launches_and_launches_for_it():
+    order: list[str] = []
+    cpu, begun = torch.device("cpu"), threading.Event()
+
+    def launch():
+        with on_torch_stream(cpu):  # the capturing thread itself may
+            order.append("captured")
+
+    def capture():
+        begun.set()
+        return capture_graph(launch, cpu)
+
+    with ThreadPoolExecutor(1) as pool:
+        with on_torch_stream(cpu), on_torch_stream(cpu):
+            waiting = pool.submit(capture)
+            assert begun.wait(HANG)
+            assert not wait([waiting], timeout=0.2).done  # time enough for one that does not wait
+            order.append("launched")
+        waiting.result(timeout=HANG)
+    assert order == ["launched", "captured"]
+
+
+def test_a_capture_does_not_wait_for_itself():
+    cpu = torch.device("cpu")
+    with on_torch_stream(cpu), pytest.raises(RuntimeError, match="inside on_torch_stream"):
+        capture_graph(lambda: None, cpu)
+
+
+def test_fits_and_pictures_of_two_threads_are_those_of_one():
+    keypoints, parts = seen_by(walker())
+    options = FitOptions()
+    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
+    body = BodyParameters.mean(1)
+
+    def fit(_):
+        return fit_body(keypoints, parts, options=options).parameters.rotations
+
+    def draw(_):
+        return draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+
+    want_fit, want_picture = fit(0), draw(0)
+    with ThreadPoolExecutor(3) as pool:
+        fits, pictures = pool.map(fit, range(4)), pool.map(draw, range(200))
+        assert all(torch.equal(have, want_picture) for have in pictures)
+        assert all(torch.equal(have, want_fit) for have in fits)
+
+
+def test_scratch_of_a_side_stream_is_torchs(device):
+    """Warp's own memory comes back on the default stream, for which torch's side streams don't wait."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    where, side = torch.device("cuda", torch.cuda.current_device()), torch.cuda.Stream()
+    size = 1 << 24
+    for stream, share in ((torch.cuda.default_stream(), 0), (side, size)):
+        with torch.cuda.stream(stream):
+            before = torch.cuda.memory_allocated()
+            with on_torch_stream(where) as alias, on_torch_stream(where):
+                scratch = wp.zeros(size, dtype=wp.uint8, device=alias)
+            assert torch.cuda.memory_allocated() - before == share
+            del scratch
+            assert torch.cuda.memory_allocated() == before
+    body = BodyParameters.mean(1, device=device)
+    want = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+    torch.cuda.synchronize()
+    with torch.cuda.stream(side):
+        have = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
+    side.synchronize()
+    assert torch.equal(have, want)
+
+
+def test_others_may_use_the_default_stream_during_a_capture(device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    keypoints, parts = seen_by(walker(device))
+    options = FitOptions()
+    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
+    done = threading.Event()
+
+    def disturb():
+        while not done.is_set():
+            torch.ones(8, device=device).sum().item()
+
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(disturb)
+        try:
+            assert math.isfinite(sum(fit_body(keypoints, parts, options=options, device=device).energy.values()))
+        finally:
+            done.set()
+        other.result(timeout=HANG)
+
+
+def test_two_threads_capture_at_once_again_and_again(device):
+    """torch hands its few streams out again: captures must not meet on one, nor others' launches spoil them."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    keypoints, parts = seen_by(walker(device))
+    seen, _ = observe(keypoints, parts, device=device)
+    energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=device)
+    want = minimise(start, energy, iterations=2).energy
+
+    def capture(_):
+        with torch.cuda.stream(torch.cuda.Stream()):
+            return all(torch.equal(minimise(start, energy, iterations=2).energy, want) for _ in range(40))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(pool.map(capture, range(2)))

@@ -1,0 +1,513 @@
+"""EllipBodyNet: shapes, its heads and losses against plain formulas, data with gaps, and that it learns."""
+
+import json
+import shutil
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from safetensors.torch import load_file
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.skeletons import skeleton
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.kernels.launch import get_num_threads, set_num_threads
+from warp_partdr.network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig
+from warp_partdr.network.heads import soft_argmax
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
+from warp_partdr.network.predicted import Predicted
+from warp_partdr.network.regressor import RegressorConfig
+from warp_partdr.synthetic.shaded_people import shaded_people
+from warp_partdr.training.augment import Augmentation
+from warp_partdr.training.config_files import make_config, read_config
+from warp_partdr.training.loop import train
+from warp_partdr.training.picture_data import JOINTS, Examples, Feed, Source, make_example
+from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, landmarks, seg_term
+from warp_partdr.training.picture_task import PictureTask
+
+SIZE = 64
+TINY = {
+    "model_type": "resnet",
+    "layer_type": "basic",
+    "embedding_size": 16,
+    "hidden_sizes": [16, 32, 48, 64],
+    "depths": [1, 1, 1, 1],
+}
+CONFIG = EllipBodyNetConfig(
+    architecture=TINY, size=SIZE, head_width=16, part_cells=4, regressor=RegressorConfig(width=64, dropout=0.0)
+)
+STILL = Augmentation(flip=0, angle=0, zoom=0, shift=0, colour=0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread():
+    """A few small bodies are not worth several, and a busy machine makes them wait for each other."""
+    before = get_num_threads(), torch.get_num_threads()
+    set_num_threads(1)
+    torch.set_num_threads(1)
+    yield
+    set_num_threads(before[0])
+    torch.set_num_threads(before[1])
+
+
+@pytest.fixture(scope="module")
+def people():
+    return shaded_people(4, seed=9)
+
+
+@pytest.fixture(scope="module")
+def examples(people):
+    return Examples.cat([make_example(sample, SIZE) for sample in people])
+
+
+def network(config: EllipBodyNetConfig = CONFIG) -> EllipBodyNet:
+    torch.manual_seed(0)
+    return EllipBodyNet(config)
+
+
+def detached(bodies: Predicted) -> Predicted:
+    return Predicted(**{each.name: getattr(bodies, each.name).detach() for each in fields(bodies)})
+
+
+def test_shapes_and_gradients(device, examples):
+    net = network().to(device)
+    prediction = net(examples.pictures.to(device))
+    assert prediction.heatmaps.shape == (4, 24, 16, 16)
+    assert prediction.keypoints.shape == (4, 24, 3)
+    assert prediction.parts.shape == (4, 21, 16, 16)
+    assert prediction.part_labels(SIZE).shape == (4, SIZE, SIZE)
+    assert prediction.bodies.rotations.shape == (4, 20, 3, 3)
+    there = examples.to(device)
+    terms = {**body_terms(prediction, there), **head_terms(prediction, there)}
+    terms["seg"] = seg_term(prediction, there, size=SIZE, gradient="partdr")
+    assert all(torch.isfinite(term) for term in terms.values())
+    torch.stack(list(terms.values())).sum().backward()
+    assert [name for name, parameter in net.named_parameters() if parameter.grad is None] == []
+    assert all(torch.isfinite(parameter.grad).all() for parameter in net.parameters())
+
+
+def test_floats_are_pictures_too(examples):
+    net = network().eval()
+    floats = net(examples.pictures.float() / 255)
+    torch.testing.assert_close(floats.parts, net(examples.pictures).parts)
+
+
+@pytest.mark.parametrize("architecture", ["convnext", "dinov2", "swin"])
+def test_other_backbones(architecture):
+    sizes = {
+        "convnext": {"hidden_sizes": [8, 16, 24, 32], "depths": [1, 1, 1, 1]},
+        "dinov2": {"hidden_size": 48, "num_hidden_layers": 2, "num_attention_heads": 2, "patch_size": 16},
+        "swin": {"embed_dim": 12, "depths": [1, 1], "num_heads": [2, 2], "image_size": 64},
+    }
+    config = replace(CONFIG, architecture={"model_type": architecture, **sizes[architecture]})
+    prediction = network(config).eval()(torch.zeros(1, 3, SIZE, SIZE))
+    assert prediction.bodies.shift.shape == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"backbone": "/nowhere/at-all", "architecture": {}}, "no such folder"),
+        ({"architecture": {"model_type": "bert"}}, "no feature maps"),
+        ({"architecture": {"model_type": "nonsense"}}, "architecture: "),
+        ({"architecture": {"depths": [1]}}, "architecture: "),
+        ({"architecture": {**TINY, "layer_type": "odd"}}, "architecture: "),
+    ],
+)
+def test_backbones_that_are_none(change, said):
+    with pytest.raises(InputError, match=said):
+        EllipBodyNet(replace(CONFIG, **change))
+
+
+def test_weights_that_are_not_there(tmp_path, monkeypatch):
+    """A folder with a configuration alone: random weights are fine, pretrained ones are missing; says what to do."""
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    (tmp_path / "config.json").write_text(json.dumps(TINY))
+    config = replace(CONFIG, backbone=str(tmp_path), architecture={})
+    assert network(config).config.architecture["hidden_sizes"] == [16, 32, 48, 64]
+    with pytest.raises(InputError, match=r"no weights found; .*hf download"):
+        EllipBodyNet(replace(config, pretrained=True))
+
+
+def test_weights_from_a_folder(tmp_path):
+    source = network()
+    source.backbone.save_pretrained(tmp_path)
+    loaded = network(replace(CONFIG, backbone=str(tmp_path), architecture={}, pretrained=True))
+    for (name, weight), other in zip(source.backbone.named_parameters(), loaded.backbone.parameters(), strict=True):
+        torch.testing.assert_close(weight, other, msg=name)
+    assert loaded.config.pretrained is False
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 32, SIZE), (1, 1, SIZE, SIZE), (3, SIZE, SIZE)])
+def test_wrong_pictures(shape):
+    with pytest.raises(ValueError, match="pictures: shape"):
+        network()(torch.zeros(shape))
+    with pytest.raises(ValueError, match=r"pictures: torch\.int64"):
+        network()(torch.zeros(1, 3, SIZE, SIZE, dtype=torch.int64))
+
+
+def test_soft_argmax():
+    """A sharp peak is where it is, and sure; a flat map is in the middle, and unsure."""
+    heatmaps = torch.zeros(1, 2, 16, 32)
+    heatmaps[0, 0, 3, 20] = 50.0
+    (x, y, confidence), flat = soft_argmax(heatmaps)[0]
+    assert (x, y) == pytest.approx(((20.5 / 16) - 1, (3.5 / 8) - 1), abs=1e-5)
+    assert confidence > 0.99
+    assert flat[:2].abs().max() < 1e-6
+    assert flat[2] < 1e-3
+
+
+def test_body_terms_are_their_formulas(examples):
+    """Against loops, for a batch of which one has no 3D, one no hip, and one is as predicted."""
+    prediction = network().eval()(examples.pictures)
+    prediction = replace(prediction, bodies=detached(prediction.bodies))
+    posed = prediction.bodies.posed()
+    joints, has_joints = examples.joints.clone(), examples.has_joints.clone()
+    joints[0] = landmarks(posed, JOINTS)[0] + 3.0
+    has_joints[1] = 0
+    has_joints[2, HIPS[0]] = 0
+    has_joints[3, JOINTS.index("neck")] = 0
+    changed = replace(examples, joints=joints, has_joints=has_joints)
+    terms = body_terms(prediction, changed)
+
+    found, pixels = landmarks(posed, JOINTS)[3], prediction.bodies.camera(256).project(landmarks(posed, LANDMARKS))
+    root, true_root = found[HIPS].mean(0), joints[3][HIPS].mean(0)
+    squares = [
+        float(((found[j] - root) - (joints[3, j] - true_root)).mul(100).square().sum())
+        for j in range(14)
+        if JOINTS[j] != "neck"
+    ]
+    assert float(terms["joints"]) == pytest.approx(np.mean(squares) / 4, rel=1e-4)
+    proj = sum(
+        float(examples.keypoints[b, k, 2])
+        * float((pixels[b, k, :2] - (examples.keypoints[b, k, :2] + 1) * 128).abs().sum())
+        for b in range(4)
+        for k in range(24)
+    )
+    assert float(terms["proj"]) == pytest.approx(proj / 4, rel=1e-4)
+
+
+def test_what_is_not_known_pulls_nowhere(examples):
+    """2D-only, unlabelled and keypoint-less people: their numbers don't count."""
+    prediction = network().eval()(examples.pictures)
+    empty = replace(
+        examples,
+        groups=torch.full_like(examples.groups, 255),
+        part_groups=torch.zeros_like(examples.part_groups),
+        keypoints=torch.zeros_like(examples.keypoints),
+        has_joints=torch.zeros_like(examples.has_joints),
+    )
+    terms = {**body_terms(prediction, empty), **head_terms(prediction, empty)}
+    terms["seg"] = seg_term(prediction, empty, size=SIZE, gradient="partdr")
+    for name in ("joints", "proj", "heatmaps", "parts", "seg"):
+        assert terms[name].item() == 0, name
+    assert terms["lengths"].item() > 0
+
+
+def test_label_sets_mix_in_a_batch(examples):
+    """Half of a batch with coarser labels: L_seg is the sum of the halves', and parts of one group add up."""
+    prediction = network().eval()(examples.pictures)
+    coarse = label_set("lsp6")
+    table = torch.from_numpy(coarse.from_parts(np.arange(256).clip(0, 255).astype(np.uint8) % 21))
+    table[255] = 255
+    groups, part_groups = examples.groups.clone(), examples.part_groups.clone()
+    groups[2:] = table[groups[2:].long()]
+    part_groups[2:] = torch.from_numpy(coarse.part_groups)
+    mixed = replace(examples, groups=groups, part_groups=part_groups)
+
+    def part(batch: Examples, first: int, last: int) -> Examples:
+        return Examples(**{each.name: getattr(batch, each.name)[first:last] for each in fields(batch)})
+
+    def seg(batch: Examples, pictures: torch.Tensor) -> float:
+        return seg_term(network().eval()(pictures), batch, size=SIZE, gradient="edges").item()
+
+    halves = [seg(part(mixed, *span), examples.pictures[slice(*span)]) for span in ((0, 2), (2, 4))]
+    assert seg(mixed, examples.pictures) == pytest.approx(np.mean(halves), rel=1e-5)
+    assert seg(mixed, examples.pictures) != pytest.approx(seg(examples, examples.pictures), rel=1e-3)
+    fine, merged = (head_terms(prediction, batch)["parts"] for batch in (examples, mixed))
+    assert merged.item() < fine.item()
+
+
+def test_part_loss_is_of_the_groups_share(examples):
+    """A pixel of a group of five parts, all as likely as the other 16 classes: -log(5 / 21); a sure one: 0."""
+    prediction = network().eval()(examples.pictures)
+    groups = torch.full_like(examples.groups, 255)
+    groups[:, 5:9] = 1
+    part_groups = torch.zeros_like(examples.part_groups)
+    part_groups[:, [3, 7, 8, 11, 20]] = 1
+    batch = replace(examples, groups=groups, part_groups=part_groups)
+    even = torch.zeros(4, 21, 16, 16)
+    assert float(head_terms(replace(prediction, parts=even), batch)["parts"]) == pytest.approx(np.log(21 / 5))
+    even[:, 8] = 40.0
+    assert float(head_terms(replace(prediction, parts=even), batch)["parts"]) == pytest.approx(0, abs=1e-5)
+
+
+def test_heatmap_loss_is_least_at_the_keypoint(examples):
+    prediction = network().eval()(examples.pictures)
+    keypoints = torch.zeros(4, 24, 3)
+    keypoints[:, 0] = torch.tensor([0.3, -0.5, 1.0])
+    keypoints[:, 1] = torch.tensor([1.3, 0.0, 1.0])  # outside: no heat map can show it
+    batch = replace(examples, keypoints=keypoints)
+    losses = {}
+    for place in ((10, 4), (10, 3), (10, 6), (4, 10)):
+        heatmaps = torch.zeros(4, 24, 16, 16)
+        heatmaps[:, :, place[1], place[0]] = 5.0
+        losses[place] = float(head_terms(replace(prediction, heatmaps=heatmaps), batch)["heatmaps"])
+    # (0.3, -0.5) lies on the line between rows 3 and 4, in column 10.
+    assert losses[10, 4] == pytest.approx(losses[10, 3], rel=1e-5)
+    assert losses[10, 4] < losses[10, 6] < losses[4, 10]
+
+
+def test_checkpoint_round_trip(tmp_path, examples):
+    net = network().eval()
+    save_ellipbodynet(tmp_path / "net.safetensors", net.state_dict(), net.config, {"steps": 1})
+    loaded = load_ellipbodynet(tmp_path / "net.safetensors")
+    torch.testing.assert_close(loaded(examples.pictures).keypoints, net(examples.pictures).keypoints)
+    (tmp_path / "junk.safetensors").write_bytes(b"junk")
+    for name in ("junk.safetensors", "nothing.safetensors"):
+        with pytest.raises(InputError, match="expected an EllipBodyNet"):
+            load_ellipbodynet(tmp_path / name)
+
+
+def sample_with(people, **changes):
+    return replace(people[0], **changes)
+
+
+def test_example_of_a_person(people, examples):
+    """The crop holds the whole person; keypoints lie on their parts; what has no truth is marked so."""
+    example = make_example(people[1], 128)
+    assert example.pictures.shape == (1, 3, 128, 128)
+    assert (example.groups == 255).float().mean() < 0.4
+    places = ((example.keypoints[0, :, :2] + 1) * 64).long().clamp(0, 127)
+    part = label_set("ellipbody20").group_names
+    for side in ("left", "right"):
+        for keypoint in ("knee", "elbow"):
+            index = LANDMARKS.index(f"{side}_{keypoint}")
+            x, y = places[index].tolist()
+            shown = set(example.groups[0, max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4].flatten().tolist()) - {0, 255}
+            assert {part[group - 1] for group in shown}, keypoint
+    bare = make_example(sample_with(people, joints=None, parts=None, target=None), SIZE)
+    assert bare.has_joints.sum() == 0
+    assert (bare.groups == 255).all()
+
+
+def test_mirrored_example_is_of_a_mirrored_person(people):
+    flip = replace(STILL, flip=1.0)
+    plain = make_example(people[0], 128)
+    mirrored = make_example(people[0], 128, flip, np.random.default_rng(0))
+    assert (mirrored.pictures.flip(3).int() - plain.pictures.int()).abs().max() <= 1
+    left, right = (LANDMARKS.index(f"{side}_wrist") for side in ("left", "right"))
+    torch.testing.assert_close(mirrored.keypoints[0, left], plain.keypoints[0, right] * torch.tensor([-1.0, 1.0, 1.0]))
+    arm, other = (label_set("ellipbody20").group_names.index(f"{side}_forearm") + 1 for side in ("left", "right"))
+    torch.testing.assert_close(mirrored.groups.flip(2) == arm, plain.groups == other)
+    left, right = (JOINTS.index(f"{side}_wrist") for side in ("left", "right"))
+    torch.testing.assert_close(mirrored.joints[0, left], plain.joints[0, right] * torch.tensor([-1.0, 1.0, 1.0]))
+
+
+def test_feed_goes_on_where_it_was(people):
+    """Orders and augmentation hang on seed and place alone: a new feed from the same place gives the same."""
+    options = {"size": 32, "augmentation": Augmentation(), "batch_size": 3, "seed": 5}
+    feed = Feed(people, **options)
+    batches = [next(feed) for _ in range(4)]
+    again = Feed(people, **options, consumed=6)
+    for batch in batches[2:]:
+        other = next(again)
+        assert torch.equal(batch.pictures, other.pictures)
+    assert again.consumed == feed.consumed == 12
+    two = [Feed(people, **options, rank=rank, processes=2) for rank in range(2)]
+    both = torch.stack([next(part).pictures for part in two], dim=1).flatten(0, 1)
+    assert torch.equal(both, torch.cat([batch.pictures for batch in batches[:2]]))
+
+
+def test_unreadable_samples_are_skipped_and_named(people, tmp_path):
+    (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8 not a picture")
+    Image.fromarray(people[0].picture[:100]).save(tmp_path / "small.png")
+    bad = [
+        sample_with(people, name="broken", picture=tmp_path / "broken.jpg"),
+        sample_with(people, name="gone", picture=None),
+        sample_with(people, name="small", picture=tmp_path / "small.png"),
+        sample_with(people, name="blind", keypoints=Keypoints2D("coco17", np.zeros((17, 2), "f4"), np.zeros(17, "f4"))),
+    ]
+    feed = Feed([*people, *bad], size=32, augmentation=STILL, batch_size=8)
+    assert len(next(feed).pictures) == 8
+    assert sorted(text.split(":")[0] for text in feed.skipped) == [
+        f"shaded {one.name}" for one in sorted(bad, key=lambda one: one.name)
+    ]
+    with pytest.raises(InputError, match="none of 4 samples can be read"):
+        next(Feed(bad, size=32, augmentation=STILL, batch_size=2))
+
+
+def test_worker_processes_give_the_same(people):
+    options = {"size": 32, "augmentation": Augmentation(), "batch_size": 4, "seed": 1}
+    assert torch.equal(next(Feed(people, **options)).pictures, next(Feed(people, **options, workers=1)).pictures)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ({"kind": "folder", "path": "EMPTY"}, "no pictures"),
+        ({"kind": "cinema"}, "kind: 'cinema'; expected one of human36m"),
+        ({"kind": "human36m", "path": "EMPTY/h36m.npz"}, "h36m.npz"),
+        ({"kind": "shaded", "count": 1, "first_phase": 1}, "data.sources: none to begin with"),
+    ],
+)
+def test_wrong_sources(source, said, tmp_path):
+    source = {
+        key: value.replace("EMPTY", str(tmp_path)) if isinstance(value, str) else value for key, value in source.items()
+    }
+    config = make_config({"task": "ellipbodynet", "steps": 1, "data": {"sources": [source]}})
+    with pytest.raises(InputError, match=said):
+        PictureTask(config, rank=0, processes=1, device=torch.device("cpu"))
+
+
+def test_folder_source(people, tmp_path):
+    """Pictures, keypoints and labels as ``partdr evaluate folder`` takes them."""
+    for index, person in enumerate(people[:2]):
+        Image.fromarray(person.picture).save(tmp_path / f"{index}.png")
+        Image.fromarray(person.target).save(tmp_path / f"{index}.parts.png")
+        values = np.concatenate([person.keypoints.points, person.keypoints.confidence[:, None]], axis=1)
+        pose = {"people": [{"pose_keypoints_2d": values.flatten().tolist()}]}
+        (tmp_path / f"{index}.keypoints.json").write_text(json.dumps(pose))
+    read = Source("folder", str(tmp_path), labels="ellipbody20").read()
+    expected = make_example(replace(people[1], joints=None), SIZE)
+    have = make_example(read[1], SIZE)
+    assert torch.equal(have.pictures, expected.pictures)
+    torch.testing.assert_close(have.keypoints, expected.keypoints)
+
+
+def test_packaged_config_is_the_papers():
+    config = read_config("ellipbodynet", ["model.pretrained=false"])
+    first, second = config.phases
+    assert (config.epochs, config.batch_size, first.until) == (100, 128, 0.7)
+    assert (config.learning_rate, second.learning_rate) == (1e-3, 1e-4)
+    assert first.without == ("seg",)
+    assert second.frozen == ("regressor.heads.camera",)
+    assert [config.weights[name] for name in ("joints", "proj", "seg", "lengths", "thicknesses")] == [
+        1,
+        1,
+        1e-2,
+        1e-3,
+        1e-3,
+    ]
+    assert {source.first_phase for source in config.data.sources} == {0, 1}
+    names = [name for name, _ in EllipBodyNet(config.model).named_parameters()]
+    assert all(any(name.startswith(prefix) for name in names) for phase in config.phases for prefix in phase.frozen)
+
+
+def test_shaded_people(people):
+    again = shaded_people(4, seed=9)
+    assert all((one.picture == other.picture).all() for one, other in zip(people, again, strict=True))
+    assert not (people[0].picture == shaded_people(1, seed=10)[0].picture).all()
+    for person in people:
+        covered = person.target > 0
+        assert covered.mean() > 0.02
+        x, y = person.keypoints.points[skeleton("body25").landmarks.index("mid_hip")].astype(int)
+        assert covered[y, x]
+        assert isinstance(person.parts, PartLabels)
+
+
+def test_learns_pictures_by_heart(tmp_path):
+    """A short version of ``benchmarks/overfit_pictures.py``."""
+    config = make_config(
+        {
+            "task": "ellipbodynet",
+            "steps": 100,
+            "batch_size": 4,
+            "phases": [{"without": ["seg"]}],
+            "model": {
+                "architecture": TINY,
+                "size": SIZE,
+                "head_width": 16,
+                "regressor": {"width": 256, "dropout": 0.0},
+            },
+            "data": {
+                "workers": 0,
+                "render_size": SIZE,
+                "augmentation": {"flip": 0.0, "angle": 0.0, "zoom": 0.0, "shift": 0.0, "colour": 0.0},
+                "sources": [
+                    {"kind": "shaded", "count": 4, "seed": 9},
+                    {"kind": "shaded", "count": 4, "seed": 9, "validation": True},
+                ],
+            },
+        }
+    )
+    task = PictureTask(config, rank=0, processes=1, device=torch.device("cpu"))
+    torch.manual_seed(0)
+    model = task.model()
+    task.begin(config.phases[0])
+    optimizer = torch.optim.Adam(model.parameters(), lr=5e-4)
+    for step in range(config.steps):
+        optimizer.param_groups[0]["lr"] = 5e-4 * min(1, (step + 1) / 20)
+        total = task.loss(model, task.batch(torch.device("cpu")))["total"]
+        optimizer.zero_grad()
+        total.backward()
+        optimizer.step()
+    with torch.no_grad():
+        errors = task.validate(model.eval(), torch.device("cpu"))
+        sheet = task.pictures(model, torch.device("cpu"))
+    assert errors["PA-MPJPE [mm]"] < 75  # 128 at first
+    assert sheet.size == (4 * SIZE, 3 * SIZE)
+    task.save(tmp_path / "net.safetensors", model.state_dict(), {}, half=True)
+    assert load_ellipbodynet(tmp_path / "net.safetensors").config.size == SIZE
+
+
+def tiny_run(out, steps: int, **changes):
+    people = {"kind": "shaded", "count": 3, "seed": 9}
+    architecture = {**TINY, "hidden_sizes": [8, 8, 16, 16]}
+    return make_config(
+        {
+            "task": "ellipbodynet",
+            "steps": 4,
+            "batch_size": 2,
+            "schedule": "constant",
+            "checkpoint_every": steps,
+            "validate_every": 100,
+            "out": str(out),
+            "phases": [{"until": 0.25, "without": ["seg"]}, {"frozen": ["regressor.heads.camera"]}],
+            "model": {"architecture": architecture, "size": 32, "head_width": 8, "regressor": {"width": 32}},
+            "data": {"workers": 0, "render_size": 32, "sources": [people, {**people, "first_phase": 1}]},
+            **changes,
+        }
+    )
+
+
+def test_resumed_run_is_the_uninterrupted_one(tmp_path):
+    """Through the loop, over the change of phase that brings a new data set in."""
+    whole = train(tiny_run(tmp_path / "whole", 4), device="cpu")
+    assert whole.report["errors"] == {}
+    halves = tmp_path / "halves"
+    train(tiny_run(halves, 2), device="cpu")
+    shutil.rmtree(max((halves / "checkpoints").iterdir()))
+    resumed = train(tiny_run(halves, 2), resume=True, device="cpu")
+    assert (resumed.step, resumed.report["resumed_at"]) == (4, 2)
+    one, other = (load_file(tmp_path / name / "model.safetensors") for name in ("whole", "halves"))
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_half_precision_gives_bodies_in_float32(examples):
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        prediction = network()(examples.pictures)
+    assert prediction.heatmaps.dtype == torch.bfloat16
+    assert prediction.keypoints.dtype == prediction.bodies.orientation.dtype == torch.float32
+    terms = {**body_terms(prediction, examples), **head_terms(prediction, examples)}
+    assert all(torch.isfinite(term) for term in terms.values())
+
+
+def test_begins_with_a_trained_network_of_the_same_sizes(tmp_path):
+    config = tiny_run(tmp_path / "out", 1)
+    task = PictureTask(config, rank=0, processes=1, device=torch.device("cpu"))
+    model = task.model()
+    weights = model.state_dict()
+    save_ellipbodynet(tmp_path / "net.safetensors", weights, replace(model.config, backbone="elsewhere"), {})
+    read = task.read(str(tmp_path / "net.safetensors"))
+    assert all(torch.equal(read[name], value) for name, value in weights.items())
+    save_ellipbodynet(tmp_path / "other.safetensors", network().state_dict(), network().config, {})
+    with pytest.raises(InputError, match=r"other\.safetensors: a network of"):
+        task.read(str(tmp_path / "other.safetensors"))
+    with pytest.raises(InputError, match="the package has no EllipBodyNet"):
+        task.read("packaged")

@@ -1,0 +1,221 @@
+"""What the label network sees, what it says, and the files that it is kept in."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from test_fitting import seen_by, walker
+
+from warp_partdr.body.labels import LABEL_SETS, label_set
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.template import LOCKED_PARTS, NUM_PARTS
+from warp_partdr.cli.main import main
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.observation import observe
+from warp_partdr.network.checkpoint import about_network, load_label_network, save_label_network
+from warp_partdr.network.label_network import (
+    NUM_CHANNELS,
+    LabelNetwork,
+    LabelNetworkConfig,
+    draw_heatmaps,
+    label_shares,
+    label_table,
+    label_tables,
+    map_shares,
+)
+from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
+from warp_partdr.network.predict import network_inputs, predict_bodies
+from warp_partdr.network.regressor import Regressor, RegressorConfig
+from warp_partdr.results.body_file import load_body
+
+SMALL = LabelNetworkConfig(
+    size=64, channels=(8, 16, 16, 16, 16), places=4, keypoint_features=16, regressor=RegressorConfig(width=32)
+)
+
+
+@pytest.fixture
+def network() -> LabelNetwork:
+    torch.manual_seed(0)
+    return LabelNetwork(SMALL).eval()
+
+
+@pytest.mark.parametrize("name", LABEL_SETS)
+def test_every_id_of_every_set_says_something(name):
+    labels = LABEL_SETS[name]
+    table = label_table(labels)
+    assert torch.allclose(table.sum(1), torch.ones(256))
+    for group, parts in enumerate(labels.groups.values(), start=1):
+        assert (table[group, :NUM_PARTS] > 0).sum() == len(parts)
+    assert table[0, NUM_PARTS] == 1  # background
+    assert table[255, -1] == 1
+    assert (table[labels.num_groups + 1 :, -1] == 1).all()
+
+
+def test_shares_take_each_image_by_its_own_set():
+    sets = [label_set("body14"), label_set("ellipbody20")]
+    groups = torch.randint(0, 15, (3, 8, 8), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
+    shares = label_shares(groups, label_tables(sets), torch.tensor([1, 0, 1]))
+    assert shares.shape == (3, NUM_CHANNELS, 8, 8)
+    for i, which in enumerate((1, 0, 1)):
+        assert torch.equal(shares[i, :, 2, 5], label_table(sets[which])[int(groups[i, 2, 5])])
+
+
+def test_sure_probabilities_say_what_labels_say():
+    labels = label_set("body14")
+    groups = torch.randint(0, 15, (2, 8, 8), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
+    groups[0, 0, 0] = 255
+    maps = torch.stack([(groups == group).float() for group in range(1, 15)], dim=1)
+    table = label_table(labels)
+    want = label_shares(groups, table[None], torch.zeros(2, dtype=torch.int64))
+    assert torch.allclose(map_shares(maps, (groups != 255).float(), table), want)
+
+
+def test_keypoints_of_any_format_find_their_places():
+    names = ("left_foot_index", "nose", "left_pinky", "right_knee")
+    points = torch.arange(8.0).view(4, 2)
+    found = network_keypoints(names, points, torch.tensor([0.5, 1.0, 1.0, 0.0]))
+    assert found[LANDMARKS.index("left_big_toe")].tolist() == [0.0, 1.0, 0.5]
+    assert found[LANDMARKS.index("nose")].tolist() == [2.0, 3.0, 1.0]
+    assert found[:, 2].sum() == 1.5
+
+
+def test_heatmaps_shine_where_the_keypoint_is():
+    keypoints = torch.tensor([[[0.5, -0.25, 0.8], [0.0, 0.0, 0.0]]])
+    maps = draw_heatmaps(keypoints, 64)
+    v, u = divmod(int(maps[0, 0].argmax()), 64)
+    assert abs((u + 0.5) / 32 - 1 - 0.5) < 1 / 32
+    assert abs((v + 0.5) / 32 - 1 + 0.25) < 1 / 32
+    assert float(maps[0, 0].max()) == pytest.approx(0.8, abs=0.06)  # a keypoint lies between pixels
+    assert float(maps[0, 1].max()) == 0
+
+
+def test_a_regressor_starts_near_the_mean_body():
+    torch.manual_seed(0)
+    regressor = Regressor(16, RegressorConfig(width=32)).eval()
+    predicted = regressor(torch.randn(5, 16))
+    mean = BodyParameters.mean(5)
+    assert torch.allclose(predicted.lengths, mean.lengths, rtol=0.05)
+    assert torch.allclose(predicted.thicknesses, mean.thicknesses, rtol=0.05)
+    identity = torch.eye(3).expand(5, len(LOCKED_PARTS), 3, 3)
+    assert torch.equal(predicted.rotations[:, list(LOCKED_PARTS)], identity)
+    turns = predicted.rotations
+    assert torch.allclose(turns @ turns.mT, torch.eye(3).expand_as(turns), atol=1e-5)
+
+
+def test_a_regressors_gradient_reaches_every_weight():
+    torch.manual_seed(0)
+    regressor = Regressor(16, RegressorConfig(width=32, dropout=0.0)).train()
+    predicted = regressor(torch.randn(6, 16))
+    posed = predicted.posed()
+    camera = predicted.camera(64)
+    places = camera.project(posed.joints)[..., :2]
+    (places.square().sum() + posed.semi_axes.square().sum() * 1e4).backward()
+    assert all(parameter.grad is not None and parameter.grad.any() for parameter in regressor.parameters())
+
+
+def test_predicted_numbers_are_those_of_a_fit(network, device):
+    network = network.to(device)
+    shares = torch.rand(3, NUM_CHANNELS, 64, 64, device=device)
+    predicted = network(shares, torch.rand(3, len(LANDMARKS), 3, device=device))
+    body = predicted.parameters()
+    assert torch.allclose(body.posed().joints, predicted.posed().joints, atol=1e-5)
+    assert torch.equal(body.camera(64).scale, predicted.camera(64).scale)
+
+
+def test_a_batch_says_what_its_members_say(network):
+    keypoints, parts = seen_by(walker())
+    with_labels, _ = observe(keypoints, parts)
+    without, _ = observe(keypoints, None)
+    both = predict_bodies([with_labels, without], network)
+    alone = predict_bodies([without], network)
+    assert torch.allclose(both.rotations[1], alone.rotations[0], atol=1e-5)
+    assert not torch.allclose(both.rotations[0], both.rotations[1], atol=1e-5)
+    shares, _ = network_inputs(without, 64)
+    assert (shares[-1] == 1).all()
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_a_network_comes_back_from_its_file(network, tmp_path, half):
+    path = tmp_path / "network.safetensors"
+    save_label_network(path, network.state_dict(), SMALL, {"steps": 3}, half=half)
+    back = load_label_network(path)
+    assert back.config == SMALL
+    assert about_network(path) == {"steps": 3}
+    assert not back.training
+    shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
+    want, have = network(shares, keypoints), back(shares, keypoints)
+    assert torch.allclose(want.rotations, have.rotations, atol=1e-2 if half else 0)
+
+
+def test_files_that_are_no_networks_are_named(network, tmp_path):
+    path = tmp_path / "network.safetensors"
+    with pytest.raises(InputError, match="none"):
+        load_label_network(tmp_path / "none.safetensors")
+    path.write_bytes(b"\x80\x04\x95nonsense")
+    with pytest.raises(InputError, match="expected a network"):
+        load_label_network(path)
+    torch.save(network.state_dict(), path)  # a pickle
+    with pytest.raises(InputError, match="expected a network"):
+        load_label_network(path)
+    save_file({"weight": torch.zeros(3)}, path)
+    with pytest.raises(InputError, match="format None"):
+        load_label_network(path)
+    save_label_network(path, network.state_dict(), replace(SMALL, places=5), {})
+    with pytest.raises(InputError, match="size mismatch"):
+        load_label_network(path)
+    spoilt = {**network.state_dict(), "keypoints.0.bias": torch.full((32,), float("nan"))}
+    save_label_network(path, spoilt, SMALL, {})
+    with pytest.raises(InputError, match="NaN"):
+        load_label_network(path)
+    save_label_network(path, network.state_dict(), SMALL, {})
+    tensors = load_file(path)
+    save_file(tensors, path, {"format": "warp-partdr label network 1", "config": json.dumps({"size": "64"})})
+    with pytest.raises(InputError, match="size: '64'; expected a whole number"):
+        load_label_network(path)
+    save_file(tensors, path, {"format": "warp-partdr label network 1", "config": json.dumps({"places": -1})})
+    with pytest.raises(InputError, match="expected a network"):
+        load_label_network(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match="expected a network"):
+        load_label_network(path)
+
+
+def test_a_file_too_large_is_refused_unread(tmp_path):
+    """A network has at most 1 GiB; of a larger file nothing is read."""
+    path = tmp_path / "network.safetensors"
+    with path.open("wb") as file:
+        file.truncate(2**30 + 1)  # takes no room on the disk
+    with pytest.raises(InputError, match="more than 1024 MiB; expected a network"):
+        load_label_network(path)
+    with path.open("r+b") as file:
+        file.truncate(2**30)
+    with pytest.raises(InputError) as refused:
+        load_label_network(path)
+    assert "more than" not in str(refused.value)
+
+
+def test_predict_writes_a_body_for_each_picture(network, tmp_path, monkeypatch, capsys):
+    example = resources.files("warp_partdr") / "assets/example"
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for name in ("a", "b"):
+        (folder / f"{name}.png").write_bytes((example / "photo.png").read_bytes())
+        (folder / f"{name}.keypoints.json").write_bytes((example / "keypoints.json").read_bytes())
+        (folder / f"{name}.parts.png").write_bytes((example / "parts.png").read_bytes())
+    save_label_network(tmp_path / "n.safetensors", network.state_dict(), SMALL, {})
+    options = ["--labels", "cdcl14", "--network", tmp_path / "n.safetensors", "--out", tmp_path / "out"]
+    monkeypatch.setattr("sys.argv", ["partdr", "predict", *map(str, [folder, *options])])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert not stopped.value.code
+    assert "2 people" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.npz", "b.npz", "predictions.json"}
+    assert json.loads((tmp_path / "out/predictions.json").read_text())["files"].keys() == {"a.npz", "b.npz"}
+    bodies = [load_body(tmp_path / f"out/{name}.npz") for name in ("a", "b")]
+    assert np.array_equal(bodies[0].rotations, bodies[1].rotations)

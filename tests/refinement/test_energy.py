@@ -1,0 +1,85 @@
+"""The energy's parts, each on its own: labels made smaller, votes, weights, and what is not known of maps."""
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from test_fitting import observation_of, walker
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.inputs.observation import resize_nearest
+from warp_partdr.refinement.energy import Energy, Weights
+
+
+def off(body: BodyParameters) -> BodyParameters:
+    """A body beside another one, of other sizes, and bent too far."""
+    return replace(
+        body,
+        shift=body.shift + 0.05,
+        lengths=body.lengths + 0.01,
+        thicknesses=body.thicknesses + 0.01,
+        rotations=body.rotations + 1.5,
+    )
+
+
+def test_smaller_labels_are_those_under_pixel_centres():
+    fine = torch.arange(81).reshape(9, 9)
+    assert torch.equal(resize_nearest(fine, 3), fine[1::3, 1::3])
+    assert torch.equal(resize_nearest(fine, 27), fine.repeat_interleave(3, 0).repeat_interleave(3, 1))
+    assert torch.equal(resize_nearest(fine, 9), fine)
+    # no side is preferred
+    for axis in (0, 1):
+        assert torch.equal(resize_nearest(fine.flip(axis), 3), resize_nearest(fine, 3).flip(axis))
+        assert torch.equal(resize_nearest(fine.flip(axis), 5), resize_nearest(fine, 5).flip(axis))
+
+
+def test_landmarks_of_a_part_share_its_vote(device):
+    """COCO's nose, eyes and ears are the head's: together they count as much as a knee."""
+    seen = observation_of(walker(device), device)
+    votes = dict(zip(seen.landmarks, Energy(seen).votes.tolist(), strict=True))
+    face = ["nose", "left_eye", "right_eye", "left_ear", "right_ear"]
+    assert [votes[name] for name in face] == pytest.approx([0.2] * 5)
+    assert votes["left_knee"] == votes["right_wrist"] == 1
+    # those that are hardly seen do not count for more than they are sure
+    faint = replace(seen, confidence=0.1 * seen.confidence)
+    assert Energy(faint).votes.tolist() == pytest.approx([0.1] * 17)
+
+
+def test_keypoints_cost_their_way_along_either_axis(device):
+    """L1, as the paper has it: 4 px to the right and 3 px up are 7 px."""
+    body = walker(device)
+    energy = Energy(observation_of(body, device), weights=Weights(proj=1.0))
+    for across, up in ((4.0, 0.0), (0.0, 3.0), (4.0, -3.0)):
+        moved = replace(body, shift=body.shift + torch.tensor([across, up], device=device) / 128)
+        cost = energy(moved)["proj"].item()
+        assert cost == pytest.approx((abs(across) + abs(up)) * energy.votes.sum().item(), rel=1e-3)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Weights)])
+def test_each_weight_weighs_its_own_term(device, name):
+    body = walker(device)
+    depths = body.posed().centres[0, :, 2]
+    ones = Weights(**{field.name: 1.0 for field in fields(Weights)})
+    energy = Energy(observation_of(body, device), size=64, weights=ones, prior=PosePrior().to(device), depths=depths)
+    terms = energy(off(body))
+    assert terms.keys() == {field.name for field in fields(Weights)}
+    assert all(term.item() > 1e-2 for term in terms.values())
+    changed = replace(energy, weights=replace(ones, **{name: 3.0}))(off(body))
+    for other, term in terms.items():
+        torch.testing.assert_close(changed[other], term * (3.0 if other == name else 1.0))
+
+
+def test_what_is_not_known_of_maps_does_not_count(device):
+    body = walker(device)
+    seen = observation_of(body, device)
+    maps = (seen.labels[None] == torch.arange(1, 21, device=device)[:, None, None]).float()
+    known = torch.ones(256, 256, device=device)
+    known[:, 128:] = 0.0
+    strange = torch.where(known > 0, maps, 0.7)
+    moved = replace(body, shift=body.shift + 0.05)
+    costs = [Energy(replace(seen, maps=each, known=known))(moved)["seg"] for each in (maps, strange)]
+    assert costs[0].item() > 1
+    torch.testing.assert_close(costs[0], costs[1])
+    half = Energy(replace(seen, maps=maps, known=0.5 * known))(moved)["seg"]
+    torch.testing.assert_close(half, 0.5 * costs[0])

@@ -1,0 +1,414 @@
+"""The fused refinement against the flexible one: terms, gradients by autograd, whole runs, and its own promises."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from test_fitting import walker
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.body.skeletons import skeleton
+from warp_partdr.inputs.observation import Observation
+from warp_partdr.kernels.ellipsoids.forces import Forces
+from warp_partdr.kernels.refine.state import Drawn
+from warp_partdr.refinement.energy import Energy, Weights
+from warp_partdr.refinement.fused import FusedRefinement, _split
+from warp_partdr.refinement.refine import SIZES, refine
+from warp_partdr.render.ellipsoids import draw_ellipsoids
+
+SIZE = 64
+LABELS = label_set("surreal14")
+
+
+def moved(body: BodyParameters, batch: int, seed: int = 0, amount: float = 0.15) -> BodyParameters:
+    """Bodies near ``body``, no two alike."""
+    rng = np.random.default_rng(seed)
+    return BodyParameters(
+        **{
+            name: tensor + amount * (0.1 if name in ("lengths", "thicknesses") else 1.0) * noise(rng, tensor, batch)
+            for name, tensor in body.tensors().items()
+        }
+    )
+
+
+def noise(rng: np.random.Generator, like: torch.Tensor, batch: int) -> torch.Tensor:
+    return torch.from_numpy(rng.standard_normal((batch, *like.shape[1:])).astype(np.float32)).to(like.device)
+
+
+def observation(body: BodyParameters, fmt: str = "body25", labels: bool = False) -> Observation:
+    """Keypoints of a body, some unsure, and its labels if asked for."""
+    device = body.shift.device
+    names = skeleton(fmt).landmarks
+    points = body.camera(2).project(LandmarkGather(names, device)(body.posed()))[0, :, :2] - 1
+    confidence = torch.linspace(0.0, 1.0, len(names), device=device)
+    image = None
+    if labels:
+        groups = LABELS.part_groups[1:].tolist()
+        image = draw_ellipsoids(body.posed(), body.camera(SIZE), (SIZE, SIZE), part_labels=groups).labels[0]
+    return Observation(names, points.detach(), confidence, image, LABELS if labels else None)
+
+
+def energy_of(body: BodyParameters, *, labels: bool = False, **options) -> Energy:
+    prior = PosePrior().to(body.shift.device)
+    return Energy(observation(body, labels=labels), size=SIZE, prior=prior, **options)
+
+
+def gradient_at(energy: Energy, bodies: BodyParameters, **options) -> tuple[dict, dict]:
+    """Terms and gradient of the fused path."""
+    fused = FusedRefinement(energy, bodies.batch_size, iterations=0, **options)
+    return fused.refine(bodies).terms, _split(fused._gradient)
+
+
+def autograd_at(energy, bodies: BodyParameters) -> tuple[dict, dict]:
+    """The same of the flexible path."""
+    leaves = bodies.leaves()
+    terms = energy(leaves)
+    torch.stack(list(terms.values())).sum().backward()
+    return terms, {name: tensor.grad for name, tensor in leaves.tensors().items()}
+
+
+def assert_same(have: dict, want: dict, tolerance: float) -> None:
+    """Equal up to ``tolerance`` of the largest entry of a body."""
+    assert have.keys() == want.keys()
+    for name, tensor in want.items():
+        scale = tensor.detach().abs().flatten(1).amax(1) if tensor.dim() > 1 else tensor.detach().abs()
+        error = (have[name] - tensor).detach().abs().reshape(len(tensor), -1).amax(1)
+        assert (error <= tolerance * scale.clamp_min(1.0)).all(), (name, error, scale)
+
+
+class FixedForces:
+    """A renderer whose forces are given: the loss is linear in what they act on."""
+
+    def __init__(self, energies, ellipsoids, active, *, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        shape, device = ellipsoids.centres.shape, ellipsoids.centres.device
+        self.force, self.moment, self.camera = (
+            rng.standard_normal((*shape, *size)).astype(np.float32) for size in ((3,), (3, 3), (4,))
+        )
+        self.drawn = Drawn()
+        self.drawn.loss = wp.array(np.ones((shape[0], 7)), dtype=float, device=device)
+        # In shares that lose no bit when they are added.
+        shares = np.array([0.25, 0.25, 0.5], dtype=np.float32)
+        numbers = np.concatenate([self.force, self.moment.reshape(*shape, 9), self.camera], -1)
+        forces = Forces()
+        forces.values = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
+        self.drawn.forces = forces
+
+    def observe(self, energies) -> None:
+        pass
+
+    def launch(self) -> None:
+        pass
+
+
+def test_terms_and_gradient_are_those_of_autograd(device):
+    body = walker(device)
+    energy = energy_of(body)
+    bodies = moved(body, 5, amount=0.3)
+    (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
+    assert_same(terms, want_terms, 1e-6)
+    assert_same(gradient, want, 1e-5)
+    assert (gradient["rotations"][:, :2] == 0).all()  # the hips are locked
+    assert all(tensor.abs().max() > 0 for tensor in gradient.values())
+
+
+def test_depth_is_held_as_in_torch(device):
+    """Of each body to its own energy's, and of none where nothing is to be held."""
+    body = walker(device)
+    depths = body.posed().centres[0, :, 2]
+    free = energy_of(body, weights=Weights(depth=0.01))
+    energies = [replace(free, depths=depths + offset) for offset in (0.0, 0.05)]
+    bodies = moved(body, 4, amount=0.3)
+    terms, gradient = gradient_at(energies, bodies)
+    for number, energy in enumerate(energies):
+        mine = slice(number, None, 2)
+        want_terms, want = autograd_at(energy, bodies.select(torch.arange(4, device=device)[mine]))
+        assert (want_terms["depth"] > 1.0).all()
+        assert_same({name: term[mine] for name, term in terms.items()}, want_terms, 1e-6)
+        assert_same({name: tensor[mine] for name, tensor in gradient.items()}, want, 1e-5)
+    assert_same(gradient_at(free, bodies)[1], autograd_at(free, bodies)[1], 1e-5)
+    with pytest.raises(ValueError, match="energies: some with depths, some without; expected the same of all"):
+        FusedRefinement([energies[0], free], 4)
+
+
+@pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
+def test_every_format_of_keypoints(device, fmt):
+    body = walker(device)
+    energy = Energy(observation(body, fmt), weights=Weights(length=0.0, thickness=0.0))
+    bodies = moved(body, 3)
+    (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
+    assert_same(terms, want_terms, 1e-6)
+    assert_same(gradient, want, 1e-5)
+
+
+def test_given_forces_reach_every_parameter(device):
+    """Forces in any direction, moments and camera forces, as a renderer may send them."""
+    body = walker(device)
+    energy = energy_of(
+        body, labels=True, weights=Weights(proj=0.0, seg=1.0, length=0.0, thickness=0.0, prior=0.0, limits=0.0)
+    )
+    bodies = moved(body, 4, amount=0.5)
+    made = []
+
+    def renderer(*arguments):
+        made.append(FixedForces(*arguments, seed=3))
+        return made[0]
+
+    terms, gradient = gradient_at(energy, bodies, renderer=renderer)
+    force, moment, camera = (torch.from_numpy(a).to(device) for a in (made[0].force, made[0].moment, made[0].camera))
+
+    def linear(leaves):
+        posed = leaves.posed()
+        value = (force * posed.centres).sum((1, 2))
+        value = value + (moment * posed.axes * posed.semi_axes[:, :, None]).sum((1, 2, 3))
+        value = value + (camera * leaves.camera(SIZE).intrinsics[:, None]).sum((1, 2))
+        return {"seg": (256 / SIZE) ** 2 * value}
+
+    assert_same(gradient, autograd_at(linear, bodies)[1], 1e-5)
+    torch.testing.assert_close(terms["seg"], torch.full((4,), 7 * (256 / SIZE) ** 2, device=device))
+
+
+@pytest.mark.parametrize("gradient", ["coverage", "partdr"])
+def test_labels_cost_and_pull_as_in_torch(device, gradient):
+    body = walker(device)
+    energy = energy_of(body, labels=True, weights=Weights(seg=0.5), max_distance=9.0, gradient=gradient)
+    bodies = moved(body, 3)
+    have, have_gradient = gradient_at(energy, bodies)
+    want, want_gradient = autograd_at(energy, bodies)
+    assert_same(have, want, 1e-6)
+    assert_same(have_gradient, want_gradient, 1e-4)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-5, 1e-3, 0.49, 0.51, math.pi - 1e-4, math.pi, 6.5])
+def test_rotations_of_any_size(device, angle):
+    body = walker(device)
+    axes = torch.nn.functional.normalize(noise(np.random.default_rng(0), body.rotations, 1), dim=-1)
+    bodies = replace(moved(body, 1), rotations=angle * axes)
+    (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
+    assert_same(terms, want_terms, 1e-5)
+    assert_same(gradient, want, 2e-5)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        [0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+        [1.0, 2.0, 3.0, 2.0, 4.0, 6.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.3, 0.0, 0.0, 1.0, 0.0, 0.0],
+        [3e-15, 1e-15, 0.0, 1e15, -1e15, 1e15],
+        [1.0, -2.0, 0.5, 1.0, -2.0, 0.6],
+    ],
+)
+def test_orientations_of_any_columns(device, columns):
+    body = walker(device)
+    bodies = replace(moved(body, 1), orientation=torch.tensor([columns], device=device))
+    (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
+    assert_same(terms, want_terms, 1e-4)
+    assert all(torch.isfinite(tensor).all() for tensor in gradient.values())
+    if max(map(abs, columns)) < 1e3 and any(columns[:3]) and columns[1]:  # elsewhere columns are replaced or infinite
+        torch.testing.assert_close(gradient["orientation"], want["orientation"], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("iterations", [0, 1, 10, 50])
+def test_a_run_ends_where_the_flexible_one_does(device, iterations):
+    """Without labels, whose pixels flip with the last bit.
+
+    A keypoint's L1 distance flips too, where rounding puts it on the other side of its target: in some 1 of 20 runs of
+    50 iterations a body goes another way for a while. So most bodies are held to rounding and all to a loose bound.
+    """
+    body = walker(device)
+    energy, start = energy_of(body), moved(body, 8)
+    want = refine(start, energy, iterations=iterations, learning_rate=0.02)
+    steps: list[int] = []
+    fused = FusedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
+    have = fused.refine(start, on_iteration=steps.append)
+    assert steps == list(range(1, iterations + 1))
+    for name, tensor in want.parameters.tensors().items():
+        error = (have.parameters.tensors()[name] - tensor).abs().reshape(8, -1).amax(1).sort().values
+        assert error[5] <= 2e-5, name
+        assert error[7] <= 2e-2, name
+    assert have.history.shape == want.history.shape == (iterations, 8)
+    assert have.terms.keys() == want.terms.keys()
+    torch.testing.assert_close(have.history, want.history, rtol=0.03, atol=1e-3)
+    torch.testing.assert_close(have.energy, want.energy, rtol=0.03, atol=1e-3)
+    torch.testing.assert_close(sum(have.terms.values()), have.energy)
+
+
+def test_labels_bring_a_moved_body_back(device):
+    body = walker(device)
+    energy = energy_of(body, labels=True, weights=Weights(seg=0.3), gradient="coverage")
+    start = moved(body, 3, amount=0.08)
+    have = FusedRefinement(energy, 3, learning_rate=0.02).refine(start)
+    want = refine(start, energy, learning_rate=0.02)
+    assert (have.terms["seg"] < 0.4 * gradient_at(energy, start)[0]["seg"]).all()
+    torch.testing.assert_close(have.energy, want.energy, rtol=0.05, atol=0.5)
+    assert list(have.terms) == ["proj", "seg", "length", "thickness", "prior", "limits"]
+
+
+def test_sizes_stay_within_bounds(device):
+    body = walker(device)
+    huge = replace(observation(body), points=100 * observation(body).points)
+    have = FusedRefinement(Energy(huge), 1, learning_rate=1.0).refine(body).parameters
+    mean = BodyParameters.mean(1, device=device)
+    at_a_bound = 0
+    for name, (low, high) in SIZES.items():
+        share = have.tensors()[name] / mean.tensors()[name]
+        assert (share >= low - 1e-6).all()
+        assert (share <= high + 1e-6).all()
+        at_a_bound += int(((share - low).abs() < 1e-5).sum() + ((share - high).abs() < 1e-5).sum())
+    assert at_a_bound > 0  # or the bounds were not tried
+
+
+def test_a_run_repeats_bit_for_bit(device):
+    body = walker(device)
+    energy = energy_of(body, labels=True)
+    runs = [FusedRefinement(energy, 4).refine(moved(body, 4)) for _ in range(2)]
+    for name, tensor in runs[0].parameters.tensors().items():
+        assert torch.equal(tensor, runs[1].parameters.tensors()[name]), name
+    assert torch.equal(runs[0].history, runs[1].history)
+
+
+def test_further_iterations_leave_bodies_where_they_are(device):
+    """They repeat the last one, and write nothing beyond the history."""
+    body = walker(device)
+    fused = FusedRefinement(energy_of(body, labels=True), 2, iterations=3)
+    want = fused.refine(moved(body, 2))
+    parameters, history = fused._parameters.clone(), fused._history.clone()
+    wp.synchronize_device(device)
+    for _ in range(5):
+        fused.iterate()
+    wp.synchronize_device(device)
+    assert torch.equal(fused._parameters, parameters)
+    assert torch.equal(fused._history, history)
+    assert torch.equal(fused.refine(moved(body, 2)).history, want.history)
+
+
+def test_two_threads_give_what_one_gives():
+    """Replays on the CPU device share nothing; a tile there would."""
+    body = walker()
+    energy, start = energy_of(body), moved(body, 16)
+    fused = [FusedRefinement(energy, 16) for _ in range(2)]
+    want = fused[0].refine(start).history
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(5):
+            for have in pool.map(lambda one: one.refine(start).history, fused):
+                assert torch.equal(have, want)
+
+
+def test_bodies_do_not_influence_one_another(device):
+    """Not even one that is not a number; and each sees its own observation."""
+    body = walker(device)
+    other = moved(body, 1, seed=7)
+    energies = [energy_of(body, labels=True), energy_of(other, labels=True)]
+    energies[1].prior = energies[0].prior
+    start = moved(body, 4)
+    start.shift[2] = math.nan
+    together = FusedRefinement(energies, 4, iterations=20).refine(start)
+    for b in (0, 1, 3):
+        alone = FusedRefinement(energies[b % 2], 1, iterations=20)
+        member = alone.refine(start.select(torch.tensor([b], device=device)))
+        assert torch.equal(together.history[:, b], member.history[:, 0])
+        for name, tensor in member.parameters.tensors().items():
+            assert torch.equal(together.parameters.tensors()[name][b : b + 1], tensor), (b, name)
+    assert together.energy[2].isnan()
+
+
+def test_buffers_serve_again(device):
+    body = walker(device)
+    other = moved(body, 1, seed=7)
+    first, second = energy_of(body, labels=True), energy_of(other, labels=True)
+    second.prior = first.prior
+    second.observation = replace(second.observation)
+    start = moved(body, 2)
+    fused = FusedRefinement(first, 2, iterations=10)
+    before = fused.refine(start)
+    kept = before.history.clone()
+    fused.observe(second)
+    changed = fused.refine(moved(body, 2, seed=5))
+    fresh = FusedRefinement(second, 2, iterations=10).refine(moved(body, 2, seed=5))
+    assert torch.equal(changed.history, fresh.history)
+    assert torch.equal(before.history, kept)  # results are copies
+    fused.observe(first)
+    assert torch.equal(fused.refine(start).history, kept)
+
+
+def test_keypoints_that_are_gone_pull_no_more(device):
+    body = walker(device)
+    many, few = observation(body, "body25"), observation(body, "lsp14")
+    fused = FusedRefinement(Energy(many), 1, iterations=3)
+    fused.observe(Energy(few))
+    assert torch.equal(
+        fused.refine(moved(body, 1)).history,
+        FusedRefinement(Energy(few), 1, iterations=3).refine(moved(body, 1)).history,
+    )
+
+
+def last_iteration(energies: np.ndarray, tolerance: float, patience: int) -> int:
+    """Where a body comes to rest that would have these energies if it ran on."""
+    best = np.minimum.accumulate(energies)
+    mark = 0
+    for i in range(1, len(best)):
+        if best[mark] - best[i] > tolerance * abs(best[mark]):
+            mark = i
+        elif i - mark >= patience:
+            return i
+    return len(best) - 1
+
+
+def test_a_body_rests_when_it_gains_no_more(device):
+    body = walker(device)
+    energy, start = energy_of(body), moved(body, 3)
+    start = BodyParameters(**{n: torch.cat([t, body.tensors()[n]]) for n, t in start.tensors().items()})
+    options = {"iterations": 80, "learning_rate": 0.02}
+    free = FusedRefinement(energy, 4, **options).refine(start)
+    resting = FusedRefinement(energy, 4, **options, tolerance=0.1, patience=5)
+    have = resting.refine(start)
+    lasts = [last_iteration(free.history[:, b].cpu().numpy(), 0.1, 5) for b in range(4)]
+    assert 5 <= min(lasts) < max(lasts) < 79
+    for b, last in enumerate(lasts):
+        # until then it is the same run, and what comes back is its best state
+        assert torch.equal(have.history[: last + 1, b], free.history[: last + 1, b])
+        assert (have.history[last:, b] == have.history[last, b]).all()
+        assert have.energy[b] == have.history[:, b].min()
+    assert not resting._active.any()
+    stayed = BodyParameters(**_split(resting._parameters))
+    torch.testing.assert_close(sum(energy(stayed).values()), have.history[-1], rtol=1e-4, atol=1e-3)
+    again = sum(energy(have.parameters).values())
+    torch.testing.assert_close(again, have.energy, rtol=1e-4, atol=1e-3)
+    patient = FusedRefinement(energy, 4, **options, tolerance=0.0, patience=80).refine(start)
+    assert torch.equal(patient.history, free.history)
+
+
+def test_empty_batch(device):
+    have = FusedRefinement(energy_of(walker(device)), 0).refine(BodyParameters.mean(0, device=device))
+    assert have.energy.shape == (0,)
+    assert have.history.shape == (50, 0)
+
+
+def test_bad_calls_name_the_argument(device):
+    body = walker(device)
+    energy = energy_of(body)
+    fused = FusedRefinement(energy, 2)
+    with pytest.raises(ValueError, match="shape"):
+        fused.refine(body)
+    with pytest.raises(ValueError, match="float64"):
+        fused.refine(replace(moved(body, 2), shift=torch.zeros(2, 2, dtype=torch.float64, device=device)))
+    with pytest.raises(ValueError, match="weights"):
+        fused.observe(replace(energy, weights=Weights(proj=2.0)))
+    with pytest.raises(ValueError, match="energies: 2; expected 1"):
+        fused.observe([energy, energy])
+    with pytest.raises(ValueError, match="labels"):
+        fused.observe(replace(energy, observation=observation(body, labels=True)))
+    with pytest.raises(ValueError, match="renderer 'mesh'"):
+        FusedRefinement(energy_of(body, labels=True, renderer="mesh"), 1)
+    soft = replace(observation(body, labels=True), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE))
+    with pytest.raises(ValueError, match="probabilities"):
+        FusedRefinement(Energy(soft), 1)

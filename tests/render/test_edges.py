@@ -1,0 +1,109 @@
+"""The "edges" gradient: against its definition in float64, and against the true derivative that it samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import ellipsoid_reference as reference
+import numpy as np
+import pytest
+import torch
+from edges_reference import edges_gradient
+from test_ellipsoids import (
+    CAMERAS,
+    GROUPS,
+    Leaves,
+    body_scene,
+    gradient_errors,
+    noisy_target,
+    random_scene,
+    smooth_maps,
+    turn_gradient,
+)
+
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+
+
+def errors(scene, leaves, image, costs):
+    """Of each gradient, as a share of what was added up for it."""
+    want, sizes = edges_gradient(scene, image.parts[0].cpu().numpy(), costs)
+    have = leaves.gradients()
+    have["turns"] = turn_gradient(scene.axes, have.pop("axes"))
+    return [np.linalg.norm(have[name] - want[name]) / np.linalg.norm(sizes[name]) for name in want]
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("size", [(21, 34), (32, 24)])  # in bytes, and four pixels a word
+def test_gradient_of_maps_is_its_definition(device, size, perspective):
+    found = []
+    for seed in range(3):
+        scene = random_scene(seed, size, perspective, labels=GROUPS)
+        maps = smooth_maps(seed, 4, size)
+        leaves = Leaves.of(scene, device=device)
+        image = draw_ellipsoids(
+            leaves.ellipsoids, leaves.camera, size, part_labels=GROUPS, num_maps=4, gradient="edges"
+        )
+        (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+        found += errors(scene, leaves, image, reference.dense_costs(maps))
+    # Where a front is steep next to its outline, float32 knows its slope to a few percent.
+    assert np.median(found) < 1e-3
+    assert max(found) < 3e-2
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_of_the_label_loss_is_its_definition(device, perspective):
+    size = (48, 40)
+    scene = body_scene(3, size, perspective, device)
+    target = noisy_target(reference.draw(scene, size)[0], 20, 0)
+    leaves = Leaves.of(scene, device=device)
+    loss, image = ellipsoid_label_loss(
+        leaves.ellipsoids, leaves.camera, torch.from_numpy(target).to(device)[None], gradient="edges"
+    )
+    loss.sum().backward()
+    assert max(errors(scene, leaves, image, reference.target_costs(target, 20))) < 2e-3
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_approaches_that_of_area(device, perspective):
+    """A finer picture of the same scene with the same costs: its lines sample borders more densely."""
+    mean = []
+    for scale in (1, 4):
+        found = []
+        for seed in range(3):
+            scene = random_scene(seed, (40, 48), perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
+            scene = replace(scene, camera=scene.camera * scale)
+            maps = smooth_maps(seed, 5, (40, 48)).repeat(scale, 1).repeat(scale, 2)
+            leaves = Leaves.of(scene, device=device)
+            image = draw_ellipsoids(
+                leaves.ellipsoids,
+                leaves.camera,
+                maps.shape[1:],
+                part_labels=scene.labels,
+                num_maps=5,
+                gradient="edges",
+            )
+            (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+            want = reference.coverage_gradient(scene, reference.dense_costs(maps), 16)
+            relative = gradient_errors(scene, leaves, want)
+            found.append([relative[name] for name in ("centres", "turns", "semi_axes")])
+        mean.append(np.mean(found, 0))
+    assert (mean[0] < 0.2).all()
+    assert (mean[1] < 0.5 * mean[0]).all()
+
+
+def test_a_part_between_pixel_centres_has_no_gradient(device):
+    """It shows nowhere; what walks outlines still sees it."""
+    centres = torch.zeros(1, 1, 3, device=device, requires_grad=True)
+    size = torch.tensor([[[0.3, 3.0, 0.3]]], device=device)
+    thin = Ellipsoids(centres, torch.eye(3, device=device)[None, None], size)
+    camera = WeakPerspective(torch.ones(1, device=device), torch.full((1, 2), 4.0, device=device))
+    target = torch.zeros(1, 8, 8, dtype=torch.uint8, device=device)
+    target[0, :, 4:] = 1  # the right half wants it
+    found = {}
+    for gradient in ("edges", "coverage"):
+        loss, image = ellipsoid_label_loss(thin, camera, target, gradient=gradient)
+        assert not image.labels.any()
+        found[gradient] = torch.autograd.grad(loss.sum(), centres)[0][0, 0, 0].item()
+    assert found["edges"] == 0
+    assert found["coverage"] < 0

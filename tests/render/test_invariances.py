@@ -1,0 +1,380 @@
+"""What must not change, or change in a known way: both renderers, every estimator, loss and gradient."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_ellipsoids import CAMERAS, GRADIENTS, Leaves, body_camera, body_parameters, random_scene
+
+from warp_partdr.body.posing import pose
+from warp_partdr.body.template import PARENTS, PART_NAMES
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
+
+SIZE = (40, 48)
+EDGES = ["silhouette", "all"]
+RENDERERS = [*GRADIENTS, *(f"mesh {edges}" for edges in EDGES)]
+LEVEL = 1
+
+few = settings(max_examples=5, derandomize=True, deadline=None)
+seeds = st.integers(0, 2**16)
+
+
+def pictured(posed, camera, renderer, size=SIZE):
+    """Labels of a body in either renderer."""
+    if not renderer.startswith("mesh"):
+        return draw_ellipsoids(posed, camera, size).labels
+    mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
+    return rasterize_parts(camera.project(posed.vertices(LEVEL)), mesh, size, perspective=camera.perspective).labels
+
+
+def losses(posed, camera, target, renderer, **options):
+    """L_seg of a body in either renderer."""
+    if not renderer.startswith("mesh"):
+        return ellipsoid_label_loss(posed, camera, target, gradient=renderer, **options)[0]
+    mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
+    vertices = camera.project(posed.vertices(LEVEL))
+    edges = renderer.removeprefix("mesh ")
+    return label_loss(vertices, mesh, target, perspective=camera.perspective, edges=edges, **options)[0]
+
+
+def fused_and_maps(posed, camera, target, renderer):
+    """The two paths' losses; the second goes through float maps."""
+    wanted = (target[:, None] == torch.arange(1, 21, device=target.device)[:, None, None]).float()
+    if renderer.startswith("mesh"):
+        mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
+        maps = rasterize_parts(
+            camera.project(posed.vertices(LEVEL)),
+            mesh,
+            tuple(target.shape[1:]),
+            perspective=camera.perspective,
+            num_maps=20,
+            edges=renderer.removeprefix("mesh "),
+        ).maps
+    else:
+        maps = draw_ellipsoids(posed, camera, tuple(target.shape[1:]), num_maps=20, gradient=renderer).maps
+    return losses(posed, camera, target, renderer), (maps - wanted).square().sum((1, 2, 3))
+
+
+def leaves_of(seed, device, batch=1):
+    return {name: value.requires_grad_() for name, value in body_parameters(seed, device, batch).items()}
+
+
+def gradients(loss, leaves):
+    found = torch.autograd.grad(loss.sum(), list(leaves.values()), retain_graph=True)
+    return dict(zip(leaves, found, strict=True))
+
+
+def target_of(seed, camera, renderer, device, size=SIZE):
+    """The picture of a body near that of ``seed``, and some pixels that are ignored."""
+    parameters = body_parameters(seed, device)
+    parameters["translation"] = parameters["translation"] + torch.tensor([0.07, -0.05, 0.0], device=device)
+    target = pictured(pose(**parameters), camera, renderer, size)
+    target[:, 3 : 3 + size[0] // 6, size[1] // 2 : size[1] // 2 + 6] = 255
+    return target
+
+
+def assert_alike(have, want, tolerance):
+    """Equal up to a share of the largest entry."""
+    assert (have - want).abs().max() <= tolerance * want.abs().max(), (have, want)
+
+
+# --- A picture that is its target -----------------------------------------------------------------------------------
+
+
+@few
+@given(seed=seeds, perspective=st.booleans())
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_picture_equal_to_its_target_pulls_at_nothing(device, renderer, seed, perspective):
+    """Exactly: in the label loss and through maps, with weights, and whatever pixels are ignored.
+
+    The derivative of covered area ("edges", "coverage") is another thing in the label loss, where a pixel that an
+    outline cuts is right or wrong as a whole; see the next test.
+    """
+    camera = body_camera(SIZE, perspective, device=device)
+    leaves = leaves_of(seed, device)
+    posed = pose(**leaves)
+    target = pictured(posed, camera, renderer)
+    fused, through_maps = fused_and_maps(posed, camera, target, renderer)
+    ignored = target.clone()
+    ignored[:, ::3, 1::2] = 255
+    weights = torch.linspace(0.1, 3.0, 21)
+    others = [
+        losses(posed, camera, ignored, renderer),
+        losses(posed, camera, target, renderer, label_weights=weights),
+        losses(posed, camera, ignored, renderer, label_weights=weights),
+    ]
+    for loss in (through_maps, fused, *others):
+        assert loss.item() == 0
+        if loss is through_maps or renderer not in ("edges", "coverage"):
+            assert all((gradient == 0).all() for gradient in gradients(loss, leaves).values())
+
+
+@pytest.mark.parametrize("renderer", ["edges", "coverage"])
+def test_pixels_that_outlines_cut_pull_little(device, renderer):
+    """What is left of the derivative of covered area where picture and target are equal: pulls of half a pixel."""
+    size = (160, 192)
+    camera = body_camera(size, False, device=device)
+    pulls = {}
+    for name in ("own", "moved"):
+        leaves = leaves_of(0, device)
+        own = pictured(pose(**leaves), camera, renderer, size)
+        target = own if name == "own" else target_of(0, camera, renderer, device, size)
+        loss = losses(pose(**leaves), camera, target, renderer)
+        pulls[name] = gradients(loss, leaves)["translation"].abs().max()
+    assert pulls["own"] < 0.25 * pulls["moved"]
+
+
+# --- Moving, mirroring, scaling -------------------------------------------------------------------------------------
+
+
+@few
+@given(seed=seeds)
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_moving_body_and_camera_together_changes_nothing(device, renderer, seed):
+    """By powers of two, which float32 adds without error, so that not a pixel may change."""
+    camera = WeakPerspective(torch.tensor([16.0], device=device), torch.tensor([[24.0, 18.0]], device=device))
+    target = target_of(seed, camera, renderer, device)
+    found = []
+    for shift in ((0.0, 0.0), (0.5, -0.25)):
+        # On a grid coarse enough that centres, too, move without error.
+        leaves = leaves_of(seed, device)
+        posed = pose(**leaves)
+        centres = ((posed.centres * 2**16).round() / 2**16 + torch.tensor([*shift, 0.0], device=device)).detach()
+        ellipsoids = {"centres": centres, "axes": posed.axes.detach(), "semi_axes": posed.semi_axes.detach()}
+        tensors = {name: tensor.clone().requires_grad_() for name, tensor in ellipsoids.items()}
+        moved = replace(posed, **tensors)
+        seen = WeakPerspective(camera.scale, camera.translation - 16.0 * torch.tensor([shift], device=device))
+        loss = losses(moved, seen, target, renderer)
+        found.append((loss.detach(), gradients(loss, tensors)))
+    assert torch.equal(found[0][0], found[1][0])
+    for name, want in found[0][1].items():
+        assert_alike(found[1][1][name], want, 1e-4)
+
+
+@few
+@given(seed=seeds, perspective=st.booleans())
+@pytest.mark.parametrize("renderer", GRADIENTS)
+def test_scaling_metres_scales_the_gradient_back(device, renderer, seed, perspective):
+    """Twice the body and the distance and, where it is not perspective, half the pixels a metre: the same picture."""
+    scene = random_scene(seed, SIZE, perspective)
+    target = torch.from_numpy(np.roll(shown(scene, device), (2, -3), (0, 1))).to(device)[None]
+    found = []
+    for scale in (1.0, 2.0, 1024.0):
+        camera = scene.camera * (1 if perspective else np.array([1 / scale, 1 / scale, 1, 1]))
+        larger = replace(
+            scene, centres=scale * scene.centres, semi_axes=scale * scene.semi_axes, camera=camera, near=-np.inf
+        )
+        leaves = Leaves.of(larger, device=device)
+        loss, image = ellipsoid_label_loss(
+            leaves.ellipsoids, leaves.camera, target, gradient=renderer, depth_weight=0.0
+        )
+        loss.sum().backward()
+        grads = leaves.gradients()
+        found.append((image.parts, loss.detach(), scale * grads["centres"], grads["axes"], scale * grads["semi_axes"]))
+    for other in found[1:]:
+        assert torch.equal(other[0], found[0][0])
+        assert torch.equal(other[1], found[0][1])
+        for have, want in zip(other[2:], found[0][2:], strict=True):
+            assert np.abs(have - want).max() <= 2e-5 * np.abs(want).max()
+
+
+def shown(scene, device):
+    leaves = Leaves.of(scene, device=device)
+    return draw_ellipsoids(leaves.ellipsoids, leaves.camera, SIZE).labels[0].cpu().numpy()
+
+
+@few
+@given(seed=seeds, perspective=st.booleans())
+@pytest.mark.parametrize("edges", EDGES)
+def test_scaling_the_metres_of_a_mesh_changes_nothing(device, edges, seed, perspective):
+    """Vertices are in pixels already; depth in other units leaves picture and pulls as they are."""
+    camera = body_camera(SIZE, perspective, device=device)
+    target = target_of(seed, camera, f"mesh {edges}", device)
+    points = camera.project(pose(**body_parameters(seed, device)).vertices(LEVEL)).detach()
+    found = []
+    for scale in (1.0, 2.0, 1024.0):
+        leaf = (points * torch.tensor([1.0, 1.0, scale], device=device)).requires_grad_()
+        mesh = ellipbody_mesh(LEVEL, device=device)
+        loss, image = label_loss(leaf, mesh, target, perspective=perspective, edges=edges, depth_weight=0.0)
+        (gradient,) = torch.autograd.grad(loss.sum(), leaf)
+        found.append((image.face_index, loss.detach(), gradient))
+    for other in found[1:]:
+        assert torch.equal(other[0], found[0][0])
+        assert torch.equal(other[1], found[0][1])
+        assert_alike(other[2], found[0][2], 1e-5)
+
+
+def mirrored_name(name):
+    """Of a part: left_foot and right_foot."""
+    side, _, rest = name.partition("_")
+    return {"left": "right_", "right": "left_"}.get(side, side) + rest
+
+
+MIRROR_PART = [PART_NAMES.index(mirrored_name(name)) for name in PART_NAMES]
+
+
+@few
+@given(seed=seeds, perspective=st.booleans())
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_mirror_swaps_left_and_right(device, renderer, seed, perspective):
+    """Labels, loss and gradient, of bodies whose pose is mirrored too."""
+    camera = body_camera((40, 48), perspective, device=device)
+    swap = torch.tensor(MIRROR_PART, device=device)
+    table = torch.cat([torch.zeros(1, dtype=torch.long, device=device), swap + 1])
+    flip = torch.tensor([-1.0, 1.0, 1.0], device=device)
+    there = leaves_of(seed, device)
+    here = {name: value.detach().clone() for name, value in there.items()}
+    for name in ("global_orient", "rotations"):
+        here[name] = here[name] * flip[:, None] * flip
+    here["rotations"] = here["rotations"][:, swap]
+    here["translation"] = here["translation"] * flip
+    here = {name: value.requires_grad_() for name, value in here.items()}
+    picture, mirrored = (pictured(pose(**leaves), camera, renderer) for leaves in (there, here))
+    # Its faces are not symmetric, and at a tie the lower of two left or right parts shows.
+    agreed = (table[picture.long()].flip(2) == mirrored).float().mean()
+    if renderer.startswith("mesh"):
+        assert agreed > 0.97
+        return
+    assert agreed > 0.998
+    target = target_of(seed, camera, renderer, device)
+    known = torch.where(target == 255, target.long(), table[target.long().clamp_max(20)]).to(torch.uint8)
+    fine = {"steps_per_pixel": 8.0, "halvings": 8} if renderer == "coverage" else {}
+    loss = losses(pose(**there), camera, target, renderer, **fine)
+    mirrored_loss = losses(pose(**here), camera, known.flip(2).contiguous(), renderer, **fine)
+    assert abs(loss.item() - mirrored_loss.item()) <= 4
+    want, have = gradients(loss, there), gradients(mirrored_loss, here)
+    assert_alike(have["translation"] * flip, want["translation"], 0.02)
+    assert_alike(have["lengths"], want["lengths"], 0.02)
+    assert_alike(have["thicknesses"], want["thicknesses"], 0.02)
+    assert_alike((have["rotations"] * flip[:, None] * flip)[:, swap], want["rotations"], 0.02)
+
+
+def test_every_part_has_its_mirror_image():
+    for part, other in enumerate(MIRROR_PART):
+        assert MIRROR_PART[other] == part
+        above, other_above = PARENTS[part], PARENTS[other]
+        assert (above < 0 and other_above < 0) or MIRROR_PART[above] == other_above
+
+
+# --- Order and batches ----------------------------------------------------------------------------------------------
+
+
+@few
+@given(seed=seeds, perspective=st.booleans())
+@pytest.mark.parametrize("renderer", GRADIENTS)
+def test_order_of_ellipsoids_changes_ids_alone(device, renderer, seed, perspective):
+    scene = random_scene(seed, SIZE, perspective)
+    target = torch.from_numpy(np.roll(shown(scene, device), (2, -3), (0, 1))).to(device)[None]
+    order = np.random.default_rng(seed).permutation(6)
+    found = []
+    for index in (np.arange(6), order):
+        numbers = {name: getattr(scene, name)[index] for name in ("centres", "axes", "semi_axes")}
+        leaves = Leaves.of(replace(scene, **numbers), device=device)
+        loss, image = ellipsoid_label_loss(
+            leaves.ellipsoids, leaves.camera, target, part_labels=(index + 1).tolist(), gradient=renderer
+        )
+        loss.sum().backward()
+        grads = leaves.gradients()
+        back = np.argsort(index)
+        found.append((image.labels, image.depth, loss.detach(), *(grads[name][back] for name in numbers)))
+    for have, want in zip(found[1][:3], found[0][:3], strict=True):
+        assert torch.equal(have, want)
+    for have, want in zip(found[1][3:], found[0][3:], strict=True):
+        assert np.abs(have - want).max() <= 1e-4 * np.abs(want).max()
+
+
+@few
+@given(seed=seeds)
+@pytest.mark.parametrize("edges", EDGES)
+def test_order_of_faces_changes_indices_alone(device, edges, seed):
+    camera = body_camera(SIZE, False, device=device)
+    points = camera.project(pose(**body_parameters(seed, device)).vertices(LEVEL)).detach()
+    mesh = ellipbody_mesh(LEVEL, device=device)
+    target = target_of(seed, camera, f"mesh {edges}", device)
+    order = torch.from_numpy(np.random.default_rng(seed).permutation(len(mesh.faces))).to(device)
+    other = PartMesh.from_faces(mesh.faces[order].cpu().numpy(), mesh.face_labels[order].cpu().numpy(), device=device)
+    found = []
+    for each in (mesh, other):
+        leaf = points.clone().requires_grad_()
+        loss, image = label_loss(leaf, each, target, edges=edges)
+        found.append((image.depth, image.labels, loss.detach(), torch.autograd.grad(loss.sum(), leaf)[0]))
+    torch.testing.assert_close(found[1][0], found[0][0])
+    # Faces of two parts may be equally near, where the lower index shows.
+    assert (found[1][1] != found[0][1]).sum() <= 2
+    assert abs(found[1][2] - found[0][2]).max() <= 4
+    if torch.equal(found[1][1], found[0][1]):
+        assert_alike(found[1][3], found[0][3], 1e-3)
+
+
+@few
+@given(seed=seeds, perspective=st.booleans(), batch=st.integers(2, 5))
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_batch_equals_its_members_to_the_bit(device, renderer, seed, perspective, batch):
+    """On CUDA, PartDR's sums on meshes are made by atomics, whose order varies."""
+    cameras = body_camera(SIZE, perspective, batch, device)
+    one = body_camera(SIZE, perspective, 1, device)
+    leaves = leaves_of(seed, device, batch)
+    target = target_of(seed, one, renderer, device).expand(batch, -1, -1).contiguous()
+    posed = pose(**leaves)
+    tensors = {name: getattr(posed, name).detach() for name in ("centres", "axes", "semi_axes")}
+
+    def found(part, camera):
+        parts = {name: tensor[part].clone().requires_grad_() for name, tensor in tensors.items()}
+        body = replace(posed, **parts)
+        loss = losses(body, camera, target[part], renderer)
+        return [loss.detach(), pictured(body, camera, renderer), *gradients(loss, parts).values()]
+
+    whole = found(slice(0, batch), cameras)
+    for b in range(batch):
+        alone = found(slice(b, b + 1), one)
+        for have, want in zip(whole, alone, strict=True):
+            if device == "cuda" and renderer.startswith("mesh") and have.is_floating_point():
+                assert_alike(have[b], want[0], 1e-4)
+            else:
+                assert torch.equal(have[b], want[0])
+
+
+# --- Resolution -----------------------------------------------------------------------------------------------------
+
+
+RESOLUTION = {  # least cosine of the two gradients, and how much their lengths may differ
+    "coverage": (0.995, 0.06),
+    "edges": (0.985, 0.1),
+    "partdr": (0.99, 0.5),
+    "mesh silhouette": (0.99, 0.5),
+    "mesh all": (0.99, 0.7),
+}
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_twice_the_picture_gives_the_same_normalised_gradient(device, renderer, perspective):
+    """L_seg counts pixels, so a share of the picture's area is L / size². Its gradient is the same but for sampling.
+
+    PartDR's distances are in pixels: its slope, a loss by a distance, takes one size less.
+    """
+    found = []
+    for scale in (1, 2):
+        size = (96 * scale, 112 * scale)
+        mean = []
+        for seed in range(3):
+            camera = body_camera(size, perspective, device=device)
+            leaves = leaves_of(seed, device)
+            target = target_of(seed, camera, renderer, device, size)
+            loss = losses(pose(**leaves), camera, target, renderer)
+            mean.append(torch.cat([g.flatten() for g in gradients(loss, leaves).values()]) / scale**2)
+        found.append(torch.stack(mean))
+    coarse, fine = found
+    similarity = torch.cosine_similarity(coarse, fine, dim=1)
+    ratio = fine.norm(dim=1) / coarse.norm(dim=1)
+    least, spread = RESOLUTION[renderer]
+    assert similarity.min() > least, similarity
+    assert ((ratio - 1).abs() < spread).all(), ratio

@@ -1,0 +1,287 @@
+"""PartDR's rule is one rule: the mesh's gradient comes to the exact renderer's, in length and in direction.
+
+Both say how the loss changes as points of the surface move, so they are compared in the ellipsoids' own numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import ellipsoid_reference
+import numpy as np
+import pytest
+import reference
+import torch
+from scipy.spatial.transform import Rotation
+
+from warp_partdr import label_set
+from warp_partdr.body.ellipbody import EllipBody
+from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.posing import Posed, pose
+from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import PartImage, label_loss, rasterize_parts
+from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
+
+CAMERAS = [pytest.param(False, id="weak"), pytest.param(True, id="perspective")]
+NAMES = ("centres", "axes", "semi_axes")
+
+
+def compare(have: np.ndarray, want: np.ndarray) -> tuple[float, float]:
+    """Length of a gradient as a multiple of another's, and their cosine."""
+    lengths = np.linalg.norm(have), np.linalg.norm(want)
+    return float(lengths[0] / lengths[1]), float((have * want).sum() / (lengths[0] * lengths[1]))
+
+
+# --- The definitions, in float64 ---------------------------------------------------------------------------------
+
+SIZE = (40, 44)
+
+
+def two_ellipsoids(perspective: bool, shift: float = 0.0) -> ellipsoid_reference.Scene:
+    """One before the other; ``shift`` [m] moves the one behind to the right."""
+    centres = np.array([[0.0, 0.1, 2.6], [0.1 + shift, -0.15, 3.0]])
+    axes = Rotation.from_rotvec([[0.3, 0.5, 0.2], [-0.4, 0.1, 0.9]]).as_matrix()
+    semi_axes = np.array([[0.24, 0.4, 0.3], [0.45, 0.2, 0.3]])
+    focal = 74.0 if perspective else 26.0
+    camera = np.array([focal, focal, 22.3, 19.8])
+    return ellipsoid_reference.Scene(centres, axes, semi_axes, camera, np.array([1, 2]), perspective)
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """Icospheres in place of a scene's ellipsoids.
+
+    Attributes:
+        points: Of the surface, ellipsoid by ellipsoid, shape (V, 3) [m].
+        vertices: The same as the camera sees them, (u [px], v [px], z [m]).
+    """
+
+    scene: ellipsoid_reference.Scene
+    points: np.ndarray
+    vertices: np.ndarray
+    faces: np.ndarray
+    face_labels: np.ndarray
+
+    @classmethod
+    def of(cls, scene: ellipsoid_reference.Scene, level: int) -> Meshes:
+        sphere, faces = icosphere(level)
+        points = scene.centres[:, None] + np.einsum("pij,pj,vj->pvi", scene.axes, scene.semi_axes, sphere)
+        points = points.reshape(-1, 3)
+        across = points[:, :2] / (points[:, 2:] if scene.perspective else 1.0)
+        vertices = np.concatenate([across * scene.camera[:2] + scene.camera[2:], points[:, 2:]], 1)
+        faces = np.concatenate([faces + k * len(sphere) for k in range(len(scene.labels))])
+        return cls(scene, points, vertices, faces, np.repeat(scene.labels, len(faces) // len(scene.labels)))
+
+    def picture(self) -> PartImage:
+        """One body, on the CPU."""
+        mesh = PartMesh.from_faces(self.faces, self.face_labels)
+        vertices = torch.from_numpy(self.vertices)[None].float()
+        return rasterize_parts(vertices, mesh, SIZE, perspective=self.scene.perspective)
+
+    def forces(self, grad: np.ndarray) -> ellipsoid_reference.Forces:
+        """A gradient of the vertices as one of the ellipsoids."""
+        forces = ellipsoid_reference.Forces(self.scene)
+        for k, point, force in zip(np.repeat([0, 1], len(grad) // 2), self.points, grad, strict=True):
+            forces.push_image(k, point, force[:2])
+            forces.push(k, point, np.array([0.0, 0.0, force[2]]))
+        return forces
+
+
+def check_meets(have: ellipsoid_reference.Forces, want: ellipsoid_reference.Forces) -> None:
+    for name in NAMES:
+        length, cosine = compare(getattr(have, name), getattr(want, name))
+        assert length == pytest.approx(1.0, abs=0.03), name
+        assert cosine > 0.997, name
+
+
+@pytest.mark.parametrize("shift", [0.03, 0.6], ids=["near", "far"])
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_the_definitions_meet_in_x_and_y(perspective, shift):
+    """Icospheres come to the ellipsoids they stand for; two pixels of the finer ones' picture differ from theirs."""
+    scene = two_ellipsoids(perspective)
+    labels, parts, _ = ellipsoid_reference.draw(scene, SIZE)
+    target = ellipsoid_reference.draw(two_ellipsoids(perspective, shift), SIZE)[0]
+    g = ellipsoid_reference.label_gradient(labels, target, 2)
+    want = ellipsoid_reference.partdr_gradient(scene, parts, g, depth_weight=0.0)
+    errors = []
+    for level in (1, 3):
+        meshes = Meshes.of(scene, level)
+        image = meshes.picture()
+        grad = reference.gradient(
+            meshes.vertices,
+            meshes.faces,
+            meshes.face_labels,
+            image.labels[0].numpy(),
+            image.face_index[0].numpy(),
+            g,
+            perspective=perspective,
+            over_farther=True,
+            depth=image.depth[0].numpy(),
+            depth_weight=0.0,
+        )
+        have = meshes.forces(grad)
+        errors.append([np.linalg.norm(getattr(have, name) - getattr(want, name)) for name in NAMES])
+    check_meets(have, want)
+    assert (np.array(errors[1]) < np.array(errors[0])).all()
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_the_definitions_meet_in_z(perspective):
+    """Where part 2 should be seen and is hidden."""
+    scene = two_ellipsoids(perspective)
+    labels, parts, _ = ellipsoid_reference.draw(scene, SIZE)
+    g = np.zeros((2, *SIZE))
+    g[1, 16:23, 20:29] = -2.0
+    want = ellipsoid_reference.Forces(scene)
+    ellipsoid_reference.push_depths(want, labels, parts, g, 1.0)
+    meshes = Meshes.of(scene, 3)
+    image = meshes.picture()
+    shown = np.where(g[1] != 0, image.labels[0].numpy(), 0)  # the slow reference need not look elsewhere
+    grad = np.zeros_like(meshes.points)
+    grad[:, 2] = reference.depth_gradient(
+        meshes.vertices,
+        meshes.faces,
+        meshes.face_labels,
+        shown,
+        image.face_index[0].numpy(),
+        g,
+        perspective,
+        -np.inf,
+        1.0,
+    )
+    check_meets(meshes.forces(grad), want)
+
+
+# --- The renderers -----------------------------------------------------------------------------------------------
+
+# How far E3's length may be from 1, and its least cosine. Sizes and turns hang on few pixels near the target, and so
+# does z: where the two pictures differ, so do they.
+LIMITS = {"x, y": (0.02, 0.998), "z": (0.04, 0.995), "axes": (0.05, 0.98), "semi_axes": (0.05, 0.98)}
+
+
+@cache
+def bodies(kind: str, perspective: bool, device: str) -> Posed:
+    """The mean body: from the front, where many faces are seen edge-on, or turned and in a pose of its own."""
+    rng = np.random.default_rng(3)
+    turn, angles = np.diag([1.0, -1.0, -1.0]), np.zeros((20, 3))
+    if kind == "posed":
+        turn, angles = Rotation.from_rotvec([0.2, 0.7, 0.1]).as_matrix() @ turn, rng.normal(0, 0.4, (20, 3))
+    shape = EllipBody.mean(1, device=device).torch()
+    return pose(
+        global_orient=torch.from_numpy(turn)[None].float().to(device),
+        translation=torch.tensor([[0.0, 0.0, 3.0 if perspective else 0.0]], device=device),
+        rotations=torch.from_numpy(Rotation.from_rotvec(angles).as_matrix())[None].float().to(device),
+        lengths=shape["lengths"],
+        thicknesses=shape["thicknesses"],
+    )
+
+
+def camera_of(size: int, perspective: bool, device: str) -> WeakPerspective | Perspective:
+    middle = torch.full((1, 2), size / 2.0, device=device)
+    if perspective:
+        return Perspective(torch.full((1, 2), size * 1.4, device=device), middle)
+    return WeakPerspective(torch.full((1,), size / 2.0, device=device), middle)
+
+
+def gradients(posed: Posed, loss_of: Callable[[Posed], torch.Tensor]) -> dict[str, np.ndarray]:
+    """Gradients of the ellipsoids' numbers; centres' x and y apart from z."""
+    leaves = {name: getattr(posed, name).detach().clone().requires_grad_() for name in NAMES}
+    loss_of(Posed(posed.joints, posed.rotations, **leaves)).sum().backward()
+    found = {name: leaf.grad[0].cpu().numpy().astype(float) for name, leaf in leaves.items()}
+    centres = found.pop("centres")
+    return {"x, y": centres[:, :2], "z": centres[:, 2], **found}
+
+
+@pytest.mark.parametrize("labels", ["parts", "lsp6"])
+@pytest.mark.parametrize("shift", [0.02, 0.2], ids=["near", "far"])
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("kind", ["frontal", "posed"])
+def test_meshes_come_to_the_exact_gradient(device, kind, perspective, shift, labels):
+    """A body whose target is the same body elsewhere; finer meshes' pictures come to the ellipsoids', too."""
+    posed, camera, size = bodies(kind, perspective, device), camera_of(256, perspective, device), (256, 256)
+    groups = None if labels == "parts" else label_set(labels).part_groups
+    part_labels = None if groups is None else groups[1:]
+    move = shift * torch.tensor([0.8, 0.6, 0.0], device=device)
+    there = Posed(posed.joints, posed.rotations, posed.centres + move, posed.axes, posed.semi_axes)
+    target = draw_ellipsoids(there, camera, size, part_labels=part_labels).labels
+
+    def exact_loss(body: Posed) -> torch.Tensor:
+        return ellipsoid_label_loss(body, camera, target, part_labels=part_labels, gradient="partdr")[0]
+
+    def mesh_loss(body: Posed, level: int) -> torch.Tensor:
+        mesh = ellipbody_mesh(level, device=device)
+        mesh = mesh if groups is None else mesh.relabel(groups)
+        return label_loss(camera.project(body.vertices(level)), mesh, target, perspective=perspective)[0]
+
+    want = gradients(posed, exact_loss)
+    if kind == "frontal":
+        del want["z"]  # few pixels are hidden there
+    errors = []
+    for level in (1, 2, 3):
+        have = gradients(posed, lambda body, level=level: mesh_loss(body, level))
+        errors.append([np.linalg.norm(have[name] - want[name]) for name in want])
+    for name, (length_within, least_cosine) in LIMITS.items():
+        if name not in want:
+            continue
+        length, cosine = compare(have[name], want[name])
+        assert length == pytest.approx(1.0, abs=length_within), name
+        assert cosine > least_cosine, name
+    first, middle, last = np.array(errors)
+    assert first[0] > middle[0] > last[0]  # x, y
+    assert (first > last).all()
+
+
+@pytest.mark.parametrize("how", ["label_loss", "maps"])
+def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
+    """From the front, 56 of the mean body's 400 faces have no area in the picture."""
+    size = (64, 64)
+    camera, mesh = camera_of(64, False, device), ellipbody_mesh(0, device=device)
+    leaf = camera.project(bodies("frontal", False, device).vertices(0)).detach().requires_grad_()
+    image = rasterize_parts(leaf, mesh, size, num_maps=20, depth_weight=0.0)
+    shown = image.labels[0].cpu().numpy()
+    target = np.roll(shown, (2, 5), (0, 1))
+    g = reference.label_gradient(shown, target, 20)
+    if how == "label_loss":
+        target = torch.from_numpy(target)[None].to(device)
+        label_loss(leaf, mesh, target, depth_weight=0.0)[0].sum().backward()
+    else:
+        (image.maps[0] * torch.from_numpy(g).float().to(device)).sum().backward()
+    corners = leaf.detach()[0].cpu().double().numpy()
+    faces = mesh.faces.cpu().numpy()
+    assert sum(reference.cross(*corners[face]) == 0 for face in faces) == 56
+    want = reference.gradient(
+        corners,
+        faces,
+        mesh.face_labels.cpu().numpy(),
+        shown,
+        image.face_index[0].cpu().numpy(),
+        g,
+        over_farther=True,
+        depth=image.depth[0].cpu().numpy(),
+        depth_weight=0.0,
+    )
+    have = leaf.grad[0].cpu().numpy()
+    assert np.linalg.norm(have - want) < 1e-4 * np.linalg.norm(want)
+
+
+def test_a_box_seen_head_on_is_pulled_as_one_square(device):
+    """Its sides have no area: of the edges before and behind them, each counts half."""
+    square = torch.tensor([[6.2, 5.3], [14.7, 5.3], [14.7, 13.8], [6.2, 13.8]])
+    front, back = (torch.cat([square, torch.full((4, 1), depth)], 1) for depth in (1.0, 2.0))
+    faces = [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]
+    for k in range(4):
+        after = (k + 1) % 4
+        faces += [[k, 4 + k, after], [after, 4 + k, 4 + after]]
+    target = torch.zeros(1, 20, 24, dtype=torch.uint8, device=device)
+    target[:, 7:16, 9:20] = 1
+    pulls = []
+    for vertices, some_faces in ((front, faces[:2]), (torch.cat([front, back]), faces)):
+        mesh = PartMesh.from_faces(np.array(some_faces), np.ones(len(some_faces)), device=device)
+        leaf = vertices[None].to(device).requires_grad_()
+        label_loss(leaf, mesh, target)[0].sum().backward()
+        pulls.append(leaf.grad[0].sum(0).cpu())
+    assert pulls[0][:2].abs().min() > 10
+    torch.testing.assert_close(pulls[1], pulls[0])

@@ -1,0 +1,188 @@
+"""body.npz: what is written comes back to the bit, and nothing else is let in."""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.errors import InputError
+from warp_partdr.results.body_file import FORMAT, BodyFile, load_body
+
+FIELDS = ("global_orient", "translation", "rotations", "lengths", "thicknesses", "camera_scale", "camera_translation")
+
+
+def some_body() -> BodyFile:
+    generator = torch.Generator().manual_seed(1)
+    mean = BodyParameters.mean(1)
+    rotations = torch.linalg.qr(torch.randn(20, 3, 3, generator=generator)).Q
+    return BodyFile(
+        global_orient=mean.global_orient()[0].numpy(),
+        translation=np.array([0.0, -0.0, 1e-40], dtype=np.float32),
+        rotations=(rotations * torch.linalg.det(rotations)[:, None, None]).numpy(),
+        lengths=mean.lengths[0].numpy(),
+        thicknesses=mean.thicknesses[0].numpy(),
+        camera_scale=np.float32(123.456).reshape(()),
+        camera_translation=np.array([np.pi, -17.1], dtype=np.float32),
+        image_size=np.array((480, 640)),
+    )
+
+
+def arrays() -> dict[str, Any]:
+    """What a good file holds."""
+    body = some_body()
+    return {"format": np.array(FORMAT), **{name: getattr(body, name) for name in (*FIELDS, "image_size")}}
+
+
+def saved() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **arrays())
+    return file.getvalue()
+
+
+def test_comes_back_to_the_bit(tmp_path: Path) -> None:
+    body = some_body()
+    body.save(tmp_path / "body.npz")
+    again = load_body(tmp_path / "body.npz")
+    for name in FIELDS:
+        before, after = getattr(body, name), getattr(again, name)
+        assert after.dtype == np.float32, name
+        assert after.shape == before.shape, name
+        assert after.tobytes() == before.tobytes(), name
+    assert again.image_size.tolist() == [480, 640]
+    with np.load(tmp_path / "body.npz") as archive:
+        assert archive["part_names"].tolist() == list(PART_NAMES)
+    assert again.camera().project(torch.zeros(1, 1, 3))[0, 0, :2].tolist() == body.camera_translation.tolist()
+    numbers = again.body("cpu").numpy()
+    np.testing.assert_array_equal(numbers["rotations"][0], body.rotations)
+
+
+def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
+    data = arrays() | {"lengths": arrays()["lengths"].astype(np.float64), "camera_scale": np.array(3)}
+    np.savez_compressed(tmp_path / "body.npz", **data)
+    body = load_body(tmp_path / "body.npz")
+    np.testing.assert_array_equal(body.lengths, some_body().lengths)
+    assert body.camera_scale == 3
+    assert body.camera_scale.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"format": np.array("warp-partdr body 2")}, "'warp-partdr body 2'"),
+        ({"format": np.zeros(1000)}, FORMAT),
+        ({"format": None}, "format"),
+        ({"lengths": None}, "lengths"),
+        ({"rotations": np.zeros((19, 3, 3))}, r"rotations.*\(19, 3, 3\).*\(20, 3, 3\)"),
+        ({"camera_scale": np.ones(1)}, r"camera_scale.*\(1,\)"),
+        ({"lengths": np.full(12, np.nan)}, "lengths.*NaN"),
+        ({"translation": np.array([0, np.inf, 0])}, "translation.*infinity"),
+        ({"lengths": np.full(12, 1e300)}, "lengths.*infinity"),
+        ({"lengths": np.zeros(12)}, "lengths.*positive"),
+        ({"camera_scale": np.array(-1.0)}, "camera_scale.*positive"),
+        ({"image_size": np.array([1.5, 2.5])}, "image_size.*integers"),
+        ({"image_size": np.array([0, 5])}, "image_size.*positive"),
+        ({"lengths": np.array(["a"] * 12)}, "lengths.*numbers"),
+        ({"lengths": np.ones(12, dtype=complex)}, "lengths.*numbers"),
+    ],
+)
+def test_other_content_is_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    path = tmp_path / "body.npz"
+    np.savez(path, **{name: value for name, value in (arrays() | change).items() if value is not None})
+    with pytest.raises(InputError, match=says) as caught:
+        load_body(path)
+    assert str(path) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+class Trap:
+    """Leaves a folder behind if it is ever unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (self.path,)
+
+
+@pytest.mark.parametrize("where", ["lengths", "format", "more", "whole file"])
+def test_nothing_is_unpickled(where: str, tmp_path: Path) -> None:
+    path, sprung = tmp_path / "body.npz", tmp_path / "sprung"
+    trap = np.array([Trap(sprung)], dtype=object)
+    if where == "whole file":
+        import pickle
+
+        path.write_bytes(pickle.dumps(Trap(sprung)))
+    else:
+        np.savez(path, **(arrays() | {where: trap}))
+    if where == "more":
+        load_body(path)  # what it does not need, it does not read
+    else:
+        with pytest.raises(InputError, match=r"body\.npz"):
+            load_body(path)
+    assert not sprung.exists()
+    if where == "lengths":  # the trap is one
+        np.load(path, allow_pickle=True)["lengths"]
+        assert sprung.exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY", b"no archive", None])
+def test_other_files_are_refused(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "body.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=r"body\.npz.*expected"):
+        load_body(path)
+    with pytest.raises(InputError, match="expected"):
+        load_body(tmp_path)  # a folder
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(InputError, match=r"array\.npy"):
+        load_body(tmp_path / "array.npy")
+
+
+def test_truncated_files_are_refused(tmp_path: Path) -> None:
+    data, path = saved(), tmp_path / "body.npz"
+    for length in range(0, len(data), 29):
+        path.write_bytes(data[:length])
+        with pytest.raises(InputError):
+            load_body(path)
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("bodies")
+
+
+@given(changes=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=20))
+def test_damaged_files_give_a_body_or_an_error(changes: list[tuple[int, int]], scratch: Path) -> None:
+    data = bytearray(saved())
+    for position, value in changes:
+        data[position % len(data)] = value
+    (scratch / "body.npz").write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            body = load_body(scratch / "body.npz")
+        except InputError:
+            return
+    assert all(np.isfinite(getattr(body, name)).all() for name in FIELDS)
+
+
+@pytest.mark.parametrize("value", [0, -1])
+@pytest.mark.parametrize("name", ["lengths", "thicknesses", "camera_scale", "image_size"])
+def test_sizes_are_positive_each_of_them(name: str, value: int, tmp_path: Path) -> None:
+    sizes = np.array(arrays()[name])
+    sizes[(..., -1) if sizes.ndim else ()] = value
+    np.savez(tmp_path / "body.npz", **arrays() | {name: sizes})
+    with pytest.raises(InputError, match=f"{name}: {value}; expected positive"):
+        load_body(tmp_path / "body.npz")

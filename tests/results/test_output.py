@@ -1,0 +1,386 @@
+"""The files of a fit: complete, readable, right side up, and in place all at once or not at all."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.mesh import detailed_mesh
+from warp_partdr.clothing.registration import Registered, RegistrationOptions, register
+from warp_partdr.errors import InputError
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.result import FitResult
+from warp_partdr.fit.stages import Stage
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.results import save as output
+from warp_partdr.results.body_file import load_body
+from warp_partdr.results.ellipbody_files import ellipbody_scene
+from warp_partdr.results.palette import PART_COLOURS, group_colours
+from warp_partdr.results.pictures import loss_chart, panels
+
+EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
+QUICK = FitOptions(
+    start="search",
+    stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),
+)
+
+
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        image.load()
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+@pytest.fixture(scope="module")
+def photo() -> np.ndarray:
+    return read_photo(EXAMPLE / "photo.png")
+
+
+@pytest.fixture(scope="module")
+def keypoints() -> Keypoints2D:
+    return read_keypoints(EXAMPLE / "keypoints.json")[0]
+
+
+@pytest.fixture(scope="module")
+def parts() -> PartLabels:
+    return read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
+
+
+@pytest.fixture(scope="module")
+def result(keypoints: Keypoints2D, parts: PartLabels) -> FitResult:
+    return fit_body(keypoints, parts, options=QUICK)
+
+
+@pytest.fixture(scope="module")
+def folder(
+    result: FitResult,
+    photo: np.ndarray,
+    keypoints: Keypoints2D,
+    parts: PartLabels,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    path = tmp_path_factory.mktemp("fit") / "new" / "out"
+    output.save_fit(result, path, photo=photo)
+    return path
+
+
+@pytest.fixture(scope="module")
+def registered(result: FitResult) -> Registered:
+    return register(result.posed, anny(), options=RegistrationOptions(iterations=2))
+
+
+def test_all_files_are_there_and_no_others(folder: Path) -> None:
+    assert {path.name for path in folder.iterdir()} == set(output.RESULT_FILES)
+    assert [path.name for path in folder.parent.iterdir()] == ["out"]
+
+
+# --- body.npz, body.json, report.json ------------------------------------------------------------------------------
+
+
+def test_body_file_poses_to_the_fitted_joints(folder: Path, result: FitResult) -> None:
+    body = load_body(folder / "body.npz")
+    written = output.body_file(result.parameters, result.camera, (512, 384))
+    for name in written.__dataclass_fields__:
+        assert getattr(body, name).tobytes() == np.asarray(getattr(written, name)).tobytes(), name
+    assert body.image_size.tolist() == [512, 384]
+    joints = body.body("cpu").pose().torch()["joints"]
+    torch.testing.assert_close(joints, result.posed.joints, rtol=0, atol=1e-6)
+    torch.testing.assert_close(body.camera().project(joints), result.camera.project(result.posed.joints))
+
+
+def test_body_json(folder: Path, result: FitResult) -> None:
+    data = json.loads((folder / "body.json").read_text())
+    joints = result.posed.joints[0].numpy()
+    assert data["joints"]["names"] == list(JOINT_NAMES)
+    np.testing.assert_allclose(data["joints"]["points_m"], joints, atol=1e-4)
+    camera = data["camera"]
+    seen = camera["scale_px_per_m"] * joints[:, :2] + camera["translation_px"]
+    np.testing.assert_allclose(data["joints"]["pixels"], seen, atol=0.05)
+    upper_leg = 100 * float(result.parameters.lengths[0, LENGTH_NAMES.index("upper leg")])
+    assert data["measurements_cm"]["left upper leg length"] == pytest.approx(upper_leg, abs=0.01)
+    assert 20 < upper_leg < 60
+    assert all(isinstance(value, float) and value > 0 for value in data["measurements_cm"].values())
+
+
+def test_report(folder: Path, result: FitResult) -> None:
+    report = json.loads((folder / "report.json").read_text())
+    assert report["energy_total"] == pytest.approx(sum(result.energy.values()), abs=1e-3)
+    assert report["parts"]["label_set"] == "cdcl14"
+    assert 0.5 < report["parts"]["part_f1"] < report["parts"]["foreground_f1"] <= 1
+    assert set(report["parts"]["f1"]) == {"background", *label_set("cdcl14").group_names}
+    assert set(report["parts_lsp6"]["f1"]) == {"background", *label_set("lsp6").group_names}
+    assert list(report["seconds"]) == [stage.name for stage in QUICK.stages]
+    assert report["keypoints"]["confident"] == 17
+    assert 0 < report["keypoints"]["mean_distance_px"] < 30
+    assert report["versions"]["torch"] == torch.__version__
+
+
+def test_label_set_without_lsp_parts_has_no_such_score() -> None:
+    target = np.ones((4, 4), dtype=np.uint8)
+    scores = output.compare_labels(target, target, label_set("full1"))
+    assert list(scores) == ["parts"]
+    assert scores["parts"]["foreground_f1"] == 1
+
+
+# --- ellipbody.glb -------------------------------------------------------------------------------------------------
+
+
+def test_glb_holds_the_parts_in_their_colours(folder: Path) -> None:
+    scene = trimesh.load(folder / "ellipbody.glb")
+    assert list(scene.geometry) == list(PART_NAMES)
+    for name, colour in zip(PART_NAMES, PART_COLOURS[1:], strict=True):
+        mesh = scene.geometry[name]
+        assert mesh.is_watertight
+        assert mesh.volume > 0  # faces look outward
+        # glTF's factors are linear light
+        linear = np.asarray(mesh.visual.material.baseColorFactor)[:3] / 255
+        shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        np.testing.assert_allclose(255 * shown, colour, atol=8)
+
+
+def test_glb_has_the_fitted_body_in_metres_on_the_floor(folder: Path, result: FitResult) -> None:
+    scene = trimesh.load(folder / "ellipbody.glb")
+    low, high = scene.bounds
+    assert low[1] == pytest.approx(0, abs=1e-5)
+    assert 1.2 < high[1] < 2.2
+    centres = np.array([scene.geometry[name].bounds.mean(0) for name in PART_NAMES])
+    expected = result.posed.centres[0].numpy() * [1, -1, -1]
+    np.testing.assert_allclose(centres - centres[0], expected - expected[0], atol=1e-4)
+
+
+def test_glb_is_right_way_up_and_not_mirrored(tmp_path: Path) -> None:
+    """A body that faces the camera: y up, toward the viewer at +z, whose right is the body's left."""
+    ellipbody_scene(BodyParameters.mean(1).posed()).export(tmp_path / "body.glb")
+    scene = trimesh.load(tmp_path / "body.glb")
+    for name in PART_NAMES:
+        transform, geometry = scene.graph[name]
+        assert geometry == name
+        np.testing.assert_array_equal(transform, np.eye(4))
+    centres = {name: mesh.bounds.mean(0) for name, mesh in scene.geometry.items()}
+    heights = [centres[name][1] for name in ("head", "chest", "left_hip", "left_lower_leg", "left_foot")]
+    assert heights == sorted(heights, reverse=True)
+    assert heights[-1] < 0.1
+    assert scene.bounds[1][1] == pytest.approx(1.63, abs=0.1)
+    assert centres["left_hand"][0] > 0.5 > -0.5 > centres["right_hand"][0]
+    assert centres["left_foot"][2] > centres["left_lower_leg"][2] + 0.02
+
+
+# --- pictures ------------------------------------------------------------------------------------------------------
+
+
+def test_overlay_shows_the_photo_and_the_body_on_it(folder: Path, photo: np.ndarray, result: FitResult) -> None:
+    overlay = pixels(folder / "overlay.png")
+    assert overlay.shape == photo.shape
+    changed = (overlay != photo).any(-1)
+    body = result.draw(photo.shape[:2]).labels[0].numpy() > 0
+    assert changed[body].mean() > 0.98
+    assert changed[~body].mean() < 0.05  # outlines and keypoints
+
+
+def test_parts_picture(folder: Path, parts: PartLabels) -> None:
+    picture = pixels(folder / "parts.png")
+    height, width = picture.shape[:2]
+    assert 400 < height < 1000
+    assert 400 < width < 1600
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3)}
+    for colour in group_colours(parts.label_set.part_groups)[1:15]:
+        assert tuple(colour.tolist()) in colours
+
+
+def test_loss_picture(folder: Path) -> None:
+    picture = pixels(folder / "loss.png")
+    assert picture.shape[1] > picture.shape[0] > 200
+    assert picture.std() > 10
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 300), (60, 40), (3000, 700)])
+def test_panels_fit_a_screen(size: tuple[int, int]) -> None:
+    target = np.zeros(size, dtype=np.uint8)
+    target[size[0] // 4 : 1 + 3 * size[0] // 4, size[1] // 4 : 1 + 3 * size[1] // 4] = 1
+    target[0, 0] = 255
+    for shown in (target % 255, np.zeros_like(target)):
+        sheet = panels(target, shown, group_colours(label_set("full1").part_groups))
+        assert sheet.width < 1600
+        assert sheet.height < 700
+    assert panels(np.zeros_like(target), np.zeros_like(target), np.zeros((256, 3), dtype=np.uint8)).width > 0
+
+
+def test_panels_tell_missing_from_too_much() -> None:
+    target = np.zeros((100, 100), dtype=np.uint8)
+    target[10:90, 10:90] = 1
+    shown = target.copy()
+    shown[:, :40] = 0  # 30 of 80 columns missing, nothing too much
+    colours = np.zeros((256, 3), dtype=np.uint8)
+    sheet = np.asarray(panels(target, shown, colours)).reshape(-1, 3)
+    blue, red = ((sheet == colour).all(-1).sum() for colour in ((0, 90, 181), (220, 50, 32)))
+    sheet = np.asarray(panels(shown, target, colours)).reshape(-1, 3)
+    assert (sheet == (220, 50, 32)).all(-1).sum() - red == blue - (sheet == (0, 90, 181)).all(-1).sum() > 10_000
+
+
+@pytest.mark.parametrize("history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]]])
+def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult) -> None:
+    stages = tuple(Stage(f"stage {index}", 1, len(values), 0.1) for index, values in enumerate(history))
+    chart = loss_chart(replace(result, history=[np.array(values) for values in history], stages=tuple(stages)))
+    assert chart.width > 500
+
+
+# --- the detailed body ---------------------------------------------------------------------------------------------
+
+
+def test_the_detailed_body_s_files(
+    registered: Registered, result: FitResult, photo: np.ndarray, tmp_path: Path
+) -> None:
+    folder = tmp_path / "new" / "out"
+    output.save_registered(registered, folder, result.camera, photo.shape[:2], photo=photo, seconds=1.23456)
+    assert {path.name for path in folder.iterdir()} == set(output.DETAILED_FILES)
+    report = json.loads((folder / "registration.json").read_text())
+    assert (report["model"], report["seconds"]) == ("anny", 1.235)
+    assert report["losses"]["joints"] == pytest.approx(float(registered.losses["joints"]), abs=1e-4)
+    with np.load(folder / "detailed.npz", allow_pickle=False) as saved:
+        assert saved["model"] == "anny"
+        for name in ("shape", "rotations", "translation"):
+            np.testing.assert_array_equal(saved[name], getattr(registered, name)[0].numpy())
+
+    shown = pixels(folder / "detailed.png")
+    assert shown.shape == photo.shape
+    mesh = detailed_mesh(registered.model)
+    body = rasterize_parts(result.camera.project(registered.detailed.vertices), mesh, photo.shape[:2]).labels[0] > 0
+    changed = (shown != photo).any(-1)
+    assert 0.05 < body.float().mean() < 0.5
+    assert changed[body.numpy()].mean() > 0.98
+    assert changed[~body.numpy()].mean() < 0.01  # outlines
+
+
+def test_the_detailed_body_without_a_photo_or_over_a_large_one(
+    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "OVERLAY_SIDE", 128)
+    output.save_registered(registered, tmp_path, result.camera, (512, 384))
+    shown = pixels(tmp_path / "detailed.png")
+    assert shown.shape == (128, 96, 3)
+    columns = np.flatnonzero((shown != shown[0, 0]).any(-1).any(0)) * 4
+    seen = result.camera.project(registered.detailed.vertices)[0, :, 0]
+    assert abs(columns.min() - float(seen.min())) < 8
+    assert abs(columns.max() - float(seen.max())) < 8
+    assert "seconds" not in json.loads((tmp_path / "registration.json").read_text())
+
+
+def test_a_detailed_body_that_cannot_be_written_leaves_the_older_one(
+    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "detailed.glb").write_text("old")
+    monkeypatch.setattr(output, "save_detailed", refuse)
+    with pytest.raises(InputError, match="No space left on device"):
+        output.save_registered(registered, tmp_path, result.camera, (64, 48))
+    assert [path.name for path in tmp_path.iterdir()] == ["detailed.glb"]
+    assert (tmp_path / "detailed.glb").read_text() == "old"
+
+
+def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, result: FitResult, tmp_path: Path) -> None:
+    labels, size = label_set("cdcl14"), (512, 384)
+
+    def score(groups: np.ndarray) -> dict[str, Any]:
+        seen = replace(result.evidence, picture=PartLabels(labels, groups), groups=groups)
+        return output.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
+
+    points = result.camera.project(registered.detailed.vertices)
+    drawn = rasterize_parts(points, detailed_mesh(registered.model), size).labels[0].numpy()
+    target = labels.part_groups[drawn]
+    target[:100] = 255  # somebody else
+    report = score(target)
+    assert report == json.loads((tmp_path / "registration.json").read_text())
+    assert report["parts"]["label_set"] == "cdcl14"
+    assert report["parts"]["part_f1"] == report["parts"]["foreground_f1"] == report["parts_lsp6"]["part_f1"] == 1
+
+    target[100:] = 0
+    head = target.copy()
+    head[100:][drawn[100:] > 0] = 1
+    counts = np.bincount((drawn > 0)[100:].ravel())
+    report = score(target)
+    background = 2 * counts[0] / (2 * counts[0] + counts[1])
+    assert report["parts"]["foreground_f1"] == pytest.approx(background / 2, abs=1e-4)  # nothing of a person there
+    assert report["parts"]["left_out"] is None
+    left = head.copy()
+    left[100:150][drawn[100:150] == 0] = 1
+    beyond, inside = (drawn[100:150] == 0).sum(), (drawn[100:] > 0).sum()
+    assert score(left)["parts"]["left_out"] == pytest.approx(beyond / (beyond + inside), abs=1e-4)
+    report = score(head)
+    assert report["parts"]["left_out"] == 0
+    assert report["parts"]["foreground_f1"] == 1
+    assert report["parts"]["part_f1"] < 0.5
+
+
+def test_a_fit_s_set_ends_the_older_detailed_body(
+    registered: Registered, result: FitResult, bare: FitResult, tmp_path: Path
+) -> None:
+    output.save_fit(result, tmp_path)
+    report = output.save_registered(registered, tmp_path, result.camera, (512, 384))
+    assert report["files"].keys() == set(output.DETAILED_FILES) - {"registration.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {*output.RESULT_FILES, *output.DETAILED_FILES}
+    (tmp_path / "notes").write_text("mine")
+    report = output.save_fit(bare, tmp_path)
+    assert report == json.loads((tmp_path / "report.json").read_text())
+    assert {path.name for path in tmp_path.iterdir()} == {"notes", *output.RESULT_FILES} - {"parts.png"}
+
+
+# --- other inputs --------------------------------------------------------------------------------------------------
+
+
+def save(tmp_path: Path, result: FitResult, **inputs: Any) -> Path:
+    output.save_fit(result, tmp_path / "out", **inputs)
+    return tmp_path / "out"
+
+
+@pytest.fixture(scope="module")
+def bare(keypoints: Keypoints2D) -> FitResult:
+    """A fit to keypoints alone."""
+    return fit_body(keypoints, options=QUICK)
+
+
+def test_without_labels_there_is_no_parts_picture(bare: FitResult, photo: np.ndarray, tmp_path: Path) -> None:
+    folder = save(tmp_path, bare, photo=photo)
+    assert {path.name for path in folder.iterdir()} == set(output.RESULT_FILES) - {"parts.png"}
+    assert "parts" not in json.loads((folder / "report.json").read_text())
+
+
+def test_without_any_picture_the_overlay_holds_all_keypoints(
+    bare: FitResult, keypoints: Keypoints2D, tmp_path: Path
+) -> None:
+    folder = save(tmp_path, bare)
+    overlay = pixels(folder / "overlay.png")
+    assert (overlay.shape[1::-1] >= keypoints.points.max(0)).all()
+    assert (overlay[0, 0] == overlay[0, -1]).all()
+    assert overlay.std() > 10
+    assert load_body(folder / "body.npz").image_size.tolist() == list(overlay.shape[:2])
+
+
+def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
+    result: FitResult, keypoints: Keypoints2D, photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    monkeypatch.setattr(output, "OVERLAY_SIDE", 256)
+    small = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    assert small.shape == (256, 192, 3)
+    blocks = whole.reshape(256, 2, 192, 2, 3).mean((1, 3))
+    assert np.abs(small - blocks).mean() < 6
+    empty = np.asarray(output.draw_overlay(result, (10**6, 10**5))).shape
+    assert empty == (256, 26, 3)

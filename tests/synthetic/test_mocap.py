@@ -1,0 +1,126 @@
+"""Retargeting keeps the directions of the mocap's own limbs, and people stand, face and bend as people do."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES
+from warp_partdr.synthetic import mocap
+
+LIMBS = ("upper_leg", "lower_leg", "upper_arm", "forearm", "hand")
+
+
+@cache
+def clips(folder: Path) -> tuple[mocap.Clip, ...]:
+    return tuple(mocap.load_clips(folder / "data" / "mocap"))
+
+
+def directions(clip: mocap.Clip) -> np.ndarray:
+    """Unit directions of EllipBody's bones, shape (F, 20, 3)."""
+    joints = mocap.joint_positions(clip.global_orient, clip.rotations)
+    starts = joints[:, [parent + 1 for parent in PARENTS]]
+    bones = joints[:, 1:] - starts
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def degrees_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arccos(np.clip((first * second).sum(-1), -1.0, 1.0)))
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) < 3.1))
+def test_rotation_vectors_invert_rotation_matrices(vector: list[float]) -> None:
+    matrix = mocap.rotation_matrices(np.array(vector))
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(matrix) > 0
+    np.testing.assert_allclose(mocap.rotation_vectors(matrix), vector, atol=1e-7)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
+def test_half_turns_have_an_angle_of_pi(axis: tuple[float, float, float]) -> None:
+    matrix = mocap.rotation_matrices(np.pi * np.array(axis))
+    assert np.linalg.norm(mocap.rotation_vectors(matrix)) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("source", ["expmap", "asf", "deepmimic"])
+def test_limbs_point_where_the_mocaps_limbs_point(shared: Path, source: str) -> None:
+    chosen = [clip for clip in clips(shared) if clip.name.startswith(source)][::5]
+    assert chosen
+    for clip in chosen:
+        errors = degrees_between(directions(clip), clip.directions)
+        for part, name in enumerate(PART_NAMES):
+            if name.endswith(LIMBS) and not np.isnan(clip.directions[:, part]).all():
+                assert errors[:, part].max() < 1.0, (clip.name, name)
+            elif name.endswith("foot"):
+                # A mocap foot ends at the ball, EllipBody's at the toes.
+                assert errors[:, part].max() < 10.0, (clip.name, name)
+
+
+def test_rotations_are_rotations_and_hips_are_locked(shared: Path) -> None:
+    for clip in clips(shared):
+        assert clip.rotations.shape == (len(clip), NUM_PARTS, 3, 3)
+        product = clip.rotations @ np.swapaxes(clip.rotations, -1, -2)
+        np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
+        assert (np.linalg.det(clip.rotations) > 0).all()
+        assert (clip.rotations[:, list(LOCKED_PARTS)] == np.eye(3)).all()
+
+
+def test_walking_people_stand_upright_on_level_feet_that_point_ahead(shared: Path) -> None:
+    walking = mocap.concatenate([clip for clip in clips(shared) if ".walking_" in clip.name][:20], "walking")
+    assert np.median(walking.up_directions()[:, 1]) > 0.98
+    joints = mocap.joint_positions(walking.global_orient, walking.rotations)
+    height = {name: np.median(joints[:, j, 1]) for j, name in enumerate(JOINT_NAMES)}
+    assert height["head_top"] > height["neck"] > height["spine"] > height["left_knee"] > height["left_ankle"]
+    assert height["left_wrist"] < height["left_elbow"] < height["left_shoulder"]
+    forward = walking.global_orient[:, :, 2]
+    foot = directions(walking)[:, PART_NAMES.index("left_foot")]
+    assert np.median((foot * forward).sum(-1)) > 0.7
+    # Rolled feet would betray a wrong twist: the sole of the lower foot looks down.
+    sole = walking.global_orient
+    for part in ("left_upper_leg", "left_lower_leg", "left_foot"):
+        sole = sole @ walking.rotations[:, PART_NAMES.index(part)]
+    assert np.median(np.abs(sole[:, 1, 0])) < np.sin(np.radians(12))
+
+
+def test_knees_bend_backward_and_elbows_forward(shared: Path) -> None:
+    vectors = np.concatenate([clip.rotation_vectors() for clip in clips(shared)])
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        assert np.percentile(vectors[:, PART_NAMES.index(f"{side}_lower_leg"), 0], 1) > -0.1
+        assert np.percentile(sign * vectors[:, PART_NAMES.index(f"{side}_forearm"), 1], 1) > -0.1
+
+
+def test_mirroring_exchanges_the_sides_and_twice_is_nothing(shared: Path) -> None:
+    clip = next(clip for clip in clips(shared) if clip.name == "asf.02_05")
+    joints = mocap.joint_positions(clip.global_orient, clip.rotations)
+    mirrored = clip.mirrored()
+    mirrored_joints = mocap.joint_positions(mirrored.global_orient, mirrored.rotations)
+    left, right = JOINT_NAMES.index("left_wrist"), JOINT_NAMES.index("right_wrist")
+    np.testing.assert_allclose(mirrored_joints[:, left], joints[:, right] * [-1, 1, 1], atol=2e-3)
+    np.testing.assert_allclose(mirrored.mirrored().rotations, clip.rotations, atol=1e-12)
+
+
+def test_camera_sees_a_person_who_faces_it() -> None:
+    upright = mocap.Clip("rest", np.eye(3)[None], np.tile(np.eye(3), (1, NUM_PARTS, 1, 1)), np.zeros((1, NUM_PARTS, 3)))
+    np.testing.assert_allclose(upright.camera_orient()[0], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+
+
+def test_held_out_frames_come_from_held_out_clips_of_every_kind(shared: Path) -> None:
+    held_out = [clip for clip in clips(shared) if mocap.is_held_out(clip)]
+    names = {clip.name for clip in held_out}
+    assert set(mocap.HELD_OUT) <= names
+    assert not any(name.startswith("expmap.train") for name in names)
+    frames = mocap.held_out_frames(shared / "data" / "mocap", 40)
+    assert len(frames) == 40
+    pool = np.concatenate([clip.rotations.reshape(len(clip), -1) for clip in held_out])
+    for rotations in frames.rotations.reshape(40, -1)[::5]:
+        assert np.abs(pool - rotations).max(1).min() == 0.0
+
+
+def test_a_folder_without_mocap_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"cmu_expmap\.npz"):
+        mocap.load_clips(tmp_path)

@@ -1,0 +1,336 @@
+"""People made on the fly: labels, keypoints and 3D truth agree, and PartBench's people are not among them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.posing import pose
+from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES, template
+from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS
+from warp_partdr.errors import InputError
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.synthetic import split
+from warp_partdr.synthetic.bench_people import NUM_PEOPLE, PHENOTYPES, SEED, make_person
+from warp_partdr.synthetic.dice import Dice
+from warp_partdr.synthetic.mocap import Clip, is_held_out, load_clips
+from warp_partdr.synthetic.noise import TRAINING_LABEL_SETS
+from warp_partdr.synthetic.people import People, PeopleMaker
+from warp_partdr.synthetic.poses import (
+    PoseBank,
+    PoseSampler,
+    Shares,
+    clear_poses,
+    draw_procedural,
+    mean_body,
+    mirrored_half,
+    pack_poses,
+    turn_to,
+)
+
+COUNT, SIZE, POOL = 48, 96, 256
+
+
+@cache
+def bank() -> PoseBank:
+    return PoseBank.of_prior(64)
+
+
+@cache
+def clips(folder: Path) -> list[Clip]:
+    return load_clips(folder)
+
+
+def maker(device: str, **options: object) -> PeopleMaker:
+    arguments: dict[str, object] = {"size": SIZE, "seed": 0, "pool": POOL, **options}
+    return PeopleMaker(bank(), device=device, **arguments)  # type: ignore[arg-type]
+
+
+@cache
+def people(device: str) -> People:
+    return maker(device)(COUNT)
+
+
+# --- split -----------------------------------------------------------------------------------------------------------
+
+
+def test_split_holds_out_the_cells_of_all_partbench_people() -> None:
+    drawn = []
+    for index in range(NUM_PEOPLE):
+        rng = np.random.default_rng([SEED, index])
+        drawn.append([rng.uniform(*PHENOTYPES[name]) for name in PHENOTYPE_ANCHORS])
+    assert np.array_equal(np.unique(split.cell_of(np.array(drawn))), split.held_out_cells())
+    assert len(split.held_out_cells()) < 0.1 * split.NUM_CELLS
+
+
+def test_split_is_what_its_script_would_write(shared: Path) -> None:
+    names = [clip.name for clip in clips(shared / "data" / "mocap") if is_held_out(clip)]
+    assert split.make_split(names) == split._split()
+    assert split.held_out_clips() == set(names)
+
+
+def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
+    low, high = split.RANGES.T
+    assert split.cell_of(low) == 0
+    assert split.cell_of(high) == split.NUM_CELLS - 1
+    assert split.cell_of(low - 1) == 0
+    steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
+    corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
+    assert np.array_equal(split.cell_of(corners), np.arange(split.NUM_CELLS))
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> None:
+    values = maker(device, held_out=held_out).phenotypes(4000).cpu().double().numpy()
+    assert (np.isin(split.cell_of(values), split.held_out_cells()) == held_out).all()
+    low, high = split.RANGES.T
+    if not held_out:
+        assert (values.min(0) < low + 0.01 * (high - low)).all()
+        assert (values.max(0) > high - 0.01 * (high - low)).all()
+        assert len(np.unique(split.cell_of(values))) > 2000
+
+
+def test_packed_poses_keep_clips_apart(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = shared / "data" / "mocap"
+    monkeypatch.setattr("warp_partdr.synthetic.poses.load_clips", clips)
+    path = tmp_path / "poses.npz"
+    pack_poses(folder, path)
+    assert path.stat().st_size < 3e6
+    train, test = (PoseBank.read(path, held_out=held_out) for held_out in (False, True))
+    frames = [clip.rotation_vectors().astype(np.float16) for clip in clips(folder) if is_held_out(clip)]
+    held_out = {frame.tobytes() for frame in np.concatenate(frames)}
+    assert all(pose.tobytes() in held_out for pose in test.rotations.half().numpy())
+    assert not any(pose.tobytes() in held_out for pose in train.rotations.half().numpy())
+    direct = PoseBank.read(folder, held_out=True)
+    torch.testing.assert_close(test.rotations, direct.rotations, atol=2e-3, rtol=0)
+    torch.testing.assert_close(test.ups, direct.ups, atol=2e-3, rtol=0)
+
+
+def test_files_that_hold_no_poses_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "poses.npz"
+    path.write_bytes(b"nothing of the sort")
+    with pytest.raises(InputError, match=r"poses\.npz"):
+        PoseBank.read(path)
+    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((3, 3)), held_out=np.zeros(2, dtype=bool))
+    with pytest.raises(InputError, match="ups"):
+        PoseBank.read(path)
+    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((2, 3)), held_out=np.zeros(2, dtype=bool))
+    assert len(PoseBank.read(path).ups) == 2
+    with pytest.raises(InputError, match="held out"):
+        PoseBank.read(path, held_out=True)
+    with pytest.raises(InputError, match=r"none\.npz: No such file"):
+        PoseBank.read(tmp_path / "none.npz")
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def test_poses_keep_to_the_limits_and_pass_through_nothing(device: str) -> None:
+    rotations, ups = PoseSampler(bank(), device=device, pool=400).draw(600)
+    assert rotations.shape == (600, NUM_PARTS, 3)
+    assert (rotations[:, list(LOCKED_PARTS)] == 0).all()
+    assert PosePrior().to(device).joint_limits(rotations).max() < 1e-9
+    assert clear_poses(rotations).all()
+    torch.testing.assert_close(ups.norm(dim=1), torch.ones(600, device=device))
+    assert len(rotations.flatten(1).unique(dim=0)) == 600
+
+
+@pytest.mark.parametrize("kind", ["captured", "prior", "mixed", "procedural"])
+def test_each_kind_alone_makes_poses(kind: str, device: str) -> None:
+    none = {"captured": 0.0, "prior": 0.0, "mixed": 0.0, "procedural": 0.0}
+    rotations, _ = PoseSampler(bank(), device=device, pool=40, shares=Shares(**{**none, kind: 1.0})).draw(40)
+    assert rotations.std(0)[PART_NAMES.index("left_upper_arm")].max() > 0.2
+
+
+def test_a_hand_in_the_belly_is_not_clear(device: str) -> None:
+    rotations = torch.zeros(2, NUM_PARTS, 3, device=device)
+    rotations[1, PART_NAMES.index("left_upper_arm"), 2] = -np.pi / 2  # hanging down
+    rotations[1, PART_NAMES.index("left_forearm"), 2] = -np.pi / 2  # and across, through the trunk
+    assert clear_poses(rotations).tolist() == [True, False]
+
+
+def test_half_of_the_poses_are_mirrored(device: str) -> None:
+    rotations, ups = PoseSampler(bank(), device=device, pool=64).draw(64)
+    mirrored, mirrored_ups = mirrored_half((rotations, ups), Dice(0, device))
+    joints, others = (mean_body(rotation_from_axis_angle(values)).joints for values in (rotations, mirrored))
+    names = [_other(name) for name in JOINT_NAMES]
+    flipped = joints[:, [JOINT_NAMES.index(name) for name in names]] * joints.new_tensor([-1.0, 1.0, 1.0])
+    same = (others - joints).abs().flatten(1).amax(1) < 1e-5
+    swapped = (others - flipped).abs().flatten(1).amax(1) < 1e-5
+    assert (same ^ swapped).all()
+    assert 0.3 < swapped.float().mean() < 0.7
+    torch.testing.assert_close(mirrored_ups[swapped], ups[swapped] * ups.new_tensor([-1.0, 1.0, 1.0]))
+
+
+def _other(name: str) -> str:
+    swap = {"left": "right", "right": "left"}
+    side, _, rest = name.partition("_")
+    return f"{swap[side]}_{rest}" if side in swap else name
+
+
+def test_procedural_poses_are_broad(device: str) -> None:
+    rotations, ups = draw_procedural(2000, Dice(0, device))
+    joints = mean_body(rotation_from_axis_angle(rotations)).joints
+    wrist, knee = (joints[:, JOINT_NAMES.index(name)] for name in ("left_wrist", "left_knee"))
+    assert wrist[:, 1].quantile(0.03) < 0.05
+    assert wrist[:, 1].quantile(0.97) > 0.6
+    assert wrist[:, 2].quantile(0.9) > 0.3
+    assert wrist[:, 0].quantile(0.05) < 0.0  # across
+    assert knee[:, 2].quantile(0.9) > 0.3
+    assert 0.02 < (ups[:, 1] < 0.3).float().mean() < 0.25
+    torch.testing.assert_close(ups.norm(dim=1), torch.ones_like(ups[:, 0]))
+
+
+def test_turns_take_one_direction_to_another_even_the_opposite(device: str) -> None:
+    source = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0]], device=device)
+    target = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, -0.6, 0.8], [0.0, -1.0, 0.0]], device=device)
+    turns = turn_to(source, target)
+    assert turns.isfinite().all()
+    torch.testing.assert_close((turns @ source[..., None])[:3, :, 0], target[:3], atol=1e-6, rtol=0)
+
+
+# --- people ----------------------------------------------------------------------------------------------------------
+
+
+def test_people_are_complete_and_finite(device: str) -> None:
+    made = people(device)
+    shapes = {
+        "groups": (COUNT, SIZE, SIZE),
+        "label_sets": (COUNT,),
+        "keypoints": (COUNT, len(LANDMARKS), 3),
+        "parts": (COUNT, SIZE, SIZE),
+        "points": (COUNT, len(LANDMARKS), 2),
+        "joints": (COUNT, len(JOINT_NAMES), 3),
+        "orientation": (COUNT, 3, 3),
+        "rotations": (COUNT, NUM_PARTS, 3, 3),
+        "lengths": (COUNT, len(LENGTH_NAMES)),
+    }
+    assert {field.name: tuple(getattr(made, field.name).shape) for field in fields(made)} == shapes
+    assert made.groups.dtype == made.parts.dtype == torch.uint8
+    assert all(getattr(made, name).float().isfinite().all() for name in shapes)
+    assert set(made.parts.unique().tolist()) <= {*range(NUM_PARTS + 1), 255}
+    assert made.label_sets.max() < len(TRAINING_LABEL_SETS)
+    shown = ((made.parts > 0) & (made.parts <= NUM_PARTS)).float().mean((1, 2))
+    assert shown.min() > 0.01
+    assert 0.08 < shown.mean() < 0.3
+    confidence = made.keypoints[..., 2]
+    assert ((confidence >= 0) & (confidence <= 1)).all()
+    assert (made.keypoints[confidence == 0] == 0).all()
+
+
+def test_truth_poses_ellipbody_along_annys_bones(device: str) -> None:
+    made = people(device)
+    for matrices in (made.orientation, made.rotations):
+        torch.testing.assert_close(
+            matrices @ matrices.mT, torch.eye(3, device=device).expand_as(matrices), atol=1e-5, rtol=0
+        )
+        torch.testing.assert_close(torch.linalg.det(matrices), torch.ones_like(matrices[..., 0, 0]))
+    thicknesses = torch.from_numpy(template().mean_thicknesses).float().to(device).expand(COUNT, -1)
+    pelvis = torch.zeros(COUNT, 3, device=device)
+    posed = pose(made.orientation, pelvis, made.rotations, made.lengths, thicknesses)
+    apart = (posed.joints - made.joints).norm(dim=-1)
+    assert apart.mean() < 0.006
+    assert apart.max() < 0.03  # the pelvis' own shape; its two parts have no rotation of their own
+
+
+def test_points_are_the_joints_seen_by_a_camera(device: str) -> None:
+    made = people(device)
+    names = [name for name in LANDMARKS if name in JOINT_NAMES]
+    joints = made.joints[:, [JOINT_NAMES.index(name) for name in names], :2]
+    points = made.points[:, [LANDMARKS.index(name) for name in names]]
+    joints, points = joints - joints.mean(1, keepdim=True), points - points.mean(1, keepdim=True)
+    scale = (joints * points).sum((1, 2)) / joints.square().sum((1, 2))
+    apart = (points - scale[:, None, None] * joints).norm(dim=-1).amax(1)
+    weak = apart < 1e-4
+    assert (scale > 0.4).all()
+    assert 0.25 < weak.float().mean() < 0.75
+    assert apart.max() < 0.35  # perspective
+
+
+def test_labels_lie_where_the_points_are_left_and_right(device: str) -> None:
+    made = people(device)
+    places = (torch.arange(SIZE, device=device) + 0.5) * 2 / SIZE - 1
+    grid = torch.stack(torch.meshgrid(places, places, indexing="xy"), dim=-1)
+    for side in ("left", "right"):
+        for part, joint in (("hand", "wrist"), ("foot", "ankle"), ("forearm", "elbow")):
+            mask = (made.parts == PART_NAMES.index(f"{side}_{part}") + 1)[..., None].float()
+            seen = mask.sum((1, 2))[:, 0] > 12
+            centre = (grid * mask).sum((1, 2)) / mask.sum((1, 2)).clamp(min=1)
+            own = (centre - made.points[:, LANDMARKS.index(f"{side}_{joint}")]).norm(dim=1)[seen]
+            other = (centre - made.points[:, LANDMARKS.index(f"{_other(side + '_' + joint)}")]).norm(dim=1)[seen]
+            assert seen.sum() > COUNT / 4
+            assert own.median() < 0.2
+            assert (own < other).float().mean() > 0.8
+
+
+def test_beyond_the_border_nothing_is_seen(device: str) -> None:
+    made = people(device)
+    beyond = made.parts == 255
+    assert (made.groups[beyond] == 255).all()
+    assert 0.05 < beyond.float().mean() < 0.6
+    straight = beyond.all(1)[:, None, :] | beyond.all(2)[:, :, None]
+    assert torch.equal(beyond, straight)
+    found = made.keypoints[..., 2] > 0
+    pixels = ((made.keypoints[..., :2] + 1) * SIZE / 2).floor().long()
+    inside = found & ((pixels >= 0) & (pixels < SIZE)).all(-1)
+    where = (pixels[..., 1] * SIZE + pixels[..., 0]).clamp(0, SIZE**2 - 1)
+    # A border between two pixels' centres leaves half a pixel.
+    grown = torch.nn.functional.max_pool2d((~beyond).float(), 3, 1, 1).flatten(1)
+    assert (grown.gather(1, where)[inside] > 0).all()
+
+
+def test_standing_people_are_upright_and_look_anywhere(device: str) -> None:
+    ups = torch.tensor([0.0, 1.0, 0.0], device=device).expand(2000, 3)
+    orientation = maker(device).orientations(ups)
+    up = -orientation[:, 1, 1]  # the camera's y is down
+    assert torch.rad2deg(up.clamp(-1, 1).acos()).quantile(0.95) < 45
+    assert up.mean() > 0.95
+    forward = torch.atan2(orientation[:, 0, 2], -orientation[:, 2, 2])
+    quarters = torch.histc(forward.cpu(), bins=4, min=-np.pi, max=np.pi) / 2000
+    assert (quarters > 0.2).all()
+
+
+def test_same_seed_same_people_and_states_go_on(device: str) -> None:
+    first, second = maker(device, pool=40), maker(device, pool=40, seed=0)
+    for _ in range(2):  # into a second pool
+        assert all(torch.equal(a, b) for a, b in zip(*(_tensors(m(25)) for m in (first, second)), strict=True))
+    state = first.state_dict()
+    later = _tensors(first(25))
+    fresh = maker(device, pool=40)
+    fresh.load_state_dict(state)
+    assert all(torch.equal(a, b) for a, b in zip(_tensors(fresh(25)), later, strict=True))
+    other = _tensors(maker(device, pool=40, seed=1)(25))
+    assert not torch.equal(other[2], later[2])
+
+
+def _tensors(made: People) -> list[torch.Tensor]:
+    return [getattr(made, field.name) for field in fields(made)]
+
+
+def test_precision_of_training_stays_out_and_comes_back(device: str) -> None:
+    before = torch.get_float32_matmul_precision()
+    exact = maker(device)(COUNT)
+    torch.set_float32_matmul_precision("medium")
+    try:
+        with torch.autocast(torch.device(device).type, dtype=torch.bfloat16):
+            made = maker(device)(COUNT)
+        assert torch.get_float32_matmul_precision() == "medium"
+    finally:
+        torch.set_float32_matmul_precision(before)
+    torch.testing.assert_close(made.joints, exact.joints, atol=1e-6, rtol=0)
+
+
+def test_no_people_are_nobody(device: str) -> None:
+    assert maker(device)(0).groups.shape == (0, SIZE, SIZE)
+
+
+def test_partbench_keeps_its_people() -> None:
+    # Of the release that introduced PartBench: training's check of poses, which it shares, must not change its people.
+    np.testing.assert_allclose(make_person(7).joints.sum(0), [0.0226, -0.6262, 0.2861], atol=5e-4)

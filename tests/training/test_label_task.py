@@ -1,0 +1,169 @@
+"""The label network's losses and its training task."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from test_fitting import walker
+
+from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.errors import InputError
+from warp_partdr.network.checkpoint import load_label_network
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.predicted import Predicted
+from warp_partdr.render.ellipsoids import draw_ellipsoids
+from warp_partdr.training.config import Phase, TrainingConfig
+from warp_partdr.training.config_files import make_config
+from warp_partdr.training.label_losses import Truth, body_losses
+from warp_partdr.training.label_task import LabelTask
+
+SIZE = 64
+SMALL = {
+    "size": SIZE,
+    "channels": [8, 16, 16, 16, 16],
+    "places": 4,
+    "keypoint_features": 16,
+    "regressor": {"width": 32},
+}
+
+
+def small_config(**values: object) -> TrainingConfig:
+    numbers = {"task": "label-network", "steps": 1, "batch_size": 6, "model": SMALL, "data": {"validation": 14}}
+    return make_config({**numbers, **values})
+
+
+@pytest.fixture(scope="module")
+def task() -> LabelTask:
+    found = LabelTask(small_config(), rank=0, processes=1, device=torch.device("cpu"))
+    found.begin(Phase())
+    return found
+
+
+def known(device: str) -> tuple[Predicted, Truth]:
+    """Two bodies, and the truth that they are right."""
+    body = walker(device).select(torch.zeros(2, dtype=torch.int64, device=device))
+    predicted = Predicted(
+        orientation=body.global_orient(),
+        rotations=rotation_from_axis_angle(body.free_rotations()),
+        lengths=body.lengths,
+        thicknesses=body.thicknesses,
+        log_scale=body.log_scale,
+        shift=body.shift,
+    )
+    posed = predicted.posed()
+    points = predicted.camera(2).project(LandmarkGather(LANDMARKS, device)(posed))[..., :2] - 1
+    parts = draw_ellipsoids(posed, predicted.camera(SIZE), (SIZE, SIZE)).labels
+    ones = torch.ones_like(points[..., 0])
+    return predicted, Truth(
+        points, ones, parts, posed.joints, predicted.orientation, predicted.rotations, predicted.lengths, ones[:, 0]
+    )
+
+
+def test_the_truth_costs_nothing(device):
+    predicted, truth = known(device)
+    for name, loss in body_losses(predicted, truth).items():
+        assert float(loss) == pytest.approx(0.0, abs=1e-5), name
+
+
+@pytest.mark.parametrize(
+    ("changed", "costs"),
+    [
+        ("orientation", {"joints", "rotations", "proj", "seg"}),
+        ("lengths", {"joints", "proj", "seg", "lengths"}),
+        ("thicknesses", {"proj", "seg", "thicknesses"}),  # eyes and ears lie on the surface
+        ("log_scale", {"proj", "seg"}),
+        ("shift", {"proj", "seg"}),
+    ],
+)
+def test_what_is_wrong_costs_where_it_shows(device, changed, costs):
+    predicted, truth = known(device)
+    value = getattr(predicted, changed)
+    if changed == "orientation":
+        wrong = rotation_from_axis_angle(torch.tensor([0.0, 0.5, 0.2], device=device)) @ value
+    else:
+        wrong = 1.4 * value if changed in ("lengths", "thicknesses") else value + 0.2
+    losses = body_losses(replace(predicted, **{changed: wrong}), truth)
+    assert {name for name, loss in losses.items() if float(loss) > 1e-4} == costs
+
+
+def test_people_without_a_truth_in_3d_teach_the_rest(device):
+    predicted, truth = known(device)
+    leaves = {each.name: getattr(predicted, each.name).clone().requires_grad_() for each in fields(Predicted)}
+    flat = replace(truth, has_3d=torch.tensor([0.0, 1.0], device=device), joints=truth.joints + 1.0)
+    losses = body_losses(Predicted(**{**leaves, "lengths": leaves["lengths"] * 1.1}), flat)
+    assert losses["joints"].item() == pytest.approx(1.0, abs=0.1)
+    gradient = torch.autograd.grad(losses["joints"], leaves["orientation"], retain_graph=True)[0]
+    assert not gradient[0].any()
+    assert gradient[1].any()
+    assert torch.autograd.grad(losses["proj"], leaves["shift"])[0].abs().sum(1).all()
+
+
+def test_a_phase_leaves_terms_out(task):
+    people = task.batch(torch.device("cpu"))
+    model = task.model().train()
+    whole = task.loss(model, people)
+    assert whole["total"].item() == pytest.approx(sum(v.item() for k, v in whole.items() if k != "total"), rel=1e-5)
+    task.begin(Phase(without=("seg",)))
+    assert "seg" not in task.loss(model, people)
+    task.begin(Phase())
+
+
+def test_a_network_learns_a_batch_by_heart(task):
+    torch.manual_seed(0)
+    people, model = task.batch(torch.device("cpu")), task.model().train()
+    optimizer = torch.optim.AdamW(model.parameters(), 3e-3)
+    totals = []
+    for _ in range(60):
+        loss = task.loss(model, people)["total"]
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+        totals.append(loss.item())
+    assert totals[-1] < 0.4 * totals[0]
+
+
+def test_held_out_people_are_the_same_in_every_run(task):
+    torch.manual_seed(0)
+    model = task.model().eval()
+    other = LabelTask(small_config(seed=5), rank=0, processes=1, device=torch.device("cpu"))
+    with torch.no_grad():
+        errors = task.validate(model, torch.device("cpu"))
+        assert errors == other.validate(model, torch.device("cpu"))
+        sheet = task.pictures(model, torch.device("cpu"))
+    assert sheet.size == (12 * SIZE, 3 * SIZE)
+    assert set(errors) == {"MPJPE [mm]", "PA-MPJPE [mm]", "part F1", "foreground F1"}
+
+
+def test_batches_go_on_where_they_stopped_and_differ_between_processes(task):
+    state = task.state_dict()
+    want = task.batch(torch.device("cpu"))
+    task.load_state_dict(state)
+    have = task.batch(torch.device("cpu"))
+    assert all(torch.equal(getattr(have, each.name), getattr(want, each.name)) for each in fields(have))
+    first, second = (
+        LabelTask(small_config(), rank=rank, processes=2, device=torch.device("cpu")).batch(torch.device("cpu"))
+        for rank in range(2)
+    )
+    assert not torch.equal(first.orientation, second.orientation)
+
+
+def test_the_trained_network_can_be_loaded(task, tmp_path):
+    model = task.model()
+    task.save(tmp_path / "model.safetensors", model.state_dict(), {"steps": 1}, half=True)
+    assert load_label_network(tmp_path / "model.safetensors").config.size == SIZE
+
+
+def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
+    weights = task.model().state_dict()
+    task.save(tmp_path / "model.safetensors", weights, {}, half=False)
+    read = task.read(str(tmp_path / "model.safetensors"))
+    assert read.keys() == weights.keys()
+    assert all(torch.equal(read[name], value) for name, value in weights.items())
+    with pytest.raises(InputError, match="initial: packaged: a network of"):
+        task.read("packaged")
+    packaged = LabelTask(make_config({"task": "label-network", "steps": 1}), rank=0, processes=1, device=task._device)
+    packaged.model().load_state_dict(packaged.read("packaged"))

@@ -1,0 +1,403 @@
+"""The demo in a browser: the page is served, keys and mouse reach the window, and pictures come back."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import itertools
+import json
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import HANG
+from typer.testing import CliRunner
+
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.cli.main import app
+from warp_partdr.errors import InputError
+from warp_partdr.viewer import web
+from warp_partdr.viewer.state import DemoState, Settings
+from warp_partdr.viewer.targets import body_of, target_of
+from warp_partdr.viewer.window import Window
+
+SIZE = (640, 400)
+
+
+@pytest.fixture
+def window(can_draw, tmp_path):
+    pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
+    state = DemoState(body_of("t-pose"), target_of(body_of("walking")), Settings(size=64, steps=40))
+    made = Window(state, tmp_path / "saved", off_screen=True)
+    yield made
+    made.scene.close()
+
+
+class Browser:
+    """What the page's scripts do, as far as it matters here."""
+
+    def __init__(self, session: Any, connection: Any, address: str) -> None:
+        from wslink.chunking import UnChunker
+
+        self.address = address
+        self.told: list[dict] = []  # of each picture that came
+        self._session, self._connection, self._numbers, self._join = session, connection, itertools.count(), UnChunker()
+        self._join.set_max_message_size(2**24)
+        self._rate = 0.0
+
+    @classmethod
+    @asynccontextmanager
+    async def open(cls, address: str, size: tuple[int, int] = SIZE) -> AsyncIterator[Browser]:
+        import aiohttp
+
+        async with (
+            aiohttp.ClientSession(headers={"Origin": address}) as session,
+            session.ws_connect(f"{address}/ws") as connection,
+        ):
+            browser = cls(session, connection, address)
+            await browser.call("wslink.hello", {"secret": "wslink-secret"})
+            await browser.call("trame.rca.size", web.AREA, "browser", {"w": size[0], "h": size[1], "p": 1})
+            yield browser
+
+    async def send(self, method: str, *args: Any) -> str:
+        """Send a message; the number that its answer will bear."""
+        import msgpack
+        from wslink.chunking import generate_chunks
+
+        number = f"{'system' if method == 'wslink.hello' else 'rpc'}:browser:{next(self._numbers)}"
+        message = {"wslink": "1.0", "id": number, "method": method, "args": list(args), "kwargs": {}}
+        for chunk in generate_chunks(msgpack.packb(message), 0):
+            await self._connection.send_bytes(chunk)
+        return number
+
+    async def call(self, method: str, *args: Any) -> Any:
+        """Send a message and wait for its answer."""
+        number = await self.send(method, *args)
+        while (answer := await self._receive()).get("id") != number:
+            pass
+        assert "error" not in answer, answer
+        return answer.get("result")
+
+    async def press(self, key: str) -> None:
+        await self.call("trame.trigger", "press", [key], {})
+
+    async def picture(self) -> np.ndarray:
+        """The next one, asked for as the page does."""
+        import io
+
+        from PIL import Image
+
+        clock = asyncio.get_running_loop().time
+        asked, shown = clock(), self.told[-1] if self.told else {"number": 0, "quality": 0}
+        async with self._session.post(f"{self.address}/picture", json={**shown, "rate": self._rate}) as answer:
+            assert answer.status == 200
+            file = await answer.read()
+        self.told.append({**json.loads(answer.headers["X-Picture"]), "size": len(file)})
+        self._rate = len(file) / max(clock() - asked - self.told[-1]["waited"], 0.001)
+        return np.asarray(Image.open(io.BytesIO(file)))
+
+    async def mouse(self, kind: str, x: float, y: float) -> None:
+        event = {"x": round(x), "y": round(y), "w": SIZE[0], "h": SIZE[1]}
+        keys = dict.fromkeys(("shiftKey", "altKey", "ctrlKey", "metaKey"), 0)
+        await self.call("trame.rca.event", web.AREA, "browser", {"type": kind, **event, **keys})
+
+    def break_off(self) -> None:
+        """Be gone without a word, as when a page is closed while messages come."""
+        self._connection.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
+
+    async def _receive(self) -> dict:
+        while True:
+            message = self._join.process_chunk((await self._connection.receive(timeout=HANG)).data)
+            if message is not None:
+                return message
+
+
+def visit(window: Window, visitor: Callable[[Browser], Coroutine[Any, Any, None]]) -> None:
+    """Serve a window while a browser is there."""
+
+    async def both() -> None:
+        import aiohttp
+
+        opened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        serving = asyncio.ensure_future(web.serve(window, "127.0.0.1", 0, opened.set_result))
+        port = await asyncio.wait_for(opened, HANG)
+        address = f"http://127.0.0.1:{port}"
+        try:
+            async with aiohttp.ClientSession() as session:
+                async with session.get(f"{address}/") as page:
+                    assert page.status == 200
+                    assert page.headers["X-Frame-Options"] == "DENY"
+                    assert "<script" in await page.text()
+                # a page whose name has come to mean this machine, too
+                renamed = f"another.page:{port}"
+                for headers in ({"Origin": "http://another.page"}, {"Origin": f"http://{renamed}", "Host": renamed}):
+                    with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                        await session.ws_connect(f"{address}/ws", headers=headers)
+                    async with session.post(f"{address}/picture", headers=headers, data=b"{}") as answer:
+                        assert answer.status == 403
+            async with Browser.open(address) as browser:
+                await visitor(browser)
+        finally:
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+        with socket.socket() as again:
+            assert again.connect_ex(("127.0.0.1", port)) != 0  # nobody listens any more
+
+    asyncio.run(both())
+
+
+def test_keys_move_the_body_and_pictures_show_it(window):
+    async def visitor(browser: Browser) -> None:
+        before = await browser.picture()
+        assert before.shape == (SIZE[1], SIZE[0], 3)
+        assert len(np.unique(before.reshape(-1, 3), axis=0)) > 100
+        await browser.press("n")
+        assert len(window.state.history) == 1
+        await browser.press("F4")
+        for _ in range(10):  # those before it may be on their way
+            after = await browser.picture()
+            if (np.abs(after.astype(int) - before).max(-1) > 50).mean() > 0.01:
+                return
+        raise AssertionError("the picture didn't change")
+
+    visit(window, visitor)
+    assert not np.array_equal(window.state.body.rotations.detach(), body_of("t-pose").rotations)
+
+
+def test_it_plays_while_it_serves(window):
+    async def visitor(browser: Browser) -> None:
+        await browser.press("space")
+        for _ in range(50):
+            await browser.picture()
+            if len(window.state.history) >= 3:
+                break
+        await browser.press("space")
+        await browser.press("no key")
+
+    visit(window, visitor)
+    assert len(window.state.history) >= 3
+    assert window.state.history[-1] < window.state.history[0]
+
+
+def test_a_click_chooses_a_part(window):
+    async def visitor(browser: Browser) -> None:
+        await browser.picture()
+        renderer = window.scene.plotter.renderers[0]
+        renderer.SetWorldPoint(*window.scene.parts[PART_NAMES.index("right_forearm")].center, 1)
+        renderer.WorldToDisplay()
+        x, y, _ = renderer.GetDisplayPoint()
+        for kind in ("MouseMove", "LeftButtonPress", "LeftButtonRelease"):
+            await browser.mouse(kind, x, y)
+
+    visit(window, visitor)
+    assert window.part == "right_forearm"
+
+
+class SlowLine:
+    """A line of 1 Mbit/s to a server: what comes back of all connections waits in one queue, however long it gets."""
+
+    RATE = 125_000  # bytes a second
+
+    def __init__(self, port: int) -> None:
+        self.passed = 0  # bytes
+        self._port = port
+        self._queue: asyncio.Queue[tuple[asyncio.StreamWriter, bytes]] = asyncio.Queue()
+
+    @classmethod
+    @asynccontextmanager
+    async def to(cls, address: str) -> AsyncIterator[tuple[SlowLine, str]]:
+        line = cls(int(address.rpartition(":")[2]))
+        carrying = asyncio.ensure_future(line._carry())
+        async with await asyncio.start_server(line._connect, "127.0.0.1", 0) as entry:
+            yield line, f"http://127.0.0.1:{entry.sockets[0].getsockname()[1]}"
+        carrying.cancel()
+
+    async def _carry(self) -> None:
+        while True:
+            writer, data = await self._queue.get()
+            await asyncio.sleep(len(data) / self.RATE)
+            self.passed += len(data)
+            writer.write(data)
+
+    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        server_reader, server_writer = await asyncio.open_connection("127.0.0.1", self._port)
+
+        async def come_back() -> None:
+            while data := await server_reader.read(1500):
+                self._queue.put_nowait((writer, data))
+            writer.close()
+
+        coming = asyncio.ensure_future(come_back())
+        while data := await reader.read(4096):
+            server_writer.write(data)
+        server_writer.close()
+        await coming
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(120):  # only what hangs takes as long
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def test_a_slow_line_is_never_full(window):
+    """At 1 Mbit/s, a click's answer and its picture come within what the line carries in a second."""
+
+    async def visitor(browser: Browser) -> None:
+        async with SlowLine.to(browser.address) as (line, address), Browser.open(address, (1280, 800)) as slow:
+
+            async def watch() -> None:
+                while True:
+                    await slow.picture()
+
+            watching = asyncio.ensure_future(watch())
+            await slow.press("space")
+            for _ in range(2):
+                count, steps = len(slow.told), len(window.state.history)
+                await until(lambda: len(slow.told) > count and len(window.state.history) > steps + 1)  # noqa: B023
+                passed = line.passed
+                await slow.press("i")
+                assert line.passed - passed < line.RATE
+                count = len(slow.told)  # the next may be older than the click, the one after it isn't
+                await until(lambda: len(slow.told) >= count + 2)  # noqa: B023
+                assert line.passed - passed < line.RATE
+            watching.cancel()
+        assert all(later["number"] > told["number"] for told, later in itertools.pairwise(slow.told))
+        assert slow.told[-1]["quality"] < 85
+
+    visit(window, visitor)
+    assert window.controls.playing
+
+
+def test_a_page_that_stands_still_holds_up_nobody(window):
+    drawn = []
+    window.scene.plotter.render_window.AddObserver("EndEvent", lambda *_: drawn.append(len(window.state.history)))
+
+    async def visitor(browser: Browser) -> None:
+        still = await asyncio.open_connection(*browser.address.removeprefix("http://").split(":"), limit=1000)
+        body = b'{"number": 0, "quality": 0, "rate": 1e9}'
+        head = f"POST /picture HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(body)}\r\n\r\n"
+        still[1].write(head.encode() + body)
+        assert await still[0].readexactly(15) == b"HTTP/1.1 200 OK"  # and reads no more of it
+        await browser.press("space")
+        before = len(drawn)
+        await until(lambda: len(window.state.history) > 10)
+        assert len(drawn) == before  # it asks for no other one, so none is drawn, and none waits
+        for count in range(3):
+            await browser.picture()
+            assert len(drawn) == before + count + 1
+            assert drawn[-1] >= 10 + count
+            await until(lambda: len(window.state.history) > drawn[-1])
+        still[1].transport.abort()
+
+    visit(window, visitor)
+
+
+def test_pages_come_and_go_while_it_plays_without_a_word(window, caplog, monkeypatch):
+    async def visitor(browser: Browser) -> None:
+        await browser.press("space")
+        for _ in range(3):
+            async with Browser.open(browser.address) as gone:
+                await gone.picture()
+                asking = asyncio.ensure_future(gone.picture())
+                for _ in range(30):
+                    await gone.send("trame.trigger", "answer", [], {})
+                gone.break_off()
+                steps = len(window.state.history)
+                await until(lambda: len(window.state.history) > steps + 2)  # noqa: B023
+                asking.cancel()
+        await browser.picture()
+        gc.collect()  # faults of tasks that nobody asks for are told then
+        await asyncio.sleep(0)
+        assert caplog.records == []
+        monkeypatch.setattr(window, "press", lambda key: 1 / 0)
+        await browser.send("trame.trigger", "press", ["n"], {})
+        await until(lambda: "ZeroDivisionError" in caplog.text)
+
+    visit(window, visitor)
+
+
+def test_files_are_sent_once(window):
+    async def visitor(browser: Browser) -> None:
+        import aiohttp
+
+        async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=1)) as session:
+            for _ in range(2):
+                async with session.get(browser.address) as page:
+                    assert page.headers["Content-Encoding"] in ("gzip", "deflate")
+                    assert len(await page.read()) > 1000
+                async with session.get(browser.address, headers={"If-None-Match": page.headers["ETag"]}) as same:
+                    assert same.status == 304
+                    assert await same.read() == b""
+
+    visit(window, visitor)
+
+
+def test_a_malformed_ask(window):
+    async def visitor(browser: Browser) -> None:
+        import aiohttp
+
+        async with aiohttp.ClientSession() as session:
+            for body in (b"", b"[]", b"{}", b'{"number": "x", "quality": 0, "rate": 0}'):
+                async with session.post(f"{browser.address}/picture", data=body) as answer:
+                    assert answer.status == 400
+                    assert "expected number, quality and rate" in await answer.text()
+
+    visit(window, visitor)
+
+
+def test_keys_have_names_in_a_browser(window):
+    """Letters and function keys are called alike everywhere; others are in the table."""
+    names = {key: web.browser_name(key) for key in window.keys}
+    assert len(set(names.values())) == len(names)
+    for key, name in names.items():
+        assert len(name) == 1 or name[0] == "F" or name in web._BROWSER_NAMES.values(), key
+
+
+def test_where_the_page_is():
+    assert web.page_address("127.0.0.1", 80) == "http://127.0.0.1:80/"
+    assert web.page_address("::1", 80) == "http://[::1]:80/"
+    assert socket.gethostname() in web.page_address("::", 80)
+
+
+def test_a_taken_port_is_one_line(window):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=rf"^--web: 127.0.0.1:{port}: Address .* in use; expected .*--port 0"):
+            asyncio.run(web.serve(window, "127.0.0.1", port, print))
+
+
+def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):
+    pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
+    command = [sys.executable, "-m", "warp_partdr", "demo", "--web", "--port", "0", "--no-browser", "--size", "64"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        while "shows the demo" not in (said := running.stdout.readline()):
+            assert said, running.communicate()
+        assert urllib.request.urlopen(said.split()[0], timeout=HANG).status == 200
+        running.send_signal(signal.SIGINT)
+        _, faults = running.communicate(timeout=HANG)
+    assert "Traceback" not in faults
+    assert running.returncode == 0
+
+
+def test_without_the_backend(monkeypatch):
+    monkeypatch.setattr(web, "find_spec", lambda name: None)
+    done = CliRunner().invoke(app, ["demo", "--web"])
+    assert isinstance(done.exception, InputError)
+    assert str(done.exception).startswith("--web: without trame-pyvista; expected it (pip install trame-pyvista), or")
+
+
+def test_one_way_to_show_it():
+    done = CliRunner().invoke(app, ["demo", "--web", "--record", "out.gif"])
+    assert isinstance(done.exception, InputError)
+    assert "--web, --record, --profile: more than one; expected one" in str(done.exception)

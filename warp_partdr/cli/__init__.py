@@ -1,0 +1,1 @@
+"""The command ``partdr``, a file a command."""

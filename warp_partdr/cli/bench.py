@@ -1,0 +1,139 @@
+"""The commands ``partdr bench ...``: figures on the screen and on disk, with the machine that they belong to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+from ..interop.devices import choose_device
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+bench = typer.Typer(help="How fast this machine is, and what speed costs.", no_args_is_help=True)
+
+_Device = Annotated[str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")]
+_Out = Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")]
+_OUT = Path("out")
+
+_KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches and picture sizes.
+
+Example: `partdr bench kernels --device cpu --quick`
+
+A table on the screen; the same figures as bench-kernels-DEVICE.json and .png in FOLDER, with machine and versions.
+DRTK, nvdiffrast, PyTorch3D and Embree (embreex) draw the same mesh where they are installed.
+"""
+
+_SAVINGS_HELP = """Time what it saves to model only what a scene requires, one row a saving.
+
+Example: `partdr bench savings --device cpu`
+
+A table on the screen; the same figures as bench-savings-DEVICE.json in FOLDER, with machine and versions. On the CPU,
+on one core. Takes about 40 s; what is left out when, docs/savings.md says.
+"""
+
+_TRADEOFF_HELP = """Measure what accuracy costs: mesh E0 to E3 and exact ellipsoids, gradients, picture sizes.
+
+Example: `partdr bench tradeoff --device cpu --quick`
+
+People of known truth, EllipBodies and Annys, are refined from starts a stated way off: time an iteration against part
+F1, joint error and error of the gradient; then iterations, float64, and whole fits at each quality. Tables on the
+screen; the same figures as bench-tradeoff-DEVICE.json, and a chart, .png, in FOLDER, with machine and versions. Ten
+minutes on two cores that do nothing else; --quick one. docs/accuracy.md says what was found.
+"""
+
+
+@bench.command("kernels", help=_KERNELS_HELP)
+def bench_kernels(
+    device: _Device = "auto",
+    quick: Annotated[bool, typer.Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
+    out: _Out = _OUT,
+) -> None:
+    """Time kernels; see ``_KERNELS_HELP``."""
+    where = _begin(device, out)
+    from ..bench.chart import draw_chart
+    from ..bench.kernels import run_kernels
+    from ..bench.plan import make_plan
+    from ..bench.report import TABLE_WIDTH, print_report, save_json
+    from .progress import FitProgress
+
+    with FitProgress() as progress:
+        report = run_kernels(make_plan(where, quick=quick), progress)
+    files = [_file(out, "kernels", where, kind) for kind in ("json", "png")]
+    save_json(report, files[0])
+    draw_chart(report).save(files[1])
+    print_report(report, _console(TABLE_WIDTH))
+    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
+
+
+@bench.command("savings", help=_SAVINGS_HELP)
+def bench_savings(device: _Device = "auto", out: _Out = _OUT) -> None:
+    """Time savings; see ``_SAVINGS_HELP``."""
+    where = _begin(device, out)
+    from ..bench.machine import about
+    from ..bench.report import TABLE_WIDTH
+    from ..bench.savings import print_savings, run_savings, save_savings
+    from ..kernels.launch import set_num_threads
+    from .progress import FitProgress
+
+    set_num_threads(1)  # shares of time are of one core's
+    with FitProgress() as progress:
+        rows = run_savings(where, progress=progress)
+    file, machine = _file(out, "savings", where, "json"), about(where)
+    save_savings(rows, machine, file)
+    print_savings(rows, machine, _console(TABLE_WIDTH))
+    typer.echo(f"{file} holds the same figures")
+
+
+@bench.command("tradeoff", help=_TRADEOFF_HELP)
+def bench_tradeoff(
+    device: _Device = "auto",
+    quick: Annotated[bool, typer.Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
+    out: _Out = _OUT,
+) -> None:
+    """Measure the trade; see ``_TRADEOFF_HELP``."""
+    where = _begin(device, out)
+    from ..bench.tradeoff import run_tradeoff
+    from ..bench.tradeoff_chart import draw_chart
+    from ..bench.tradeoff_plan import make_plan
+    from ..bench.tradeoff_report import save_json
+    from ..bench.tradeoff_tables import TABLE_WIDTH, print_report
+    from .progress import FitProgress
+
+    with FitProgress() as progress:
+        report = run_tradeoff(make_plan(where, quick=quick), progress)
+    files = [_file(out, "tradeoff", where, kind) for kind in ("json", "png")]
+    save_json(report, files[0])
+    draw_chart(report).save(files[1])
+    print_report(report, _console(TABLE_WIDTH))
+    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
+
+
+def _begin(device: str, out: Path) -> str:
+    """Make the folder, and choose the device; torch and Warp are loaded from here on, so that --help is quick."""
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {out}: {error.strerror}; expected a folder") from error
+    where = choose_device(device)
+    if where == "cpu":
+        torch.set_num_threads(1)  # as ``fit`` does
+    return where
+
+
+def _file(out: Path, name: str, device: str, kind: str) -> Path:
+    return out / f"bench-{name}-{device.replace(':', '')}.{kind}"
+
+
+def _console(width: int) -> Console:
+    """As wide as the table, whatever the screen is."""
+    from rich.console import Console
+
+    return Console(width=max(Console().width, width), highlight=False)

@@ -1,0 +1,189 @@
+"""The command ``partdr evaluate``: fit the people of a data set and say how well that went."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+from .partbench import partbench
+
+if TYPE_CHECKING:
+    from ..body.labels import LabelSet
+    from ..inputs.sample import Sample
+
+evaluate = typer.Typer(
+    help="How good fits are on a data set: parts, keypoints, 3D joints, with 95 % intervals; see docs/evaluation.md.",
+    no_args_is_help=True,
+)
+
+Limit = Annotated[int | None, typer.Option(help="Only the first N people.", metavar="N")]
+Jobs = Annotated[int, typer.Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")]
+Methods = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        help="What to fit to: keypoints only, full silhouette or parts; may be given again. By default all there are.",
+        metavar="NAME",
+        show_default=False,
+    ),
+]
+Device = Annotated[str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")]
+Out = Annotated[
+    Path | None, typer.Option(help="Write all figures, also of each fit.", metavar="FILE.json", show_default=False)
+]
+Labels = Annotated[
+    str | None, typer.Option(help="What the part labels mean: a label set's name, or your own JSON.", metavar="NAME")
+]
+Pictures = Annotated[
+    Path | None, typer.Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER", show_default=False)
+]
+Keypoints = Annotated[
+    Path | None,
+    typer.Option(help="2D keypoints, one JSON file a picture, instead of the file's own.", metavar="FOLDER"),
+]
+
+
+@evaluate.command()
+def folder(
+    path: Annotated[Path, typer.Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
+    labels: Labels = None,
+    limit: Limit = None,
+    jobs: Jobs = 1,
+    method: Methods = None,
+    device: Device = "auto",
+    out: Out = None,
+) -> None:
+    """Your own pictures: how well bodies follow the labels and keypoints given.
+
+    Without --labels, labels.json in the folder says what the part labels are.
+    """
+    from ..evaluation.datasets import read_folder
+
+    _evaluate(read_folder(path, _label_set(labels)), limit, jobs, method, device, out)
+
+
+@evaluate.command()
+def h36m(
+    path: Annotated[Path, typer.Argument(help="SPIN's h36m_valid_protocol1.npz or the like.", metavar="FILE.npz")],
+    keypoints: Keypoints = None,
+    pictures: Pictures = None,
+    limit: Limit = None,
+    jobs: Jobs = 1,
+    method: Methods = None,
+    device: Device = "auto",
+    out: Out = None,
+) -> None:
+    """Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE."""
+    from ..evaluation.datasets import read_human36m
+
+    _evaluate(read_human36m(path, pictures=pictures, keypoints=keypoints), limit, jobs, method, device, out)
+
+
+@evaluate.command()
+def lsp(
+    path: Annotated[Path, typer.Argument(help="lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
+    parts: Annotated[
+        Path | None, typer.Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
+    ] = None,
+    labels: Labels = "lsp6",
+    pictures: Pictures = None,
+    limit: Limit = None,
+    jobs: Jobs = 1,
+    method: Methods = None,
+    device: Device = "auto",
+    out: Out = None,
+) -> None:
+    """Leeds Sports Pose with UP-3D's six parts: foreground and part accuracy and F1."""
+    from ..evaluation.datasets import read_lsp
+
+    samples = read_lsp(path, parts=parts, labels=_label_set(labels), pictures=pictures)
+    _evaluate(samples, limit, jobs, method, device, out)
+
+
+@evaluate.command("3dpw")
+def pw3d(
+    path: Annotated[Path, typer.Argument(help="SPIN's 3dpw_test.npz or the like.", metavar="FILE.npz")],
+    keypoints: Keypoints = None,
+    pictures: Pictures = None,
+    limit: Limit = None,
+    jobs: Jobs = 1,
+    method: Methods = None,
+    device: Device = "auto",
+    out: Out = None,
+) -> None:
+    """3DPW, in SPIN's annotation arrays; 3D errors need the array S in the file."""
+    from ..evaluation.datasets import read_pw3d
+
+    _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), limit, jobs, method, device, out)
+
+
+evaluate.command()(partbench)
+
+
+def _label_set(name: str | None) -> LabelSet | None:
+    from ..inputs.part_labels import read_label_set
+
+    return None if name is None else read_label_set(name)
+
+
+def _evaluate(
+    samples: Iterable[Sample],
+    limit: int | None,
+    jobs: int,
+    names: list[str] | None,
+    device: str,
+    out: Path | None,
+) -> None:
+    for option, number in (("--limit", limit), ("--jobs", jobs)):
+        if number is not None and number < 1:
+            raise InputError(f"{option}: {number}; expected 1 or more")
+    people = list(islice(samples, limit))
+    if not people:
+        raise InputError("the data set: nobody in it; expected at least one person")
+
+    from rich.console import Console
+
+    from ..bench.machine import about
+    from ..bench.report import TABLE_WIDTH
+    from ..evaluation.evaluate import METHODS, evaluate, one_thread, tables
+    from ..interop.devices import choose_device
+    from ..results.result_sets import check_folder
+    from .progress import FitProgress
+
+    if unknown := set(names or ()) - METHODS.keys():
+        raise InputError(f"--method: {', '.join(sorted(unknown))}; expected {', '.join(METHODS)}")
+    labelled = any(sample.parts is not None for sample in people)
+    methods = {
+        name: method
+        for name, method in METHODS.items()
+        if (name in names if names else labelled or name == "keypoints only")
+    }
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"--out: {out}: a folder; expected a file")
+        check_folder(out.parent)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes to come
+    one_thread()
+    where = choose_device(device)
+    with FitProgress() as progress:
+        report = evaluate(people, methods, jobs=jobs, device=where, progress=progress)
+
+    console = Console(width=max(Console().width, TABLE_WIDTH), highlight=False)
+    for table in tables(report):
+        console.print(table)
+    if all(sample.joints is None and sample.target is None for sample in people):
+        typer.echo("Neither labels nor 3D joints are known: only keypoints are compared.", err=True)
+    for failure in report.failures:
+        typer.echo(f"not fitted: {failure.sample}, {failure.method}: {failure.reason}", err=True)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figures = {"about": {**about(where), "jobs": jobs}, **report.to_json()}
+        out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        typer.echo(f"{out} holds the same figures, and each fit's")

@@ -1,0 +1,96 @@
+"""The command ``partdr predict``: bodies of a folder's people in one pass of the label network, without refinement."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+
+PREDICT_HELP = """Say at once where bodies are: 2D keypoints and part labels in, pose and measurements out, without
+refinement. For many people; `partdr fit` starts with the same and goes on.
+
+Example: `partdr predict pictures --labels cdcl14 --out bodies`
+
+FOLDER holds N.jpg or N.png, N.keypoints.json and, for all or none, N.parts.png; the largest person of each picture is
+taken. Without --labels, labels.json in the folder says what the part labels are.
+
+**Results** in --out: N.npz for each picture, as body.npz of `partdr fit` (`partdr register` clothes it), and
+predictions.json, which names them. Older results of those names are replaced.
+"""
+
+
+def predict(
+    folder: Annotated[Path, typer.Argument(help="Pictures, keypoints and part labels.", metavar="FOLDER")],
+    labels: Annotated[
+        str | None,
+        typer.Option(help="What the part labels mean: a label set's name, or your own JSON.", metavar="NAME"),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
+    network: Annotated[
+        Path | None,
+        typer.Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
+    ] = None,
+    batch: Annotated[int, typer.Option(help="People at a time.", metavar="N")] = 64,
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+) -> None:
+    """Predict bodies; see ``PREDICT_HELP``."""
+    from ..evaluation.datasets import read_folder
+    from ..inputs.part_labels import read_label_set
+
+    if batch < 1:
+        raise InputError(f"--batch: {batch}; expected 1 or more")
+    samples = list(read_folder(folder, None if labels is None else read_label_set(labels)))
+
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from ..inputs.evidence import weigh_evidence
+    from ..inputs.observation import REFERENCE_SIZE, crop_evidence, observe
+    from ..interop.devices import choose_device
+    from ..network.checkpoint import load_label_network
+    from ..network.predict import predict_bodies
+    from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
+    from ..results.save import body_file, image_size
+    from .progress import FitProgress
+
+    check_folder(out)
+    where = choose_device(device)
+    model = load_label_network(network, device=where)
+    reading = predicting = 0.0
+    told: list[str] = []
+    first, _ = observe(samples[0].keypoints, samples[0].parts, others=samples[0].others, device=where)
+    predict_bodies([first], model)  # what is set up once counts for no speed
+    report = {"network": None if network is None else str(network), "people": len(samples)}
+    with FitProgress() as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
+        for start in range(0, len(samples), batch):
+            some = samples[start : start + batch]
+            started = time.perf_counter()
+            evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
+            seen = [crop_evidence(each, device=where) for each in evidence]
+            read = time.perf_counter()
+            bodies = predict_bodies([observation for observation, _ in seen], model)
+            bodies.shift.sum().item()  # waits for the device
+            reading, predicting = reading + read - started, predicting + time.perf_counter() - read
+            for i, (sample, (_, crop)) in enumerate(zip(some, seen, strict=True)):
+                body = bodies.select(torch.tensor([i], device=where))
+                camera = body.camera(REFERENCE_SIZE).in_full(crop)
+                size = image_size(sample.keypoints, sample.parts, None)
+                body_file(body, camera, size).save(temporary / f"{sample.name}.npz")
+            for sample, each in zip(some, evidence, strict=True):
+                told += [f"partdr: warning: {sample.name}: {warning}" for warning in each.warnings]
+            progress("predicting", start + len(some), len(samples))
+    for line in told:
+        typer.echo(line, err=True)
+    people = f"{len(samples)} people" if len(samples) > 1 else "1 person"
+    typer.echo(
+        f"{people}: {len(samples) / predicting:.0f} a second through the network, "
+        f"{len(samples) / (reading + predicting):.0f} a second with cropping; batches of {batch}, {where}"
+    )
+    typer.echo(f"{out} holds a body of each: N.npz")

@@ -1,0 +1,208 @@
+"""The command ``partdr register``, from body.npz to a detailed body, and what ``partdr fit`` shares with it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..body.posing import Posed
+    from ..cameras import WeakPerspective
+    from ..clothing.model import DetailedModel
+    from ..inputs.evidence import Evidence
+    from ..inputs.part_labels import PartLabels
+    from .progress import FitProgress
+
+REGISTER_HELP = """Clothe a fitted body in a detailed model: body.npz of `partdr fit` in, a skinned mesh out.
+
+Example: `partdr register out/body.npz --photo photo.png --out detailed`
+
+**Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
+Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
+rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 of the detailed body
+against the labels). Older results there are replaced.
+"""
+MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
+
+LabelsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
+        metavar="NAME",
+        show_default=False,
+    ),
+]
+
+
+def register_body(
+    body: Annotated[Path, typer.Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
+    model: Annotated[str, typer.Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
+    photo: Annotated[
+        Path | None, typer.Option(help="The fit's picture, to draw the body over.", metavar="FILE", show_default=False)
+    ] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(
+            help="The fit's part labels, to say how well the detailed body fills them.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None,
+    labels: LabelsOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
+    inscribed: Annotated[
+        bool,
+        typer.Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead."),
+    ] = False,
+    grow: Annotated[
+        bool,
+        typer.Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited."),
+    ] = False,
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+) -> None:
+    """Register a detailed model; see ``REGISTER_HELP``."""
+    from ..inputs.part_labels import check_sizes, label_set_of, read_parts, read_photo
+    from ..results.body_file import load_body
+
+    fitted = load_body(body)
+    height, width = fitted.image_size.tolist()
+    picture = None if photo is None else read_photo(photo)
+    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
+    check_sizes(
+        body=(height, width),
+        photo=None if picture is None else picture.shape[:2],
+        parts=None if image is None else image.groups.shape,
+    )
+
+    import torch
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from ..body.posing import pose
+    from ..interop.devices import choose_device
+    from ..results.result_sets import check_folder, check_inputs
+    from ..results.save import DETAILED_FILES
+    from .progress import FitProgress
+
+    check_folder(out)
+    check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
+    where = choose_device(device)
+    detailed_model = read_model(model, where)
+    names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
+    posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
+    person = None if image is None else _evidence_of(posed, fitted.camera(), image)
+    seen = fitted.camera(), (height, width), picture, person
+    with FitProgress() as progress:
+        said = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
+    typer.echo(said)
+
+
+def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Evidence:
+    """The labels of the person where a body is.
+
+    Raises:
+        InputError: If there are none.
+    """
+    import numpy as np
+
+    from ..body.posing import LandmarkGather
+    from ..body.skeletons import skeleton
+    from ..inputs.evidence import weigh_evidence
+    from ..inputs.keypoints import Keypoints2D
+
+    name = "coco17"
+    landmarks = LandmarkGather(skeleton(name).landmarks, posed.joints.device)(posed).cpu()
+    points = camera.project(landmarks)[0, :, :2].numpy()
+    try:
+        return weigh_evidence(Keypoints2D(name, points, np.ones(len(points), dtype=np.float32)), parts)[0]
+    except InputError as error:
+        raise InputError("--parts: no labelled pixel where the body is; expected the labels of its picture") from error
+
+
+def read_model(name: str, device: str) -> DetailedModel:
+    """The model that ``--model`` names.
+
+    Raises:
+        InputError: If there is none of that name, or its file can't be used.
+    """
+    from ..clothing.load import load_model
+
+    try:
+        return load_model(name, device=device)
+    except ValueError as error:
+        raise InputError(f"--model: {error}") from error
+
+
+def clothe(
+    posed: Posed,
+    model: DetailedModel,
+    out: Path,
+    camera: WeakPerspective,
+    size: tuple[int, int],
+    photo: np.ndarray | None,
+    evidence: Evidence | None,
+    *,
+    progress: FitProgress,
+    inscribed: bool = False,
+    grow: bool = False,
+) -> str:
+    """Register a model to one EllipBody and write ``DETAILED_FILES``.
+
+    Args:
+        posed: The body, B = 1, in the camera frame.
+        model: On the same device.
+        out: Folder for the files.
+        camera: Of the picture.
+        size: (H, W) of the picture [px].
+        photo: The picture, shape (H, W, 3), uint8, if there is one.
+        evidence: Of the person in that picture, for scores against its labels, if there is some.
+        progress: Has said yet that kernels are compiled.
+        inscribed: Whether the ellipsoids are to lie within the skin.
+        grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
+            people. A fit's are too rough for that: hands and feet came out as thin as boards.
+
+    Returns:
+        A line about the body for the terminal.
+
+    Raises:
+        InputError: If the folder can't be written to.
+    """
+    import warp as wp
+
+    from ..clothing.registration import RegistrationOptions, RegistrationWeights, register
+    from ..kernels import registration
+    from ..kernels.mesh import rasterize
+    from ..results.save import save_registered
+
+    for module in (registration, rasterize):
+        wp.load_module(module, device=str(posed.joints.device))
+    if inscribed:
+        weights = RegistrationWeights.inscribed() if grow else replace(RegistrationWeights.inscribed(), measures=0.0)
+    else:
+        weights = RegistrationWeights() if grow else RegistrationWeights.fitted()
+    options = RegistrationOptions(weights=weights, growth=grow)
+    started = time.perf_counter()
+    registered = register(posed, model, options=options, progress=progress)
+    seconds = time.perf_counter() - started
+    progress("writing results", 1, 1)
+    report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
+    scores = f"{f1_scores(report)}; " if evidence is not None and evidence.picture is not None else ""
+    files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
+    return f"{model.name}: {scores}{files}"
+
+
+def f1_scores(report: dict[str, Any]) -> str:
+    """Scores of a body against the labels, in words; of a fit's report, or a registration's."""
+    scores = report["parts"]
+    left_out = "" if scores["left_out"] is None else f", {100 * scores['left_out']:.0f} % of the person left out"
+    return f"foreground F1 {scores['foreground_f1']:.3f}, part F1 {scores['part_f1']:.3f}{left_out}"

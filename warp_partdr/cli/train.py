@@ -1,0 +1,91 @@
+"""The command ``partdr train``: train a network, on one processor, many GPUs or many machines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+
+TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own; see docs/training.md.
+
+Examples:
+
+* `partdr train label-network --out out/net` on the GPU, or on the CPU where there is none
+* `partdr train label-network --out out/net --resume` goes on from the newest checkpoint
+* `partdr train label-network --minutes 30 --set batch_size=512` half an hour, in smaller batches
+* `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...`: on
+  several GPUs, batch_size on each
+
+CONFIG is a packaged name or a .toml file of the same keys; `--set` changes single ones.
+
+**Written** to FOLDER: model.safetensors (the running mean of the weights: the trained network), report.json (errors,
+time, machine, config), checkpoints/step-N, pictures/step-N.png (held-out samples), log.jsonl, tensorboard (`tensorboard
+--logdir FOLDER`). Ctrl-C or SIGTERM writes a checkpoint first. A loss that is NaN stops the run; nan-batch.safetensors
+holds what led to it.
+"""
+
+
+def train(
+    config: Annotated[str, typer.Argument(help="A packaged config's name, or a file.", metavar="CONFIG")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="For all results; default: the config's.", metavar="FOLDER", show_default=False),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from FOLDER's newest checkpoint; the same options are needed.")
+    ] = False,
+    minutes: Annotated[
+        float | None,
+        typer.Option(
+            help="Stop after so long, resumed parts together; the learning rate falls in time for it.",
+            metavar="M",
+            show_default=False,
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="Change a number: steps=1000, data.KEY=...; may be given again.", metavar="KEY=VALUE"
+        ),
+    ] = None,
+    half: Annotated[bool, typer.Option("--half", help="Write the trained network in float16, half the size.")] = False,
+    device: Annotated[
+        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
+    ] = "auto",
+) -> None:
+    """Train; see ``TRAIN_HELP``."""
+    from ..training.config_files import read_config
+
+    if device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"--device: {device}; expected auto, cpu or cuda (CUDA_VISIBLE_DEVICES chooses the GPU)")
+    overrides = list(settings or ())
+    if out is not None:
+        overrides.append(f"out='{out}'")
+    if minutes is not None:
+        overrides.append(f"minutes={minutes}")
+    numbers = read_config(config, overrides)
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from ..interop.devices import choose_device
+    from ..training.loop import MODEL_FILE, train
+
+    result = train(numbers, resume=resume, device=choose_device(device), half=half)
+    report = result.report
+    if report:
+        for name in report["skipped"]:
+            typer.echo(f"skipped: {name}", err=True)
+        if result.stopped is not None:
+            typer.echo(f"stopped at step {result.step}; --resume goes on from there", err=True)
+    if result.stopped is not None:
+        raise typer.Exit(128 + result.stopped)
+    if not report:
+        return  # the first process speaks for all
+    errors = ", ".join(f"{name} {value:.4g}" for name, value in report["errors"].items())
+    speed = f"{report['samples_per_second']:,.0f} samples/s"
+    typer.echo(f"{result.step} steps, {report['seconds']:.0f} s, {speed}; {errors}")
+    typer.echo(f"{numbers.out / MODEL_FILE} holds the network, {numbers.out / 'report.json'} the figures")

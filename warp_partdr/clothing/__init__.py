@@ -1,0 +1,1 @@
+"""Detailed bodies that clothe EllipBody: models, their files, poses and registration (paper, section 3.4)."""

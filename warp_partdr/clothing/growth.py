@@ -1,0 +1,96 @@
+"""Growth: parts of a detailed model made longer or thicker than its shape values reach, in EllipBody's terms.
+
+The body of some shape values has the lengths and thicknesses that EllipBody would have on it. Where EllipBody demands
+others, parts are stretched at rest along its axes; skinning weights blend one part's stretch into the next one's.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, THICKNESS_NAMES, template
+from .model import DetailedModel
+from .pose import rest_turns
+
+MEASURES: tuple[str, ...] = LENGTH_NAMES + THICKNESS_NAMES
+
+# Thickness of the ellipsoids that match a person's silhouettes best over the standard deviation of the part's skin
+# along that axis; and how far single people are off, as the standard deviation of the ratio's logarithm. Over 100
+# people of the packaged Anny, by ``scripts/measure_thickness_ratios.py``.
+THICKNESS_RATIOS: dict[str, tuple[float, float]] = {
+    "torso depth": (2.974, 0.025),
+    "pelvis height": (4.265, 0.149),
+    "abdomen width": (3.454, 0.101),
+    "chest width": (3.955, 0.063),
+    "neck thickness": (3.662, 0.045),
+    "shoulder thickness": (4.082, 0.127),
+    "head thickness": (3.432, 0.017),
+    "upper leg thickness": (3.820, 0.026),
+    "lower leg thickness": (3.750, 0.040),
+    "foot width": (4.488, 0.070),
+    "foot height": (3.955, 0.087),
+    "upper arm thickness": (4.084, 0.026),
+    "forearm thickness": (3.574, 0.029),
+    "hand width": (3.674, 0.032),
+    "hand thickness": (3.344, 0.043),
+}
+# Hidden in the trunk, so that silhouettes hardly say how thick they are, and stretches hardly change the skin.
+UNGROWN: tuple[str, ...] = ("pelvis height", "shoulder thickness")
+# Bones between joints are the same on both sides; what an estimated shape leaves.
+_LENGTH_SPREAD = 0.015
+
+_LENGTH_STARTS = [parent + 1 for parent in PARENTS]
+_INDICES = [[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second] for length, first, second in SHAPE_INDICES]
+
+
+class Growth:
+    """What EllipBody's measures are of bodies of a model, and stretches of the model's parts that change them.
+
+    Attributes:
+        spreads: Of the measures' logarithms over natural people, shape (27,).
+    """
+
+    def __init__(self, model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor, shape: torch.Tensor) -> None:
+        """Prepare for shapes near one.
+
+        Args:
+            model: The model.
+            parts: Part 0 to 19 of each vertex, shape (V,).
+            areas: Share of the skin of each vertex, shape (V,).
+            shape: Shape values of B bodies, whose axes at rest are taken, shape (B, S).
+        """
+        self.model = model
+        like = areas
+        self.indices = torch.tensor(_INDICES, device=like.device)
+        of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(like) * areas[:, None]
+        whole = of_parts.sum(0)
+        self.shares = (of_parts / whole.clamp(min=1e-12)).T
+        # A part without skin, which a model may have, does not count.
+        counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
+        sharing = torch.nn.functional.one_hot(self.indices.flatten(), len(MEASURES)) * counts[:, None]
+        self.sharing = sharing / sharing.sum(0).clamp(min=1)
+        ratios, spreads = zip(*(THICKNESS_RATIOS[name] for name in THICKNESS_NAMES), strict=True)
+        self.ratios = like.new_tensor([1.0] * len(LENGTH_NAMES) + [*ratios])[self.indices]
+        self.spreads = like.new_tensor([_LENGTH_SPREAD] * len(LENGTH_NAMES) + [*spreads])
+        self.axes = rest_turns(model, model.rest(shape)).mT @ torch.from_numpy(template().rest_axes).to(like)
+
+    def demanded(self, semi_axes: torch.Tensor) -> torch.Tensor:
+        """Logarithms of the 27 measures [log m] of ellipsoids, shape (B, 20, 3), shape (B, 27)."""
+        return (2 * semi_axes).log().flatten(1) @ self.sharing
+
+    def measured(self, shape: torch.Tensor, stretches: torch.Tensor | None = None) -> torch.Tensor:
+        """The same of bodies of the model, shape (B, 27), differentiable."""
+        rest = self.model.rest(shape, stretches=stretches)
+        joints = self.model.landmarks(rest, JOINT_NAMES)
+        lengths = (joints[:, 1:] - joints[:, _LENGTH_STARTS]).norm(dim=-1, keepdim=True)
+        means = self.shares @ rest.vertices
+        products = (rest.vertices[..., :, None] * rest.vertices[..., None, :]).flatten(2)
+        covariances = (self.shares @ products).unflatten(2, (3, 3)) - means[..., :, None] * means[..., None, :]
+        across = self.axes[..., 1:]
+        variances = (across * (covariances @ across)).sum(-2)
+        sizes = torch.cat([lengths, variances.clamp(min=1e-12).sqrt()], dim=-1)
+        return (sizes * self.ratios).log().flatten(1) @ self.sharing
+
+    def stretches(self, factors: torch.Tensor) -> torch.Tensor:
+        """What ``model.pose`` takes, shape (B, 20, 3, 3), for a factor of each measure, shape (B, 27)."""
+        return (self.axes * factors[:, self.indices][..., None, :]) @ self.axes.mT

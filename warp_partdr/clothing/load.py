@@ -1,0 +1,70 @@
+"""Body models from files that users bring: SMPL, SMPL-H and SMPL-X as ``.npz`` or ``.safetensors``.
+
+A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and what an archive says it
+holds is checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..errors import InputError
+from ..files.array_files import MAX_BYTES, read_npz
+from .anny import anny
+from .model import DetailedModel
+from .smpl import ARRAYS, smpl_model
+
+_EXPECTED = "a file of SMPL, SMPL-H or SMPL-X"
+
+
+def load_model(
+    source: str | Path = "anny",
+    *,
+    num_shapes: int | None = None,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float32,
+) -> DetailedModel:
+    """A body model by name or from a file.
+
+    Args:
+        source: "anny", which comes with the package, or an ``.npz`` or ``.safetensors`` file of SMPL, SMPL-H or SMPL-X,
+            with the arrays v_template, shapedirs, posedirs, J_regressor, weights, kintree_table and f.
+        num_shapes: How many of a file's shape values to use, the first ones; by default 10. Anny has all its 20 always.
+        device: Of the model.
+        dtype: Of the model, float32 or float64.
+
+    Raises:
+        ValueError: If the file is missing, damaged, too large or a pickle, or an array is missing or has a wrong shape,
+            dtype or value.
+    """
+    if str(source) == "anny":
+        if num_shapes is not None:
+            raise ValueError(f"num_shapes: {num_shapes}; expected None for Anny, all of whose shape values are used")
+        return anny(torch.device(device), dtype)
+    path = Path(source)
+    if path.suffix in (".pkl", ".pickle"):
+        raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")
+    if path.suffix == ".npz":
+        arrays = read_npz(path, (), tuple(ARRAYS), expected=_EXPECTED, most=MAX_BYTES)
+    elif path.suffix == ".safetensors":
+        arrays = _read_safetensors(path)
+    else:
+        raise ValueError(f"{path}: expected 'anny', or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X")
+    return smpl_model(arrays, str(path), num_shapes=num_shapes, device=device, dtype=dtype)
+
+
+def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        if (size := path.stat().st_size) > MAX_BYTES:
+            raise InputError(f"{path}: {size / 1e9:.1f} GB; expected {_EXPECTED}, at most {MAX_BYTES / 1e9:.1f} GB")
+        with safe_open(path, framework="numpy") as file:
+            return {name: file.get_tensor(name) for name in ARRAYS if name in file.keys()}  # noqa: SIM118  no mapping
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; expected {_EXPECTED}") from error
+    except (SafetensorError, TypeError) as error:  # a dtype that NumPy lacks
+        raise InputError(f"{path}: {' '.join(str(error).split())}; expected {_EXPECTED}") from error

@@ -1,0 +1,270 @@
+"""Detailed body models: a skinned mesh whose shape, pose and parts have one interface, whatever the model.
+
+Vertices follow the model's joints by linear blend skinning, differentiable in shape, pose and offsets. At rest, with
+all rotations at identity, a model stands as it was made (Anny in an A-pose, SMPL in a T-pose) in the body frame: x to
+the person's left, y up, z forward; metres. ``anny.py`` and ``detailed_files.py`` make models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import torch
+
+from ..body.labels import label_set
+from ..body.template import NUM_PARTS, PART_NAMES
+from ..interop.movable import Movable
+
+_SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
+
+
+@dataclass(frozen=True, eq=False)
+class Detailed(Movable):
+    """Posed bodies, in the frame of the translation [m].
+
+    Attributes:
+        vertices: Shape (B, V, 3).
+        joints: Shape (B, J, 3).
+        transforms: Each joint's frame, its rotation from rest and its position, shape (B, J, 4, 4).
+    """
+
+    vertices: torch.Tensor
+    joints: torch.Tensor
+    transforms: torch.Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class DetailedModel:
+    """A body model of V vertices, F faces, J joints, S shape values and L landmarks.
+
+    Attributes:
+        name: Such as "anny" or "smplx".
+        joint_names: J names.
+        parents: Parent of each joint, -1 for the root, which is joint 0; a parent comes before its children.
+        part_joints: The joint that carries each of the 20 parts; the two hips may share one.
+        landmark_names: L names: those of ``landmarks.py`` that the model has, and perhaps some of its own.
+        faces: Vertex indices, shape (F, 3), int32.
+        face_parts: Part label 1 to 20 of each face, shape (F,), uint8.
+        rest_vertices: The body of shape 0 [m], shape (V, 3).
+        shape_directions: What a unit of each shape value adds [m], shape (S, V, 3).
+        rest_joints: Joints of shape 0 [m], shape (J, 3).
+        joint_directions: What a unit of each shape value adds [m], shape (S, J, 3).
+        skin_weights: How much each vertex follows each joint, rows sum to 1, shape (V, J).
+        landmark_weights: Landmarks as linear functions of vertices and then joints, shape (L, V + J).
+        pose_directions: What the entries of (R - I) of all joints but the root add [m], shape (9 (J - 1), 3 V); None
+            for a model without.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    part_joints: tuple[int, ...]
+    landmark_names: tuple[str, ...]
+    faces: torch.Tensor
+    face_parts: torch.Tensor
+    rest_vertices: torch.Tensor
+    shape_directions: torch.Tensor
+    rest_joints: torch.Tensor
+    joint_directions: torch.Tensor
+    skin_weights: torch.Tensor
+    landmark_weights: torch.Tensor
+    pose_directions: torch.Tensor | None = None
+
+    @property
+    def num_joints(self) -> int:
+        """J."""
+        return len(self.parents)
+
+    @property
+    def num_shapes(self) -> int:
+        """S."""
+        return len(self.shape_directions)
+
+    @property
+    def num_vertices(self) -> int:
+        """V."""
+        return len(self.rest_vertices)
+
+    @property
+    def bone_of_part(self) -> dict[str, str]:
+        """Name of the joint that carries each of the 20 parts."""
+        return {part: self.joint_names[joint] for part, joint in zip(PART_NAMES, self.part_joints, strict=True)}
+
+    @cached_property
+    def face_parts14(self) -> torch.Tensor:
+        """Label 1 to 14 of each face in the set "body14", shape (F,), uint8."""
+        table = torch.from_numpy(label_set("body14").part_groups)
+        return table.to(self.face_parts.device)[self.face_parts.long()]
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> DetailedModel:
+        """The same model on another device or with another floating dtype."""
+        moved: dict[str, Any] = {
+            field.name: value.to(device, dtype if value.is_floating_point() else None)
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), torch.Tensor)
+        }
+        return replace(self, **moved)
+
+    def rest(
+        self, shape: torch.Tensor, offsets: torch.Tensor | None = None, *, stretches: torch.Tensor | None = None
+    ) -> Detailed:
+        """Bodies at rest, where the model has its origin.
+
+        Args:
+            shape: Shape values, shape (B, S).
+            offsets: Added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Of the parts, about the joints that carry them, shape (B, 20, 3, 3); ``growth.py`` makes some.
+                A part moves with its parent's stretch and does not inherit it.
+        """
+        self._check("shape", shape, (None, self.num_shapes))
+        vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
+        if offsets is not None:
+            self._check("offsets", offsets, (shape.shape[0], self.num_vertices, 3))
+            vertices = vertices + offsets
+        joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
+        turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
+        if stretches is not None:
+            self._check("stretches", stretches, (shape.shape[0], NUM_PARTS, 3, 3))
+            bones = joints[:, 1:] - joints[:, self._parents[1:]]
+            bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
+            stretched = self._chain(_homogeneous(turns, torch.cat([joints[:, :1], bones], dim=1)))[..., :3, 3]
+            carrying = list(self.part_joints)
+            vertices = _blend(self._stretch_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            joints = stretched
+        return Detailed(vertices, joints, _homogeneous(turns, joints))
+
+    def pose(
+        self,
+        shape: torch.Tensor,
+        rotations: torch.Tensor,
+        translation: torch.Tensor,
+        *,
+        offsets: torch.Tensor | None = None,
+        stretches: torch.Tensor | None = None,
+    ) -> Detailed:
+        """Pose bodies; differentiable in every argument.
+
+        Args:
+            shape: Shape values, shape (B, S).
+            rotations: Local rotation of each joint against its parent, in axes that are the body frame's at rest; the
+                root's turns the whole body. Shape (B, J, 3, 3).
+            translation: Position of the root joint [m], shape (B, 3).
+            offsets: Added to the vertices at rest [m], shape (B, V, 3).
+            stretches: Of the parts at rest, shape (B, 20, 3, 3), as in ``rest``.
+
+        Raises:
+            ValueError: If a shape, dtype or device does not fit the model.
+        """
+        self._check("shape", shape, (None, self.num_shapes))
+        batch = shape.shape[0]
+        self._check("rotations", rotations, (batch, self.num_joints, 3, 3))
+        self._check("translation", translation, (batch, 3))
+        rest = self.rest(shape, offsets, stretches=stretches)
+        vertices = rest.vertices
+        if self.pose_directions is not None:
+            bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
+            vertices = vertices + (bend.flatten(1) @ self.pose_directions).unflatten(1, (-1, 3))
+        bones = torch.cat([translation[:, None], rest.joints[:, 1:] - rest.joints[:, self._parents[1:]]], dim=1)
+        transforms = self._chain(_homogeneous(rotations, bones))
+        turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
+        return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
+
+    def landmarks(self, detailed: Detailed, names: Sequence[str]) -> torch.Tensor:
+        """Where landmarks are, shape (B, L, 3) [m].
+
+        Raises:
+            ValueError: If the model has no landmark of a name.
+        """
+        unknown = [name for name in names if name not in self.landmark_names]
+        if unknown:
+            raise ValueError(
+                f"names: {self.name} has no landmark {', '.join(map(repr, unknown))}; "
+                f"expected some of {', '.join(self.landmark_names)}"
+            )
+        rows = [self.landmark_names.index(name) for name in names]
+        return self.landmark_weights[rows] @ torch.cat([detailed.vertices, detailed.joints], dim=1)
+
+    @cached_property
+    def _parents(self) -> torch.Tensor:
+        return torch.tensor(self.parents, device=self.faces.device)
+
+    @cached_property
+    def _joint_parts(self) -> torch.Tensor:
+        """Part 0 to 19 of each joint: the one that it carries, else its parent's, shape (J,)."""
+        parts: list[int] = []
+        for joint, parent in enumerate(self.parents):
+            inherited = 0 if parent < 0 else parts[parent]
+            parts.append(self.part_joints.index(joint) if joint in self.part_joints else inherited)
+        return torch.tensor(parts, device=self.faces.device)
+
+    @cached_property
+    def _stretch_weights(self) -> torch.Tensor:
+        """How much each vertex follows each part's stretch, shape (V, 20): skin weights, spread over the mesh.
+
+        Skin weights change within two or three rows of vertices, where a thicker part would end in a step.
+        """
+        corners = self.faces.long()
+        pairs = torch.stack([corners.flatten(), corners.roll(1, 1).flatten()])
+        alone = torch.arange(self.num_vertices, device=corners.device).expand(2, -1)
+        pairs = torch.unique(torch.cat([pairs, pairs.flip(0), alone], dim=1), dim=1)
+        counts = torch.bincount(pairs[0], minlength=self.num_vertices).to(self.skin_weights)
+        weights = self.skin_weights @ torch.nn.functional.one_hot(self._joint_parts, NUM_PARTS).to(self.skin_weights)
+        for _ in range(_SPREADING):
+            sums = torch.zeros_like(weights).index_add_(0, pairs[0], weights[pairs[1]])
+            weights = sums / counts[:, None]
+        return weights
+
+    @cached_property
+    def _levels(self) -> tuple[list[tuple[torch.Tensor, torch.Tensor]], torch.Tensor]:
+        """Joints by distance from the root, with their parents' places one level up; and each joint's place in all."""
+        levels: list[list[int]] = [[0]]
+        while children := [joint for joint, parent in enumerate(self.parents) if parent in levels[-1]]:
+            levels.append(children)
+        steps = [
+            (torch.tensor(level), torch.tensor([above.index(self.parents[joint]) for joint in level]))
+            for above, level in pairwise(levels)
+        ]
+        order = torch.tensor([joint for level in levels for joint in level])
+        device = self.faces.device
+        return [(joints.to(device), places.to(device)) for joints, places in steps], order.argsort().to(device)
+
+    def _chain(self, local: torch.Tensor) -> torch.Tensor:
+        """Products along the joints' tree, shape (B, J, 4, 4)."""
+        steps, places = self._levels
+        world = [local[:, :1]]
+        for joints, above in steps:
+            world.append(world[-1][:, above] @ local[:, joints])
+        return torch.cat(world, dim=1)[:, places]
+
+    def _check(self, name: str, tensor: torch.Tensor, shape: tuple[int | None, ...]) -> None:
+        if not isinstance(tensor, torch.Tensor):
+            raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
+        if tensor.layout != torch.strided:
+            raise ValueError(f"{name}: {tensor.layout}; expected a dense tensor")
+        if len(tensor.shape) != len(shape) or any(w not in (None, n) for w, n in zip(shape, tensor.shape, strict=True)):
+            raise ValueError(f"{name}: shape {tuple(tensor.shape)}; expected {shape} for {self.name}")
+        like = self.rest_vertices
+        if tensor.dtype != like.dtype or tensor.device != like.device:
+            raise ValueError(
+                f"{name}: {tensor.dtype} on {tensor.device}; expected {like.dtype} on {like.device}, as the model is"
+            )
+
+
+def _blend(
+    weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
+) -> torch.Tensor:
+    """Linear blend skinning: vertices (B, V, 3) follow maps (B, N, 3, 3) of ``rest`` to ``places``; weights (V, N)."""
+    moves = places - (maps * rest[..., None, :]).sum(-1)
+    skin = (weights @ torch.cat([maps, moves[..., None]], dim=-1).flatten(2)).unflatten(2, (3, 4))
+    return (skin[..., :3] * vertices[..., None, :]).sum(-1) + skin[..., 3]
+
+
+def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
+    """Rigid motions as matrices, shape (..., 4, 4)."""
+    top = torch.cat([rotations, positions[..., None]], dim=-1)
+    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=top.dtype, device=top.device).expand(*top.shape[:-2], 1, 4)
+    return torch.cat([top, bottom], dim=-2)

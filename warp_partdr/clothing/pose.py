@@ -1,0 +1,139 @@
+"""From EllipBody's pose to that of a detailed model: each limb points and twists as its ellipsoid does."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+
+from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle, skew
+from ..body.template import JOINT_NAMES, PARENTS, PART_NAMES, template
+from .model import Detailed, DetailedModel
+
+# Parts whose bone has another direction in a model's rest pose than in EllipBody's.
+_AIMED = ("upper_leg", "lower_leg", "upper_arm", "forearm")
+# Where a part has several joints, the skin turns little by little: those of the trunk go halfway at the first one; the
+# upper limbs go halfway there in twist alone, so that the bone's direction stays; the lower limbs' last joint goes
+# halfway to the twist of the hand or foot.
+_BENDING = ("abdomen", "chest", "neck")
+_TWISTING_FIRST = ("upper_leg", "upper_arm")
+_TWISTING_LAST = {"lower_leg": "foot", "forearm": "hand"}
+
+
+class PosedBones(Protocol):
+    """What is needed of posed EllipBodies; ``warp_partdr.pose`` returns it."""
+
+    @property
+    def joints(self) -> torch.Tensor:
+        """``JOINT_NAMES`` [m], shape (B, 21, 3)."""
+
+    @property
+    def rotations(self) -> torch.Tensor:
+        """Global rotation of each bone, shape (B, 20, 3, 3)."""
+
+
+def pose_from_ellipbody(
+    model: DetailedModel, posed: PosedBones, shape: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """A detailed model's pose in which its limbs have the directions and twists of EllipBody's.
+
+    Lengths may differ, so joints need not coincide: the middle of the hips does.
+
+    Args:
+        model: On the device and of the dtype of ``posed``.
+        posed: EllipBodies.
+        shape: Shape values of the model, (B, S); bones' directions at rest hang on them a little. Default 0.
+
+    Returns:
+        Local rotations, shape (B, J, 3, 3), and position of the root joint [m], shape (B, 3), for ``model.pose``.
+    """
+    batch = len(posed.rotations)
+    rest = model.rest(posed.rotations.new_zeros(batch, model.num_shapes) if shape is None else shape)
+    parts = dict(zip(PART_NAMES, (posed.rotations @ rest_turns(model, rest)).unbind(1), strict=True))
+    # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
+    pelvis = rotation_from_6d(rotation_to_6d(parts["left_hip"] + parts["right_hip"]))
+
+    carried = dict(zip(model.part_joints, PART_NAMES, strict=True))
+    carried.pop(0, None)
+    world: list[torch.Tensor] = []
+    for joint, parent in enumerate(model.parents):
+        world.append(pelvis if parent < 0 else parts[carried[joint]] if joint in carried else world[parent])
+    for (part, turn), above, joint in zip(parts.items(), PARENTS, model.part_joints, strict=True):
+        kind = part.removeprefix("left_").removeprefix("right_")
+        between = _joint_between(model, joint, carried)
+        if between is None:
+            continue
+        start = pelvis if above < 0 else parts[PART_NAMES[above]]
+        if kind in _BENDING:
+            half = rotation_to_axis_angle(start.mT @ turn) / 2
+            world[joint] = start @ rotation_from_axis_angle(half)
+        elif kind in _TWISTING_FIRST:
+            axis = rest.joints[:, between] - rest.joints[:, joint]
+            world[joint] = turn @ _half_twist(start.mT @ turn, axis).mT
+        elif kind in _TWISTING_LAST:
+            end = part.replace(kind, _TWISTING_LAST[kind])
+            axis = rest.joints[:, model.part_joints[PART_NAMES.index(end)]] - rest.joints[:, between]
+            world[between] = turn @ _half_twist(turn.mT @ parts[end], axis)
+
+    turns = torch.stack(world, dim=1)
+    rotations = torch.cat([turns[:, :1], turns[:, list(model.parents[1:])].mT @ turns[:, 1:]], dim=1)
+    hips = ("left_hip", "right_hip")
+    middle = model.landmarks(rest, hips).mean(1) - rest.joints[:, 0]
+    wanted = posed.joints[:, [JOINT_NAMES.index(name) for name in hips]].mean(1)
+    return rotations, wanted - (pelvis @ middle[..., None])[..., 0]
+
+
+def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
+    """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
+    like = rest.joints
+    identity = torch.eye(3, dtype=like.dtype, device=like.device).expand(len(like), 3, 3)
+    directions = torch.from_numpy(template().rest_directions).to(like).expand(len(like), -1, -1)
+    known = dict(zip(model.landmark_names, model.landmarks(rest, model.landmark_names).unbind(1), strict=True))
+    turns: list[torch.Tensor] = []
+    for part, (name, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
+        kind = name.removeprefix("left_").removeprefix("right_")
+        if kind not in (*_AIMED, "hand"):
+            turns.append(identity)
+            continue
+        bone = known[JOINT_NAMES[part + 1]] - known[JOINT_NAMES[parent + 1]]
+        pinky, index = (name.replace("hand", finger) for finger in ("pinky", "index"))
+        if kind == "hand" and pinky in known and index in known:
+            across = known[index] - known[pinky]
+            forward = torch.tensor([0.0, 0.0, 1.0]).to(like).expand_as(across)  # EllipBody's palms are down
+            turns.append(_frame(directions[:, part], forward) @ _frame(bone, across).mT)
+        else:
+            inherited = turns[parent]
+            turns.append(_rotation_between((inherited @ bone[..., None])[..., 0], directions[:, part]) @ inherited)
+    return torch.stack(turns, dim=1)
+
+
+def _joint_between(model: DetailedModel, joint: int, carried: dict[int, str]) -> int | None:
+    """The child of a part's joint that carries no part but leads to one that does."""
+    leading = set()
+    for other in carried:
+        while (other := model.parents[other]) >= 0:
+            leading.add(other)
+    children = [child for child, parent in enumerate(model.parents) if parent == joint]
+    return next((child for child in children if child in leading and child not in carried), None)
+
+
+def _frame(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    """Right-handed orthonormal axes as columns, along ``first``, then toward ``second``, shape (B, 3, 3)."""
+    return rotation_from_6d(torch.cat([first, second], dim=-1))
+
+
+def _rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """The smallest rotation that takes one direction to another (not its opposite), shape (B, 3, 3)."""
+    source, target = (torch.nn.functional.normalize(vector, dim=-1) for vector in (source, target))
+    cross = skew(torch.linalg.cross(source, target))
+    cosine = (source * target).sum(-1)[:, None, None]
+    return torch.eye(3, dtype=source.dtype, device=source.device) + cross + cross @ cross / (1 + cosine)
+
+
+def _half_twist(rotation: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
+    """Half of that part of a rotation that turns about ``axis`` (swing-twist decomposition), shape (B, 3, 3)."""
+    axis = torch.nn.functional.normalize(axis, dim=-1)
+    vector = rotation_to_axis_angle(rotation)
+    angle = vector.norm(dim=-1, keepdim=True)
+    along = (vector * axis).sum(-1, keepdim=True) / angle.clamp(min=1e-12)
+    return rotation_from_axis_angle(axis * torch.atan2(along * (angle / 2).sin(), (angle / 2).cos()))

@@ -1,0 +1,530 @@
+"""Registration: shape and pose in which a detailed model clothes EllipBody (paper, section 3.3, eq. 16 to 18).
+
+The detailed model takes EllipBody's pose, and a shape whose bones have EllipBody's lengths. Then Adam refines shape,
+turns of the parts and position together, all bodies of a batch side by side. Where EllipBody's lengths and thicknesses
+are none of the model's people, parts grow. ``docs/registration.md`` has the formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..body.icosphere import icosphere
+from ..body.posing import Posed
+from ..body.rotations import rotation_from_axis_angle
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
+from ..errors import check_type, check_whole
+from ..interop.checks import check_numbers, check_steps, check_tensor
+from ..interop.derivatives import once
+from ..interop.movable import Movable
+from ..interop.streams import on_torch_stream
+from ..interop.torch_threads import one_torch_thread
+from ..kernels import registration as kernels
+from .growth import MEASURES, UNGROWN, Growth
+from .model import Detailed, DetailedModel
+from .pose import pose_from_ellipbody
+
+# Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
+# from its middle, say how thick a limb is.
+BAND = 0.7
+# Where joints are compared: not at the neck, which in a detailed model is the middle of the shoulders and moves along.
+MATCHED_JOINTS: tuple[str, ...] = tuple(name for name in JOINT_NAMES if name != "neck")
+_SUBDIVISIONS = 2  # of the icosphere whose corners are the samples
+_CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
+_RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
+# Measures within so many standard deviations of natural people's are noise more than growth.
+_NATURAL = 2.0
+# The same after an edit, as a logarithm: what is special about the person is known then.
+_KNOWN = 0.02
+_MOST_GROWTH = 1.0  # of a measure's logarithm
+_CENTIMETRES = 1e4  # square metres to square centimetres
+
+
+@dataclass(frozen=True)
+class RegistrationWeights:
+    """Of the terms of the loss, which ``docs/registration.md`` defines; distances count in centimetres.
+
+    The defaults are for ellipsoids that match a person's outlines, so that half of the skin is inside, and whose
+    thicknesses are known: measured or edited.
+
+    Attributes:
+        joints: Distance between the model's joints and EllipBody's.
+        icp: Distance between the surfaces, both ways.
+        penetration: Eq. 18.
+        measures: Lengths and thicknesses of the body against EllipBody's.
+        thinner: Whether a thickness counts where EllipBody is thinner than the model; within a body it says nothing.
+        shape: Square of the shape values.
+        pose: Square of the turns from EllipBody's pose [rad].
+    """
+
+    joints: float = 5.0
+    icp: float = 0.5
+    penetration: float = 10.0
+    measures: float = 30.0
+    shape: float = 0.5
+    pose: float = 20.0
+    thinner: bool = True
+
+    @classmethod
+    def fitted(cls) -> RegistrationWeights:
+        """For a fit's ellipsoids, of which single thicknesses, such as hands', are rough."""
+        return cls(icp=2.0, measures=0.0)
+
+    @classmethod
+    def inscribed(cls) -> RegistrationWeights:
+        """For ellipsoids that lie within the body, as the paper has them."""
+        return cls(icp=1.0, penetration=2000.0, shape=0.05, thinner=False)
+
+
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """How a registration goes.
+
+    Attributes:
+        weights: Of the loss.
+        iterations: Steps of Adam.
+        learning_rate: In shape values; turns move 0.2 [rad] and position 0.05 [m] of that. It falls to 0 as a cosine.
+        search_every: Steps after which closest points are looked for again.
+        scale: Distance from which on closest points count less and less (Geman and McClure) [m].
+        reach: Distance beyond which there is no closest point [m].
+        growth: Whether parts may grow beyond what the model's shape values reach. By default they do after an edit,
+            that is with a ``start``: people are in the model's reach, and what is not is mostly a fit's error.
+    """
+
+    weights: RegistrationWeights = field(default_factory=RegistrationWeights)
+    iterations: int = 80
+    learning_rate: float = 0.1
+    search_every: int = 5
+    scale: float = 0.03
+    reach: float = 0.15
+    growth: bool | None = None
+
+
+@dataclass(frozen=True)
+class Registered(Movable):
+    """Detailed bodies that clothe EllipBodies.
+
+    Attributes:
+        model: What they are bodies of.
+        shape: Shape values, shape (B, S).
+        rotations: Local rotation of each joint, shape (B, J, 3, 3).
+        translation: Position of the root joint [m], shape (B, 3).
+        stretches: Of the parts at rest, shape (B, 20, 3, 3).
+        growth: Factors of ``MEASURES`` that are in the stretches, shape (B, 27).
+        unexplained: Logarithms of the factors by which EllipBody's measures are off the body's, shape (B, 27).
+        detailed: The posed bodies, in EllipBody's frame.
+        losses: Weighted terms of the loss at the end, by name, shape (B,) each.
+    """
+
+    model: DetailedModel
+    shape: torch.Tensor
+    rotations: torch.Tensor
+    translation: torch.Tensor
+    stretches: torch.Tensor
+    growth: torch.Tensor
+    unexplained: torch.Tensor
+    detailed: Detailed
+    losses: dict[str, torch.Tensor]
+
+    def rest(self) -> Detailed:
+        """The bodies at rest, where the model has its origin."""
+        return self.model.rest(self.shape, stretches=self.stretches)
+
+
+@one_torch_thread()
+def register(
+    posed: Posed,
+    model: DetailedModel,
+    *,
+    start: Registered | None = None,
+    options: RegistrationOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Registered:
+    """Find the detailed bodies that clothe EllipBodies.
+
+    Args:
+        posed: B EllipBodies, float32, in any frame: ``FitResult.posed`` is in the camera's.
+        model: On the same device, float32.
+        start: The registration of the same bodies before an edit: shapes start there, and what EllipBody did not
+            explain about these people stays; by default, shapes start with EllipBody's bone lengths.
+        options: Weights, iterations and so on.
+        progress: Told the stage, how many iterations are done and how many there are.
+
+    Raises:
+        ValueError: If ``posed`` is not float32 or not where the model is, or holds NaN, infinity or what
+            is no rotation.
+    """
+    check_type("posed", posed, Posed, "of pose, or FitResult.posed")
+    check_type("model", model, DetailedModel, "of load_model, or anny()")
+    check_type("start", start, Registered | None, "of register")
+    check_type("options", options, RegistrationOptions | None, "such as RegistrationOptions()")
+    options = options or RegistrationOptions()
+    iterations = check_steps(options.iterations, options.learning_rate)
+    search_every = check_whole("search_every", options.search_every, 1)
+    like = model.rest_vertices
+    check_tensor("joints", posed.joints, (None, 21, 3), dtypes=(torch.float32,))
+    if like.dtype != torch.float32 or posed.joints.device != like.device:
+        raise ValueError(
+            f"posed: {posed.joints.dtype} on {posed.joints.device}; expected float32 on {like.device}, as the model"
+        )
+    batch = len(posed.joints)
+    sizes = {"joints": (21, 3), "rotations": (20, 3, 3), "centres": (20, 3), "axes": (20, 3, 3), "semi_axes": (20, 3)}
+    for name, size in sizes.items():
+        check_tensor(name, getattr(posed, name), (batch, *size), dtypes=(torch.float32,), like=("joints", posed.joints))
+    check_numbers(vars(posed), rotations=("rotations",), frames=("axes",), positive=("semi_axes",))
+    posed = Posed(*(tensor.detach().contiguous() for tensor in vars(posed).values()))
+    shape = shape_from_lengths(model, posed) if start is None else start.shape.detach().clone()
+    pose, translation = pose_from_ellipbody(model, posed, shape)
+    free = sorted({0, *model.part_joints})
+    turns = like.new_zeros(len(shape), len(free), 3)
+    loss = _Loss(model, posed, options)
+    tailor = _Tailor(model, posed, options, loss.parts, loss.areas, shape, start)
+
+    unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
+    shares = (1.0, 0.2, 0.05)
+    rates = [share * options.learning_rate for share in shares]
+    adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(unknowns, rates, strict=True)])
+    falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(iterations, 1))
+
+    def turned() -> torch.Tensor:
+        rotations = pose.clone()
+        rotations[:, free] = pose[:, free] @ rotation_from_axis_angle(turns)
+        return rotations
+
+    for iteration in range(iterations):
+        searching = iteration % search_every == 0
+        if searching:
+            tailor.grow(shape.detach())
+        detailed = model.pose(shape, turned(), translation, stretches=tailor.stretches)
+        if searching:
+            loss.search(detailed.vertices.detach())
+        adam.zero_grad()
+        terms = {**loss(detailed, shape, turns), "measures": tailor(shape)}
+        torch.stack(list(terms.values())).sum().backward()
+        adam.step()
+        falling.step()
+        if progress is not None:
+            progress("registration", iteration + 1, iterations)
+    with torch.no_grad():
+        rotations = turned()
+        detailed = model.pose(shape, rotations, translation, stretches=tailor.stretches)
+        loss.search(detailed.vertices)
+        losses = {**loss(detailed, shape, turns), "measures": tailor(shape)}
+        unexplained = tailor.differences(shape) - tailor.logs
+    return Registered(
+        model,
+        shape.detach(),
+        rotations,
+        translation.detach(),
+        tailor.stretches,
+        tailor.logs.exp(),
+        unexplained,
+        detailed,
+        losses,
+    )
+
+
+def shape_from_lengths(model: DetailedModel, posed: Posed, *, prior: float = 1e-5, iterations: int = 4) -> torch.Tensor:
+    """Shape values, shape (B, S), whose bones at rest have EllipBody's lengths (Gauss and Newton's method).
+
+    Joints at rest are linear in the shape.
+
+    Args:
+        model: With EllipBody's joints among its landmarks.
+        posed: EllipBodies.
+        prior: Weight of the shape values' squares, in square metres.
+        iterations: Steps.
+    """
+    rows = [model.landmark_names.index(name) for name in JOINT_NAMES]
+    points = torch.cat([model.rest_vertices, model.rest_joints])
+    directions = torch.cat([model.shape_directions, model.joint_directions], dim=1)
+    starts = [parent + 1 for parent in PARENTS]
+    joints = model.landmark_weights[rows] @ points
+    moves = model.landmark_weights[rows] @ directions
+    bones, changes = joints[1:] - joints[starts], moves[:, 1:] - moves[:, starts]
+    wanted = 2 * posed.semi_axes[..., 0]
+    shape = bones.new_zeros(len(wanted), model.num_shapes)
+    regular = prior * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)
+    for _ in range(iterations):
+        now = bones + torch.einsum("bs,skc->bkc", shape, changes)
+        lengths = now.norm(dim=-1)
+        slopes = torch.einsum("bkc,skc->bks", now / lengths[..., None], changes)
+        aims = wanted - lengths + (slopes @ shape[..., None])[..., 0]
+        shape = torch.linalg.solve(slopes.mT @ slopes + regular, slopes.mT @ aims[..., None])[..., 0]
+    return shape
+
+
+class _Loss:
+    """L_ICP + L_PEN and the priors, each of shape (B,), for bodies near their EllipBodies."""
+
+    def __init__(self, model: DetailedModel, posed: Posed, options: RegistrationOptions) -> None:
+        self.posed, self.options = posed, options
+        rows = [model.landmark_names.index(name) for name in MATCHED_JOINTS]
+        self.joint_weights = model.landmark_weights[rows]
+        self.joints = posed.joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
+        self.parts, self.areas = vertex_parts(model)
+        self.cells = _Cells(model, self.areas > 0, len(posed.joints))
+        self.samples, self.sample_weights = surface_samples(posed)
+        self.corners = torch.empty(0)
+
+    def search(self, vertices: torch.Tensor) -> None:
+        """Find the closest points of the mesh to the samples."""
+        corners, places, found = self.cells.closest(vertices, self.samples, self.sample_weights, self.options.reach)
+        batch = torch.arange(len(vertices), device=vertices.device)[:, None, None]
+        triangles = vertices[batch, corners]
+        edges = triangles[..., 1:, :] - triangles[..., :1, :]
+        normals = torch.nn.functional.normalize(torch.linalg.cross(edges[..., 0, :], edges[..., 1, :]), dim=-1)
+        squares = ((triangles * places[..., None]).sum(-2) - self.samples).square().sum(-1)
+        share = 1 / (1 + squares / self.options.scale**2)
+        self.corners, self.places, self.normals = corners, places, normals
+        self.icp_weights = self.sample_weights * found * share.square()
+
+    def __call__(self, detailed: Detailed, shape: torch.Tensor, turns: torch.Tensor) -> dict[str, torch.Tensor]:
+        weights = self.options.weights
+        points = torch.cat([detailed.vertices, detailed.joints], dim=1)
+        joints = (self.joint_weights @ points - self.joints).square().sum(-1).mean(-1)
+        batch = torch.arange(len(shape), device=shape.device)[:, None, None]
+        nearest = (detailed.vertices[batch, self.corners] * self.places[..., None]).sum(-2)
+        squares = ((nearest - self.samples) * self.normals).sum(-1).square()
+        to_mesh = (self.icp_weights * squares).sum(-1)
+        icp = _CENTIMETRES * weights.icp
+        to_ellipsoids, penetration = _VertexCosts.apply(
+            detailed.vertices, self.parts, self.areas, self.posed, self.options.scale
+        )
+        return {
+            "joints": _CENTIMETRES * weights.joints * joints,
+            "icp_to_mesh": icp * to_mesh,
+            "icp_to_ellipsoids": icp * to_ellipsoids,
+            "penetration": weights.penetration * penetration,
+            "shape": weights.shape * shape.square().mean(-1),
+            "pose": weights.pose * turns.square().sum(-1).mean(-1),
+        }
+
+
+class _Tailor:
+    """Compares EllipBody's lengths and thicknesses with the body's, and lets parts grow where no shape has them.
+
+    A measure whose logarithm is off by r adds log(1 + r² / d²) to the loss, d being the spread over natural people: a
+    Cauchy distribution, so that the shape follows small differences and is not drawn far by large ones. What such a
+    robust fit gives up of r, which is r³ / (r² + d²), is growth.
+    """
+
+    def __init__(
+        self,
+        model: DetailedModel,
+        posed: Posed,
+        options: RegistrationOptions,
+        parts: torch.Tensor,
+        areas: torch.Tensor,
+        shape: torch.Tensor,
+        start: Registered | None,
+    ) -> None:
+        self.options = options
+        self.grows = start is not None if options.growth is None else options.growth
+        self.body = Growth(model, parts, areas, shape.detach())
+        self.demanded = self.body.demanded(posed.semi_axes)
+        self.spreads = _NATURAL * self.body.spreads
+        self.outward = torch.zeros(len(MEASURES), dtype=torch.bool, device=shape.device)
+        self.growing = torch.tensor([name not in UNGROWN for name in MEASURES], device=shape.device)
+        self.logs = torch.zeros_like(self.demanded)
+        if start is not None:
+            self.demanded = self.demanded - start.unexplained
+            self.spreads = torch.full_like(self.spreads, _KNOWN)
+            self.logs = start.growth.log()
+        elif not options.weights.thinner:
+            self.outward[len(LENGTH_NAMES) :] = True
+        self.stretches = self.body.stretches(self.logs.exp())
+
+    def __call__(self, shape: torch.Tensor) -> torch.Tensor:
+        """The loss, shape (B,)."""
+        squares = (self._kept(self.differences(shape)) / self.spreads).square()
+        return self.options.weights.measures * squares.log1p().mean(-1)
+
+    def differences(self, shape: torch.Tensor) -> torch.Tensor:
+        """Logarithms of what EllipBody demands over what bodies have that do not grow, shape (B, 27)."""
+        return self.demanded - self.body.measured(shape)
+
+    def grow(self, shape: torch.Tensor) -> None:
+        """Renew growth and stretches."""
+        if not self.grows:
+            return
+        has = self.body.measured(shape)
+        off = self._kept(self.demanded - has)
+        wanted = off**3 / (off.square() + self.spreads.square())
+        # A part's stretch changes a little less than its measure, and its neighbours' too.
+        got = self.body.measured(shape, self.stretches) - has
+        self.logs = self.growing * (self.logs + wanted - got).clamp(-_MOST_GROWTH, _MOST_GROWTH)
+        self.stretches = self.body.stretches(self.logs.exp())
+
+    def _kept(self, differences: torch.Tensor) -> torch.Tensor:
+        return torch.where(self.outward, differences.clamp(min=0), differences)
+
+
+def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
+    """Part index 0 to 19 of each vertex, shape (V,), int32, and its share of the skin at rest, shape (V,).
+
+    A vertex is of the part that has most of the area around it; one within the body, as in the mouth, has no share.
+    """
+    corners = model.rest_vertices[model.faces.long()]
+    doubled = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1)
+    shares = corners.new_zeros(model.num_vertices, NUM_PARTS)
+    for corner in model.faces.long().unbind(1):
+        shares.index_put_((corner, model.face_parts.long() - 1), doubled, accumulate=True)
+    areas = shares.sum(1) * skin_vertices(model)
+    return shares.argmax(1).int(), areas / areas.sum()
+
+
+def skin_vertices(model: DetailedModel) -> torch.Tensor:
+    """1 for each vertex that can be seen from outside when the model is at rest, else 0, shape (V,)."""
+    vertices = model.rest_vertices.contiguous()
+    directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
+    skin = torch.empty_like(vertices[:, 0])
+    with on_torch_stream(vertices.device):
+        faces = wp.from_torch(model.faces.flatten().contiguous())
+        mesh = wp.Mesh(points=_vectors(vertices), indices=faces)
+        inputs = [mesh.id, _vectors(vertices), _vectors(directions), _RAY_START]
+        wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)])
+    return skin
+
+
+def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points on the ellipsoids' middles [m], shape (B, 20 N, 3), and their shares of the area, shape (B, 20 N).
+
+    A sample that another ellipsoid covers has no share.
+    """
+    like = posed.semi_axes
+    sphere = torch.from_numpy(icosphere(_SUBDIVISIONS)[0]).to(like)
+    sphere = sphere[sphere[:, 0].abs() < BAND]
+    offsets = sphere * posed.semi_axes[:, :, None]
+    samples = posed.centres[:, :, None] + offsets @ posed.axes.mT
+    samples = samples.flatten(1, 2).contiguous()
+    # The area that a patch of the sphere becomes.
+    areas = posed.semi_axes.prod(-1)[..., None] * (sphere / posed.semi_axes[:, :, None]).norm(dim=-1)
+    seen = torch.empty(samples.shape[:2], dtype=like.dtype, device=like.device)
+    with on_torch_stream(like.device):
+        wp.launch(
+            kernels.cover_samples,
+            dim=seen.numel(),
+            inputs=[_vectors(samples), *_ellipsoids(posed), NUM_PARTS, len(sphere)],
+            outputs=[_flat(seen)],
+        )
+    weights = seen * areas.flatten(1)
+    return samples, weights / weights.sum(1, keepdim=True).clamp(min=1e-12)
+
+
+class _Cells:
+    """The parts of all bodies' meshes, each in a cell of its own, for closest points on the same part."""
+
+    def __init__(self, model: DetailedModel, skin: torch.Tensor, batch: int) -> None:
+        outside = skin[model.faces.long()].all(1)
+        faces, parts = model.faces[outside].long(), model.face_parts[outside].long() - 1
+        device = faces.device
+        self.corners = faces
+        # A vertex between two parts has a copy in each one's cell.
+        keys, faces = torch.unique(faces * NUM_PARTS + parts[:, None], return_inverse=True)
+        self.vertices, self.parts = (keys // NUM_PARTS).int(), (keys % NUM_PARTS).int()
+        whole = (faces + torch.arange(batch, device=device)[:, None, None] * len(keys)).int().flatten()
+        self.points = torch.zeros(batch * len(keys), 3, device=device)
+        self.faces = whole.contiguous()
+        side = max(round(batch**0.5), 1)
+        body, part = torch.arange(batch, device=device)[:, None], torch.arange(NUM_PARTS, device=device)
+        places = torch.stack(torch.broadcast_tensors(part - NUM_PARTS // 2, body % side, body // side), dim=-1)
+        self.origins = _CELL * places.to(model.rest_vertices)
+        self.mesh: wp.Mesh | None = None
+
+    def closest(
+        self, vertices: torch.Tensor, samples: torch.Tensor, weights: torch.Tensor, reach: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Vertices of the closest face to each sample (B, M, 3), barycentric coordinates, and 1 where one is near."""
+        # Relative to the body, so that cells far from the origin cost no digits.
+        middle = vertices.mean(1, keepdim=True)
+        origins = (self.origins - middle).contiguous()
+        found = torch.empty(samples.shape[:2], dtype=torch.int32, device=samples.device)
+        places = torch.empty_like(samples)
+        with on_torch_stream(vertices.device):
+            if not samples.numel():
+                return self.corners[found.long()], places, found
+            wp.launch(
+                kernels.place_cells,
+                dim=len(self.points),
+                inputs=[
+                    _vectors(vertices),
+                    wp.from_torch(self.vertices),
+                    wp.from_torch(self.parts),
+                    _vectors(origins),
+                    vertices.shape[1],
+                    NUM_PARTS,
+                ],
+                outputs=[_vectors(self.points)],
+            )
+            if self.mesh is None:
+                self.mesh = wp.Mesh(points=_vectors(self.points), indices=wp.from_torch(self.faces))
+            else:
+                self.mesh.refit()
+            wp.launch(
+                kernels.closest_on_cells,
+                dim=found.numel(),
+                inputs=[
+                    self.mesh.id,
+                    _vectors(samples),
+                    _flat(weights),
+                    _vectors(origins),
+                    samples.shape[1] // NUM_PARTS,
+                    len(self.corners),
+                    reach,
+                ],
+                outputs=[wp.from_torch(found.view(-1)), _vectors(places)],
+            )
+        return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
+
+
+class _VertexCosts(torch.autograd.Function):
+    """Distance of vertices from their own ellipsoids [m²] and eq. 18 over all, means over the area, shape (B,) each."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, vertices: torch.Tensor, parts: torch.Tensor, areas: torch.Tensor, posed: Posed, scale: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
+        gradients = vertices.new_empty(2, *vertices.shape)
+        with on_torch_stream(vertices.device):
+            wp.launch(
+                kernels.vertex_costs,
+                dim=fit.numel(),
+                inputs=[
+                    _vectors(vertices),
+                    wp.from_torch(parts),
+                    wp.from_torch(areas),
+                    *_ellipsoids(posed),
+                    NUM_PARTS,
+                    BAND,
+                    scale,
+                ],
+                outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
+            )
+        ctx.save_for_backward(vertices, gradients)
+        return fit.sum(-1), penetration.sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        vertices, gradients = ctx.saved_tensors
+        found = (torch.stack(adjoints)[..., None, None] * gradients).sum(0)
+        return *once("register", (found,), *adjoints, vertices), None, None, None, None
+
+
+def _vectors(tensor: torch.Tensor) -> wp.array:
+    return wp.from_torch(tensor.detach().contiguous().view(-1, 3), dtype=wp.vec3, requires_grad=False)
+
+
+def _flat(tensor: torch.Tensor) -> wp.array:
+    return wp.from_torch(tensor.detach().view(-1), requires_grad=False)
+
+
+def _ellipsoids(posed: Posed) -> list[wp.array]:
+    axes = wp.from_torch(posed.axes.view(-1, 3, 3), dtype=wp.mat33, requires_grad=False)
+    return [_vectors(posed.centres), axes, _vectors(posed.semi_axes)]

@@ -1,0 +1,263 @@
+"""SMPL, SMPL-H and SMPL-X: their joints in the terms of our parts and landmarks, and a model from a file's arrays.
+
+The three share the body's 22 joints and the arrays' names. Their body frame is ours (x to the person's left, y up, z
+forward) and they rest in a T-pose, palms down. The models are not free; ``detailed_files.py`` reads a user's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+
+from ..body.template import PART_NAMES
+from ..errors import check_whole
+from .model import DetailedModel
+
+# Name: its dimensions, of which V, F, J, S and 9 (J - 1) are the model's, and the kind of its numbers.
+ARRAYS: dict[str, tuple[tuple[int | str, ...], str]] = {
+    "v_template": (("V", 3), "f"),
+    "shapedirs": (("V", 3, "S"), "f"),
+    "posedirs": (("V", 3, "9 (J - 1)"), "f"),
+    "J_regressor": (("J", "V"), "f"),
+    "weights": (("V", "J"), "f"),
+    "kintree_table": ((2, "J"), "iu"),
+    "f": (("F", 3), "iu"),
+}
+DEFAULT_SHAPES = 10  # how many shape values are used, as is usual
+_WEIGHT_TOLERANCE = 0.01  # by which the weights of a vertex may miss a sum of 1
+
+_BODY = (
+    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
+    "neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist"
+).split()
+_FINGERS = [
+    f"{side}_{finger}{knuckle}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for knuckle in (1, 2, 3)
+]
+_MODELS: dict[str, list[str]] = {
+    "smpl": [*_BODY, "left_hand", "right_hand"],
+    "smplh": [*_BODY, *_FINGERS],
+    "smplx": [*_BODY, "jaw", "left_eye", "right_eye", *_FINGERS],
+}
+
+# Part of the skin that follows a joint, by the joint's name without its side; the first matching beginning wins. The
+# pelvis' skin belongs to the hip of its side.
+_PARTS: tuple[tuple[str, str], ...] = (
+    ("spine1", "abdomen"),
+    ("spine", "chest"),
+    ("neck", "neck"),
+    ("head", "head"),
+    ("jaw", "head"),
+    ("*eye", "head"),
+    ("*collar", "*shoulder"),
+    ("*shoulder", "*upper_arm"),
+    ("*elbow", "*forearm"),
+    ("*hip", "*upper_leg"),
+    ("*knee", "*lower_leg"),
+    ("*ankle", "*foot"),
+    ("*foot", "*foot"),
+    ("*", "*hand"),
+)
+# Both are carried by the pelvis; any other part by the first joint that its skin follows.
+_HIPS = ("left_hip", "right_hip")
+
+_MIDDLE_LANDMARKS: dict[str, tuple[str, ...]] = {
+    "pelvis": ("pelvis",),
+    "mid_hip": ("left_hip", "right_hip"),
+    "spine": ("spine2",),
+    "neck": ("left_shoulder", "right_shoulder"),  # As skeletons.py has it.
+    "head": ("head",),
+}
+# Landmark: the joint that it is, on both sides, where the model has it.
+_SIDED_LANDMARKS: dict[str, str] = {
+    **{name: name for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")},
+    "thumb": "thumb3",
+    "index": "index1",
+    "pinky": "pinky1",
+}
+# Vertices that smplx's users know as keypoints, by the size of the mesh.
+_VERTICES: dict[int, dict[str, int]] = {
+    6890: {
+        "nose": 332,
+        "left_eye": 2800,
+        "right_eye": 6260,
+        "left_ear": 583,
+        "right_ear": 4071,
+        "left_big_toe": 3216,
+        "right_big_toe": 6617,
+        "left_small_toe": 3226,
+        "right_small_toe": 6624,
+        "left_heel": 3387,
+        "right_heel": 6787,
+    },
+    10475: {
+        "nose": 9120,
+        "left_eye": 9448,
+        "right_eye": 9929,
+        "left_ear": 6,
+        "right_ear": 616,
+        "left_big_toe": 5770,
+        "right_big_toe": 8463,
+        "left_small_toe": 5780,
+        "right_small_toe": 8474,
+        "left_heel": 8846,
+        "right_heel": 8635,
+    },
+}
+
+
+def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
+    """Which model these arrays are: "smpl", "smplh" or "smplx".
+
+    Args:
+        arrays: Those of ``ARRAYS``; others are not looked at.
+        where: The file, for messages.
+
+    Raises:
+        ValueError: If an array is missing, or has a wrong shape, dtype or value.
+    """
+    sizes: dict[str, int] = {}
+    for name, (dimensions, kind) in ARRAYS.items():
+        if name not in arrays:
+            raise ValueError(f"{where}: no array {name!r}; expected {', '.join(ARRAYS)}")
+        array = arrays[name]
+        if array.dtype.kind not in kind:
+            numbers = "floating numbers" if kind == "f" else "integers"
+            raise ValueError(f"{where}: {name}: {array.dtype}; expected {numbers}")
+        if array.ndim == len(dimensions):
+            for size, dimension in zip(array.shape, dimensions, strict=True):
+                if isinstance(dimension, str):
+                    sizes.setdefault(dimension, size)
+        if "J" in sizes:
+            sizes["9 (J - 1)"] = 9 * (sizes["J"] - 1)
+    for name, (dimensions, kind) in ARRAYS.items():
+        array = arrays[name]
+        wanted = tuple(sizes.get(size, -1) if isinstance(size, str) else size for size in dimensions)
+        if array.shape != wanted or 0 in wanted:
+            raise ValueError(f"{where}: {name}: shape {array.shape}; expected ({_shape(dimensions, sizes)}), none 0")
+        if kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{where}: {name}: holds NaN or infinity; expected finite numbers")
+    faces, (parents, joints) = arrays["f"], arrays["kintree_table"]
+    if faces.min() < 0 or faces.max() >= sizes["V"]:
+        raise ValueError(f"{where}: f: vertex {faces.min()} to {faces.max()}; expected 0 to {sizes['V'] - 1}")
+    count = len(parents)
+    if (joints != np.arange(count)).any() or (parents[1:] >= joints[1:]).any() or (parents[1:] < 0).any():
+        raise ValueError(f"{where}: kintree_table: expected joints 0 to {count - 1} in order, each after its parent")
+    sums = arrays["weights"].astype(np.float64).sum(1)
+    if np.abs(sums - 1).max() > _WEIGHT_TOLERANCE:
+        raise ValueError(f"{where}: weights: rows sum to {sums.min():.3g} to {sums.max():.3g}; expected 1")
+    known = {len(names): model for model, names in _MODELS.items()}
+    if count not in known:
+        described = ", ".join(f"{size} ({model})" for size, model in known.items())
+        raise ValueError(f"{where}: kintree_table: {count} joints; expected {described}")
+    return known[count]
+
+
+def smpl_model(
+    arrays: Mapping[str, np.ndarray],
+    where: str,
+    *,
+    num_shapes: int | None = None,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float32,
+) -> DetailedModel:
+    """A model from a file's arrays, checked.
+
+    Args:
+        arrays: Those of ``ARRAYS``.
+        where: The file, for messages.
+        num_shapes: How many of the file's shape values to use, the first ones; 10, or all if there are fewer.
+        device: Of the model.
+        dtype: Of the model.
+
+    Raises:
+        ValueError: As ``check_smpl``, or if the file has fewer shape values than asked for.
+    """
+    name = check_smpl(arrays, where)
+    names = _MODELS[name]
+    available = arrays["shapedirs"].shape[2]
+    num_shapes = check_whole(
+        "num_shapes", min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes, 0, available
+    )
+    vertices, weights, regressor = (arrays[key].astype(np.float64) for key in ("v_template", "weights", "J_regressor"))
+    directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
+    joints = regressor @ vertices
+    parts = np.array([_part_of(joint) for joint in names])
+    vertex_parts = parts[weights.argmax(1)]
+    of_pelvis = vertex_parts < 0
+    left, right = (PART_NAMES.index(hip) for hip in _HIPS)
+    vertex_parts[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
+    corners = vertex_parts[arrays["f"]]
+    face_parts = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
+    landmarks = _landmarks(names, vertices, joints, vertex_parts)
+
+    def numbers(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
+
+    pose_directions = arrays["posedirs"].reshape(3 * len(vertices), -1).T
+    return DetailedModel(
+        name=name,
+        joint_names=tuple(names),
+        parents=(-1, *arrays["kintree_table"][0, 1:].tolist()),
+        part_joints=tuple(0 if part in _HIPS else int((parts == k).argmax()) for k, part in enumerate(PART_NAMES)),
+        landmark_names=tuple(landmarks),
+        faces=torch.from_numpy(arrays["f"].astype(np.int32)).to(device),
+        face_parts=torch.from_numpy((face_parts + 1).astype(np.uint8)).to(device),
+        rest_vertices=numbers(vertices),
+        shape_directions=numbers(directions),
+        rest_joints=numbers(joints),
+        joint_directions=numbers(regressor @ directions),
+        skin_weights=numbers(weights / weights.sum(1, keepdims=True)),
+        landmark_weights=numbers(np.stack(list(landmarks.values()))),
+        pose_directions=numbers(pose_directions),
+    )
+
+
+def _shape(dimensions: tuple[int | str, ...], sizes: dict[str, int]) -> str:
+    return ", ".join(f"{size} = {sizes[size]}" if size in sizes else str(size) for size in dimensions)
+
+
+def _part_of(joint: str) -> int:
+    """Part of the skin that follows a joint, -1 for the pelvis."""
+    if joint == "pelvis":
+        return -1
+    side, _, name = joint.partition("_")
+    for beginning, part in _PARTS:
+        if (f"*{name}" if name else joint).startswith(beginning):
+            return PART_NAMES.index(part.replace("*", f"{side}_"))
+    raise AssertionError(joint)
+
+
+def _landmarks(
+    names: list[str], vertices: np.ndarray, joints: np.ndarray, vertex_parts: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Weights of vertices and then joints, shape (V + J,), of each landmark."""
+    count = len(vertices)
+    points: dict[str, list[int]] = {}
+    for name, sources in _MIDDLE_LANDMARKS.items():
+        points[name] = [count + names.index(source) for source in sources]
+    for side in ("left", "right"):
+        for name, source in _SIDED_LANDMARKS.items():
+            if f"{side}_{source}" in names:
+                points[f"{side}_{name}"] = [count + names.index(f"{side}_{source}")]
+    # The ends of head, feet and hands, wherever a mesh has them.
+    heights, depths = vertices[:, 1], vertices[:, 2]
+    ends = {"head_top": ("head", heights)}
+    for side in ("left", "right"):
+        wrist = joints[names.index(f"{side}_wrist")]
+        ends[f"{side}_toe"] = ends[f"{side}_foot_index"] = (f"{side}_foot", depths)
+        ends[f"{side}_fingertip"] = (f"{side}_hand", np.linalg.norm(vertices - wrist, axis=1))
+    for name, (part, extents) in ends.items():
+        inside = np.flatnonzero(vertex_parts == PART_NAMES.index(part))
+        if len(inside):
+            points[name] = [int(inside[extents[inside].argmax()])]
+    points |= {name: [vertex] for name, vertex in _VERTICES.get(count, {}).items()}
+    rows = {}
+    for name, shared in points.items():
+        rows[name] = np.zeros(count + len(joints))
+        rows[name][shared] = 1 / len(shared)
+    return rows

@@ -1,0 +1,15 @@
+"""Data sets that fits are evaluated on: each reader yields ``Sample`` records, one a person.
+
+What a user has to get, and from where, is in the errors and in docs/evaluation.md. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+from ...inputs.sample import Sample, SmplFit
+from .folder import read_folder
+from .human36m import read_human36m
+from .lsp import read_lsp
+from .pw3d import read_pw3d
+from .spin import read_spin
+
+__all__ = ["Sample", "SmplFit", "read_folder", "read_human36m", "read_lsp", "read_pw3d", "read_spin"]

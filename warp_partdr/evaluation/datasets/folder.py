@@ -1,0 +1,67 @@
+"""A plain folder of pictures, each with its keypoints and perhaps its part labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ...body.labels import LabelSet
+from ...errors import InputError
+from ...inputs.keypoint_files import read_keypoints
+from ...inputs.keypoints import choose_person
+from ...inputs.part_labels import check_sizes, described_label_set, read_parts, read_photo
+from ...inputs.person import select_person
+from ...inputs.sample import Sample
+from .pictures import existing
+
+_PICTURES = (".jpg", ".jpeg", ".png")
+_PARTS = ".parts.png"
+_LAYOUT = "pictures N.jpg or N.png, each with N.keypoints.json and perhaps N.parts.png"
+
+
+def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sample]:
+    """The person of each picture: the largest, if there are several.
+
+    Labels that are fitted are scored against too, since there are no others: other people's pixels and stray blobs are
+    left out.
+
+    Args:
+        path: Folder of ``N.jpg`` or ``N.png``, ``N.keypoints.json`` and, for all or none, ``N.parts.png``.
+        labels: The label set; by default the one that ``labels.json`` in the folder describes.
+
+    Raises:
+        InputError: If there are no pictures, or a file is missing or wrong.
+    """
+    folder = Path(path)
+    pictures = sorted(
+        file
+        for file in (folder.iterdir() if folder.is_dir() else ())
+        if file.suffix.lower() in _PICTURES and not file.name.endswith(_PARTS)
+    )
+    if not pictures:
+        raise InputError(f"{folder}: no pictures; expected a folder of {_LAYOUT}")
+    labelled = any(picture.with_suffix(_PARTS).is_file() for picture in pictures)
+    if labelled and labels is None:
+        labels = described_label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
+    for picture in pictures:
+        people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
+        parts = target = None
+        if labelled and labels is not None:
+            parts = read_parts(
+                existing(folder, f"{picture.stem}{_PARTS}", "part labels as of the other pictures"), labels
+            )
+            photo = read_photo(picture)
+            check_sizes(**{picture.name: photo.shape[:2], f"{picture.stem}{_PARTS}": parts.groups.shape})
+        chosen = choose_person(people, None if parts is None else parts.groups)
+        others = tuple(other for other in people if other is not chosen)
+        if parts is not None:
+            target = select_person(parts.groups, chosen, others)
+        yield Sample(
+            source=folder.resolve().name,
+            name=picture.stem,
+            keypoints=chosen,
+            others=others,
+            parts=parts,
+            target=target,
+            picture=picture,
+        )

@@ -1,0 +1,249 @@
+"""Methods side by side on people of known truth.
+
+A ``Method`` is what a fit sees and how it goes; a ``Sample`` (``datasets``) is a person and the truth. ``evaluate``
+fits every sample by every method, and its ``Report`` pools the scores (``scoring``) of each source.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE, label_set
+from ..errors import InputError
+from ..fit.fitting import Progress, fit_body
+from ..fit.options import FitOptions
+from ..inputs.part_labels import PartLabels
+from ..inputs.sample import Sample
+from ..interop.devices import without_driver_warning
+from .scoring import Score, score, summarise
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+Visit = Callable[[Sample, str, Any], None]
+
+
+def all_parts(parts: PartLabels) -> PartLabels:
+    """The labels as they are."""
+    return parts
+
+
+def silhouette(parts: PartLabels) -> PartLabels:
+    """All parts as one; what is to be ignored stays so."""
+    person = (parts.groups != BACKGROUND) & (parts.groups != IGNORE)
+    return PartLabels(label_set("full1"), np.where(person, 1, parts.groups).astype(np.uint8))
+
+
+def no_labels(parts: PartLabels) -> None:
+    """Keypoints alone."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to fit. Its functions are called in other processes, so they must be those of a module.
+
+    Attributes:
+        see: What of a sample's labels the fit gets to see.
+        options: How it goes.
+        fit: Called as ``fit_body`` is, with keypoints, labels, others, options and device; returns a ``Fitted``.
+        vertices: Of what ``fit`` returns, those of a mesh as ``Sample.vertices`` has it, in the camera frame, shape
+            (V, 3) [m]; None if it has no such mesh.
+    """
+
+    see: Callable[[PartLabels], PartLabels | None] = all_parts
+    options: FitOptions = field(default_factory=FitOptions)
+    fit: Callable[..., Any] = fit_body
+    vertices: Callable[[Any], np.ndarray] | None = None
+
+
+METHODS: dict[str, Method] = {
+    "keypoints only": Method(no_labels),
+    "full silhouette": Method(silhouette),
+    "parts": Method(all_parts),
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A sample that could not be fitted, and why."""
+
+    source: str
+    sample: str
+    method: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """All scores, in the order of samples and, for each, of methods; and what could not be fitted."""
+
+    scores: tuple[Score, ...]
+    failures: tuple[Failure, ...] = ()
+
+    def pooled(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Figures (``summarise``) by source and method."""
+        groups: dict[str, dict[str, list[Score]]] = {}
+        for each in self.scores:
+            groups.setdefault(each.source, {}).setdefault(each.method, []).append(each)
+        return {
+            source: {method: summarise(scores) for method, scores in methods.items()}
+            for source, methods in groups.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Pooled figures, every fit's own, and the failures."""
+        fits = [
+            {"source": each.source, "sample": each.sample, "method": each.method, **summarise([each])}
+            for each in self.scores
+        ]
+        return {"pooled": self.pooled(), "fits": fits, "failures": [vars(failure) for failure in self.failures]}
+
+
+def evaluate(
+    samples: Sequence[Sample],
+    methods: Mapping[str, Method] = METHODS,
+    *,
+    jobs: int = 1,
+    device: str = "cpu",
+    visit: Visit | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Fit every sample by every method and score the results.
+
+    A method's first fit in a process is done twice, so that no time counted has the compiling of kernels in it.
+
+    Args:
+        samples: Whom to fit.
+        methods: By name.
+        jobs: Fits at a time, in processes of their own with one thread each; they make one another slower. 1 stays in
+            this process.
+        device: "cpu" or a CUDA device.
+        visit: Called with sample, method's name and result after each fit, in the process of the fit.
+        progress: Called with ("fits", done, total).
+
+    Raises:
+        InputError: If nothing could be fitted: why the first could not.
+        ValueError: If ``jobs`` is less than 1.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs: {jobs}; expected 1 or more")
+    tasks = [(sample, name, method, device, visit) for sample in samples for name, method in methods.items()]
+    outcomes = _in_turn(tasks, progress) if jobs == 1 else _side_by_side(tasks, jobs, progress)
+    scores = tuple(outcome for outcome in outcomes if isinstance(outcome, Score))
+    failures = tuple(outcome for outcome in outcomes if isinstance(outcome, Failure))
+    if failures and not scores:
+        first = failures[0]
+        raise InputError(f"{first.source}: {first.sample}: {first.reason}")
+    return Report(scores, failures)
+
+
+_Task = tuple[Sample, str, Method, str, Visit | None]
+
+
+def _in_turn(tasks: Sequence[_Task], progress: Progress | None) -> list[Score | Failure]:
+    outcomes = []
+    for done, task in enumerate(tasks, start=1):
+        outcomes.append(_run(*task))
+        if progress is not None:
+            progress("fits", done, len(tasks))
+    return outcomes
+
+
+def _side_by_side(tasks: Sequence[_Task], jobs: int, progress: Progress | None) -> list[Score | Failure]:
+    spawn = multiprocessing.get_context("spawn")  # A fork would inherit Warp's and torch's threads half alive.
+    with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=one_thread) as pool:
+        futures = [pool.submit(_run, *task) for task in tasks]
+        try:
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                if progress is not None:
+                    progress("fits", done, len(tasks))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return [future.result() for future in futures]
+
+
+def one_thread() -> None:
+    """Let this process compute on one core and keep Warp's notes to itself."""
+    import warp as wp
+
+    from ..kernels.launch import set_num_threads
+
+    wp.config.log_level = wp.LOG_WARNING
+    with without_driver_warning():
+        wp.init()
+    torch.set_num_threads(1)
+    set_num_threads(1)
+
+
+_warm: set[tuple[str, str]] = set()  # (method, device) that this process has fitted by
+
+
+def _run(sample: Sample, name: str, method: Method, device: str, visit: Visit | None) -> Score | Failure:
+    parts = None if sample.parts is None else method.see(sample.parts)
+    arguments = {"others": sample.others, "options": method.options, "device": device}
+    try:
+        if (name, device) not in _warm:
+            method.fit(sample.keypoints, parts, **arguments)
+            _warm.add((name, device))
+        started = time.perf_counter()
+        result = method.fit(sample.keypoints, parts, **arguments)
+        seconds = time.perf_counter() - started
+    except InputError as error:
+        return Failure(sample.source, sample.name, name, str(error))
+    if visit is not None:
+        visit(sample, name, result)
+    return score(sample, name, result, seconds, None if method.vertices is None else method.vertices(result))
+
+
+_COLUMNS = {  # figure: its heading, a factor, and digits
+    "foreground_accuracy": ("FB\naccuracy", 1, 3),
+    "foreground_f1": ("FB\nF1", 1, 3),
+    "part_accuracy": ("part\naccuracy", 1, 3),
+    "part_f1": ("part\nF1", 1, 3),
+    "keypoint_distance": ("keypoints off\n[% of height]", 100, 2),
+    "mpjpe_mm": ("MPJPE\n[mm]", 1, 1),
+    "pa_mpjpe_mm": ("PA-MPJPE\n[mm]", 1, 1),
+    "pve_mm": ("PVE\n[mm]", 1, 1),
+    "seconds": ("time\n[s]", 1, 2),
+}
+
+
+def tables(report: Report) -> list[Table]:
+    """One table a source: a row a method, with 95 % intervals below the figures."""
+    from rich.table import Table
+    from rich.text import Text
+
+    made = []
+    for source, rows in report.pooled().items():
+        people = max(row["people"] for row in rows.values())
+        title = Text(f"{source}: {people} {'person' if people == 1 else 'people'}", style="bold")
+        table = Table(title=title, title_justify="left")
+        table.add_column("fitted to", no_wrap=True)
+        shown = [name for name in _COLUMNS if any(name in row for row in rows.values())]
+        for name in shown:
+            table.add_column(Text(_COLUMNS[name][0]), justify="right", no_wrap=True)
+        for method, row in rows.items():
+            table.add_row(Text(method), *(_cell(row, name) for name in shown))
+        made.append(table)
+    return made
+
+
+def _cell(row: dict[str, Any], name: str) -> str:
+    if name not in row:
+        return "–"
+    _, factor, digits = _COLUMNS[name]
+    text = f"{factor * row[name]:.{digits}f}"
+    if name in row.get("interval_95", {}):
+        low, high = row["interval_95"][name]
+        text += f"\n{factor * low:.{digits}f}–{factor * high:.{digits}f}"
+    return text

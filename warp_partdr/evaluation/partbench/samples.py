@@ -1,0 +1,102 @@
+"""PartBench as ``Sample`` records: the same people at every level, scored against the clean truth."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...body.labels import label_set
+from ...errors import InputError
+from ...inputs.keypoints import Keypoints2D
+from ...inputs.part_labels import PartLabels
+from ...inputs.sample import Sample
+from ...synthetic.bench_noise import (
+    HIDDEN_CONFIDENCE,
+    LEVELS,
+    noisy_keypoints,
+    noisy_labels,
+    spoil_keypoints,
+    spoil_labels,
+)
+from ...synthetic.bench_people import COCO, NUM_PEOPLE, SEED, Person, make_person
+from . import VERSION
+
+LABELS = label_set("cdcl14")
+_OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
+
+
+def source_name(level: str) -> str:
+    """What figures of a level are pooled under."""
+    return f"PartBench {VERSION}, {level}"
+
+
+def partbench(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
+    """The first ``count`` people at each level.
+
+    Raises:
+        InputError: If a level is unknown, or there are not so many people.
+    """
+    if not 1 <= count <= NUM_PEOPLE:
+        raise InputError(f"people: {count}; expected 1 to {NUM_PEOPLE}")
+    if unknown := [level for level in levels if level not in LEVELS]:
+        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join(LEVELS)}")
+    return [make_sample(index, level) for level in levels for index in range(count)]
+
+
+def make_sample(index: int, name: str) -> Sample:
+    """Person ``index`` at a level: seen with its noise, and the truth without."""
+    person, level = make_person(index), LEVELS[name]
+    rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
+    truth = LABELS.from_parts(person.parts)
+    groups, hidden = truth, person.hidden
+    others: tuple[Keypoints2D, ...] = ()
+    if rng.random() < level.stranger:
+        groups, hidden, others = _add_stranger(person, make_person((index + 1) % NUM_PEOPLE), rng)
+    if level.strength:
+        groups = noisy_labels(groups, LABELS, rng, level.strength)
+    groups = spoil_labels(groups, LABELS, person.height, level, rng)
+    keypoints = noisy_keypoints(person.keypoints, hidden, person.height, rng, level.strength)
+    return Sample(
+        source=source_name(name),
+        name=f"{person.name}, {person.kind}",
+        keypoints=_keypoints(spoil_keypoints(keypoints, COCO.landmarks, truth.shape, level, rng)),
+        parts=PartLabels(LABELS, groups),
+        others=others,
+        target=truth,
+        joints=person.joints,
+        vertices=person.vertices,
+        camera=person.camera,
+    )
+
+
+def _keypoints(values: np.ndarray) -> Keypoints2D:
+    values = values.astype(np.float32)
+    return Keypoints2D(COCO.name, values[:, :2], values[:, 2])
+
+
+def _add_stranger(
+    person: Person, stranger: Person, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, tuple[Keypoints2D, ...]]:
+    """Group ids with somebody before the person's one side, which keypoints are hidden now, and the other's."""
+    groups = LABELS.from_parts(person.parts)
+    rows, columns = np.nonzero(stranger.parts)
+    mine = np.nonzero(person.parts.any(0))[0]
+    overlap = rng.uniform(*_OVERLAP) * np.ptp(mine)
+    shift = mine[0] + overlap - columns.max() if rng.random() < 0.5 else mine[-1] - overlap - columns.min()
+    moved = columns + round(shift)
+    height, width = groups.shape
+    inside = (rows < height) & (moved >= 0) & (moved < width)
+    rows, columns, moved = rows[inside], columns[inside], moved[inside]
+    before = np.zeros(groups.shape, dtype=bool)
+    before[rows, moved] = True
+    seen = groups.copy()
+    seen[rows, moved] = LABELS.from_parts(stranger.parts)[rows, columns]
+    u, v = (np.clip(person.keypoints[:, i].astype(int), 0, groups.shape[1 - i] - 1) for i in range(2))
+    points = stranger.keypoints + np.array([round(shift), 0.0])
+    beyond = ((points < 0) | (points > [width, height])).any(axis=1)
+    values = np.column_stack([points, np.where(stranger.hidden, HIDDEN_CONFIDENCE, 1.0)])
+    values[beyond] = 0.0
+    others = (_keypoints(values),) if (~beyond).sum() > 1 else ()
+    return seen, person.hidden | before[v, u], others

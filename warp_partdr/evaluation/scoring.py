@@ -1,0 +1,232 @@
+"""How good one fit is, and what many such scores come to.
+
+Part labels are compared after grouping into LSP's six parts where their set allows it, else in its own groups.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from .. import metrics
+from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
+from ..cameras import Perspective, WeakPerspective
+from ..inputs.keypoints import person_height
+from ..inputs.missing_labels import ignore_missing_limbs
+from ..inputs.sample import Sample
+
+_GROUPS = "lsp6"
+_HIPS = ("left_hip", "right_hip")
+
+
+class Drawing(Protocol):
+    """What ``Fitted.draw`` returns."""
+
+    @property
+    def labels(self) -> torch.Tensor:
+        """Part labels 0 to 20, shape (1, H, W), uint8."""
+
+
+class Fitted(Protocol):
+    """A fitted body: a ``FitResult``, or another one that does the same."""
+
+    @property
+    def hypotheses(self) -> int:
+        """How many starts there were."""
+
+    @property
+    def camera(self) -> WeakPerspective | Perspective:
+        """The camera in pixels of the picture, B = 1."""
+
+    def landmarks(self, names: Sequence[str]) -> np.ndarray:
+        """Landmarks in the camera frame, shape (L, 3) [m]."""
+
+    def draw(self, image_size: tuple[int, int]) -> Drawing:
+        """The body in the picture."""
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of one picture, by (target, rendered) class.
+
+    Attributes:
+        classes: Their names, background first.
+        parts: Without ignored pixels, shape (C, C).
+        undisputed: Nor background that confident keypoints contradict (``ignore_missing_limbs``), shape (C, C).
+        filled: With ignored pixels as background, shape (C, C).
+        foreground: Background and person, shape (2, 2).
+    """
+
+    classes: tuple[str, ...]
+    parts: np.ndarray
+    undisputed: np.ndarray
+    filled: np.ndarray
+    foreground: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good one fit is.
+
+    Attributes:
+        source: Of the sample.
+        sample: Its name.
+        method: How it was fitted.
+        keypoints: Distance of each confident keypoint, as a share of the person's height, shape (K,).
+        seconds: Wall time.
+        hypotheses: How many starts there were.
+        pixels: None if the sample has no labels to be scored against.
+        mpjpe: [mm], pelvis-centred; NaN if the true joints are not known.
+        pa_mpjpe: [mm], the same.
+        pve: [mm], the same for vertices, and NaN if the method has none.
+    """
+
+    source: str
+    sample: str
+    method: str
+    keypoints: np.ndarray
+    seconds: float
+    hypotheses: int
+    pixels: Pixels | None = None
+    mpjpe: float = math.nan
+    pa_mpjpe: float = math.nan
+    pve: float = math.nan
+
+
+def score(sample: Sample, method: str, result: Fitted, seconds: float, vertices: np.ndarray | None = None) -> Score:
+    """Compare a result with what is known of the sample.
+
+    Args:
+        sample: The person.
+        method: Its name.
+        result: What it returned.
+        seconds: It took.
+        vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
+    """
+    sure = sample.keypoints.confident
+    landmarks = torch.from_numpy(result.landmarks(sample.keypoints.format.landmarks))[None]
+    seen = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
+    distances = np.linalg.norm(seen - sample.keypoints.points, axis=1)[sure]
+    mpjpe = pa_mpjpe = pve = math.nan
+    if sample.joints is not None:
+        names = sample.joint_names
+        hips = [names.index(name) for name in _HIPS]
+        joints, known = result.landmarks(names), np.isfinite(sample.joints).all(axis=1)
+        pa_mpjpe = 1000 * float(metrics.pa_mpjpe(joints, sample.joints, valid=known))
+        if known[hips].all():
+            mpjpe = 1000 * float(metrics.mpjpe(joints, sample.joints, centre_on=hips, valid=known))
+            if vertices is not None and sample.vertices is not None:
+                pelvis, true_pelvis = joints[hips].mean(0), sample.joints[hips].mean(0)
+                error = metrics.pve(vertices, sample.vertices, pelvis=pelvis, target_pelvis=true_pelvis)
+                pve = 1000 * float(error)
+    return Score(
+        source=sample.source,
+        sample=sample.name,
+        method=method,
+        keypoints=distances / max(person_height(sample.keypoints), 1.0),
+        seconds=seconds,
+        hypotheses=result.hypotheses,
+        pixels=_pixels(sample, result),
+        mpjpe=mpjpe,
+        pa_mpjpe=pa_mpjpe,
+        pve=pve,
+    )
+
+
+def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """The classes that labels of a set are compared in.
+
+    Returns:
+        Their names, background first; the class of each group id, shape (256,), and of each rendered part label, by way
+        of the same groups, shape (21,).
+    """
+    coarse = label_set(_GROUPS)
+    try:
+        table = regroup(labels, coarse)
+    except ValueError:  # not finer than LSP's six parts
+        coarse, table = labels, np.arange(256, dtype=np.uint8)
+    return ("background", *coarse.group_names), table, table[labels.part_groups]
+
+
+def _pixels(sample: Sample, result: Fitted) -> Pixels | None:
+    if sample.parts is None or sample.target is None:
+        return None
+    classes, from_groups, from_parts = scoring_classes(sample.parts.label_set)
+    height, width = sample.target.shape
+    drawn = result.draw((height, width)).labels[0].cpu().numpy()
+    shown, count = from_parts[drawn], len(classes)
+    target = from_groups[sample.target]
+    undisputed = from_groups[ignore_missing_limbs(sample.target, sample.keypoints)]
+    parts = metrics.confusion(shown, target, count)
+    if sample.mask is None:
+        foreground = metrics.foreground_counts(parts)
+    else:
+        foreground = metrics.confusion(drawn != BACKGROUND, sample.mask, 2)
+    return Pixels(
+        classes=classes,
+        parts=parts,
+        undisputed=metrics.confusion(shown, undisputed, count),
+        filled=metrics.confusion(shown, target, count, ignored_is_background=True),
+        foreground=foreground,
+    )
+
+
+def summarise(scores: Sequence[Score]) -> dict[str, Any]:
+    """Figures of one or more fits by one method: pixels and keypoints pooled, the rest averaged over people.
+
+    Returns:
+        Figures by name, those that are known of somebody, and ``interval_95`` of most of them if there are several
+        people: bootstrapped over people, which takes them for independent.
+
+    Raises:
+        ValueError: If pixels were counted in different classes.
+    """
+    figures: dict[str, Any] = {"people": len(scores)}
+    intervals: dict[str, list[float]] = {}
+
+    def put(name: str, values: np.ndarray, of_sum: Callable[[np.ndarray], Any], digits: int) -> None:
+        figures[name] = round(float(of_sum(values.sum(0)[None])[0]), digits)
+        if len(values) > 1:
+            intervals[name] = [round(limit, digits) for limit in metrics.bootstrap_sum(values, of_sum)]
+
+    pixels = [score.pixels for score in scores if score.pixels is not None]
+    if pixels:
+        if len(classes := {picture.classes for picture in pixels}) > 1:
+            raise ValueError(
+                f"scores: parts of {' and '.join(map(', '.join, sorted(classes)))}; expected one label set"
+            )
+        foreground, parts, filled, undisputed = (
+            np.stack([getattr(picture, name) for picture in pixels])
+            for name in ("foreground", "parts", "filled", "undisputed")
+        )
+        put("foreground_accuracy", foreground, metrics.accuracy, 4)
+        put("foreground_f1", foreground, metrics.part_f1, 4)
+        put("part_accuracy", filled, metrics.accuracy, 4)
+        put("part_f1", parts, metrics.part_f1, 4)
+        put("undisputed_foreground_f1", metrics.foreground_counts(undisputed), metrics.part_f1, 4)
+        put("undisputed_part_f1", undisputed, metrics.part_f1, 4)
+        figures["f1"] = {
+            name: None if np.isnan(value) else round(float(value), 4)
+            for name, value in zip(pixels[0].classes, metrics.f1_scores(parts.sum(0)), strict=True)
+        }
+    keypoints = np.array([[score.keypoints.sum(), len(score.keypoints)] for score in scores])
+    put("keypoint_distance", keypoints, lambda sums: sums[..., 0] / sums[..., 1], 5)
+    for name, column, digits in (
+        ("mpjpe_mm", "mpjpe", 1),
+        ("pa_mpjpe_mm", "pa_mpjpe", 1),
+        ("pve_mm", "pve", 1),
+        ("seconds", "seconds", 2),
+        ("hypotheses", "hypotheses", 1),
+    ):
+        values = np.array([getattr(score, column) for score in scores], dtype=np.float64)
+        known = values[np.isfinite(values)]
+        if len(known):
+            put(name, np.stack([known, np.ones_like(known)], axis=1), lambda sums: sums[..., 0] / sums[..., 1], digits)
+    if intervals:
+        figures["interval_95"] = intervals
+    return figures

@@ -1,0 +1,58 @@
+"""JSON that users bring, read so that nothing in it is lost without a word."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+
+def read_json(path: str | Path, expected: str) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        expected: What it should be, for messages.
+
+    Raises:
+        InputError: If it can't be read, or as ``parse_json``.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}; expected {expected}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not JSON ({error}); expected {expected}") from error
+    return parse_json(text, str(path), expected)
+
+
+def parse_json(text: str, where: str, expected: str) -> Any:
+    """The same from text.
+
+    Args:
+        text: JSON.
+        where: Whose it is, for messages.
+        expected: What it should be, for messages.
+
+    Raises:
+        InputError: If it is no JSON, is nested too deeply, or an object in it has a key twice.
+    """
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise InputError(f"{where}: key {twice!r} twice in one object; expected {expected}")
+        return found
+
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    except InputError:
+        raise
+    except RecursionError:
+        raise InputError(f"{where}: not JSON (nested too deeply); expected {expected}") from None
+    except ValueError as error:
+        raise InputError(f"{where}: not JSON ({error}); expected {expected}") from error

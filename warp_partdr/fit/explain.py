@@ -1,0 +1,190 @@
+"""What a fit models for one input, what it leaves out, and why: ``partdr fit --explain``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..body.labels import BACKGROUND, IGNORE
+from ..body.template import PART_NAMES
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.observation import REFERENCE_SIZE, Observation, observe
+from ..inputs.part_labels import PartLabels
+from .options import FitOptions, stages_of
+from .stages import Stage
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One thing that a fit could model.
+
+    Attributes:
+        what: Of what this is about.
+        modelled: What of it is modelled.
+        left_out: What isn't; empty where that is nothing.
+        why: The reason.
+    """
+
+    what: str
+    modelled: str
+    left_out: str
+    why: str
+
+
+def explain(
+    keypoints: Keypoints2D,
+    parts: PartLabels | None = None,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    options: FitOptions | None = None,
+) -> list[Choice]:
+    """Say what ``fit_body`` with the same arguments models.
+
+    Raises:
+        InputError: As ``fit_body``.
+    """
+    options = options or FitOptions()
+    seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
+    stages = stages_of(options, parts)
+    choices = [_keypoints(keypoints), _start(options)]
+    if parts is None:
+        left = {stage.name for stage in stages}
+        skipped = [stage.name for stage in options.stages if stage.name not in left]
+        choices.append(
+            Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn"),
+        )
+        return choices
+    drawn = [stage for stage in stages if stage.size > 0]
+    height, width = parts.groups.shape
+    side = REFERENCE_SIZE / crop.zoom
+    covered = _overlap(crop.left, side, width) * _overlap(crop.top, side, height) / (width * height)
+    sizes = _list(sorted({stage.size for stage in drawn}))
+    choices += [
+        Choice(
+            "picture",
+            f"{side:.0f} x {side:.0f} px around the person, drawn at {sizes} px",
+            f"{100 * (1 - covered):.0f} % of it" if covered < 1 else "",
+            "the rest shows nothing of the person" if covered < 1 else "the person fills it",
+        ),
+        *_labels(seen, max(stage.size for stage in drawn)),
+        *_parts(parts),
+        _depth(parts, drawn, options),
+        _path(parts, options),
+    ]
+    return choices
+
+
+def print_choices(choices: list[Choice], console: Console) -> None:
+    """A table."""
+    from rich.table import Table
+
+    table = Table(title="What is modelled, and what is not", show_lines=True)
+    for heading in ("what", "modelled", "left out", "why"):
+        table.add_column(heading)
+    for choice in choices:
+        table.add_row(choice.what, choice.modelled or "-", choice.left_out or "-", choice.why)
+    console.print(table)
+
+
+def _keypoints(keypoints: Keypoints2D) -> Choice:
+    landmarks = np.array(keypoints.format.landmarks)
+    missing = landmarks[~keypoints.visible]
+    return Choice(
+        "keypoints",
+        f"{len(landmarks) - len(missing)} of {len(landmarks)} ({keypoints.format.name})",
+        _list(missing),
+        "a confidence of 0 pulls nowhere" if missing.size else "all were seen",
+    )
+
+
+def _start(options: FitOptions) -> Choice:
+    if options.start == "search":
+        return Choice("start", f"up to {options.stages[0].bodies} hypotheses", "the label network", "it was asked for")
+    if not options.search:
+        return Choice("start", "the label network's body", "the search", "it was asked for")
+    why = "only where that body ends far from keypoints or labels"
+    return Choice("start", "the label network's body", f"up to {options.search[0].bodies} hypotheses", why)
+
+
+def _labels(seen: Observation, size: int) -> Iterator[Choice]:
+    assert seen.label_set is not None
+    assert seen.labels is not None
+    groups = seen.label_set.num_groups
+    megabytes = 4 * groups * size**2 / 1e6
+    if seen.maps is None:
+        yield Choice(
+            "L_seg",
+            f"one byte a pixel: {size**2 / 1e3:.0f} KB",
+            f"{groups} maps of floats: {megabytes:.1f} MB a body, and as much of gradients",
+            "loss and gradient of a pixel follow from two labels, the wanted and the shown",
+        )
+    else:
+        yield Choice(
+            "L_seg", f"{groups} maps of probabilities: {megabytes:.1f} MB a body", "", "probabilities were given"
+        )
+    labels = seen.labels.cpu().numpy()
+    ignored = np.mean(labels == IGNORE)
+    yield Choice(
+        "pixels of the crop",
+        f"{100 * (1 - ignored):.0f} %",
+        f"{100 * ignored:.0f} %" if ignored else "",
+        "ignored: other people, what the set does not know, limbs that labels miss, beyond the border"
+        if ignored
+        else "every pixel's label is known",
+    )
+    wanted = set(np.unique(labels).tolist()) - {BACKGROUND, IGNORE}
+    absent = [name for group, name in enumerate(seen.label_set.group_names, start=1) if group not in wanted]
+    yield Choice(
+        "groups of parts",
+        f"{len(wanted)} of {groups} ({seen.label_set.name}) are wanted somewhere",
+        f"the pull on {_list(absent)}" if absent else "",
+        "no pixel of the crop shows them: they can only be wrong" if absent else "all are in the crop",
+    )
+
+
+def _parts(parts: PartLabels) -> Iterator[Choice]:
+    label_set = parts.label_set
+    left_out = [name for name in PART_NAMES if name in label_set.left_out]
+    free = [name for name, group in zip(PART_NAMES, label_set.part_groups[1:], strict=True) if group == IGNORE]
+    yield Choice(
+        "ellipsoids",
+        f"{len(PART_NAMES) - len(left_out)} of {len(PART_NAMES)} drawn",
+        _list(left_out),
+        f"{label_set.name} leaves them out" if left_out else f"each is in a group of {label_set.name}, or hides others",
+    )
+    if free:
+        yield Choice("parts in no group", f"{_list(free)} hide what is behind", "their labels", "the set has none")
+
+
+def _depth(parts: PartLabels, drawn: list[Stage], options: FitOptions) -> Choice:
+    stages = [stage.name for stage in drawn if stage.gradient == "partdr" or options.renderer == "mesh"]
+    if parts.label_set.num_groups == 1:
+        return Choice("z gradient", "", "all of it", "with one label, nothing that shows hides something else")
+    if options.depth_weight == 0 or not stages:
+        return Choice("z gradient", "", "all of it", "its weight is 0" if stages else "only PartDR's rule has one")
+    others = [stage.name for stage in drawn if stage.name not in stages]
+    why = "only PartDR's rule has one" if others else "parts of one label can hide those of another"
+    return Choice("z gradient", f"stages {_list(stages)}", f"stages {_list(others)}" if others else "", why)
+
+
+def _path(parts: PartLabels, options: FitOptions) -> Choice:
+    if parts.maps is None and options.renderer == "exact":
+        why = "labels and exact ellipsoids need no more"
+        return Choice("an iteration", "one graph of kernels, captured once", "autograd, Python", why)
+    why = "against probabilities" if parts.maps is not None else "of a mesh"
+    return Choice("an iteration", "kernels called through torch.autograd", "", f"gradients {why} go through torch")
+
+
+def _overlap(start: float, length: float, size: int) -> float:
+    """Length of [start, start + length] in [0, size]."""
+    return max(min(start + length, size) - max(start, 0.0), 0.0)
+
+
+def _list(names: Sequence[object] | np.ndarray) -> str:
+    return "; ".join(str(name) for name in names)  # names of stages have commas

@@ -1,0 +1,229 @@
+"""From one person's 2D keypoints and part labels to a body: many hypotheses, side by side, pruned as they go."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.template import NUM_PARTS
+from ..cameras import Crop
+from ..errors import check_type
+from ..inputs.evidence import Evidence, weigh_evidence
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence
+from ..inputs.part_labels import PartLabels
+from ..interop.torch_threads import one_torch_thread
+from ..network.checkpoint import load_label_network, packaged_network
+from ..network.predict import predict_bodies
+from ..refinement.energy import Energy
+from ..refinement.fused import minimise
+from ..refinement.refine import refine
+from .options import FitOptions, drawn_or_not, stages_of
+from .plausibility import complaints, poor_labels
+from .result import FitResult
+from .sides import choose_sides
+from .stages import STAGES, Quality, Stage, Start
+from .start_search import LiftEnergy, distinct, hypothesize
+
+Progress = Callable[[str, int, int], None]
+
+
+@one_torch_thread()
+def fit_body(
+    keypoints: Keypoints2D,
+    parts: PartLabels | None = None,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    quality: Quality = "balanced",
+    options: FitOptions | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit EllipBody to one person.
+
+    What contradicts itself is mended where it is clear, and told in ``warnings``: left and right that differ between
+    labels and keypoints are exchanged in the one that seems wrong, and blobs of labels far from any bone are ignored.
+
+    Args:
+        keypoints: The person's 2D keypoints in the picture.
+        parts: The picture's part labels; None fits keypoints alone.
+        others: Other people's keypoints, which keep their labels apart from the person's.
+        quality: "fast", "balanced" or "accurate": stages and picture sizes; docs/accuracy.md has what each gives.
+        options: Stages, weights and renderer of your own, instead of those of ``quality``.
+        device: "cpu" or a CUDA device.
+        progress: Called with (stage name, iterations done, iterations in all).
+
+    Returns:
+        The body, its camera, and how it went.
+
+    Raises:
+        InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+        TypeError: If an argument is of another type.
+    """
+    check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
+    options = options or FitOptions.at(quality)
+    prior = PosePrior().to(device)
+
+    def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
+        seen, crop = crop_evidence(evidence, trust_background=options.trust_background, device=device)
+        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress)
+
+    def glance(evidence: Evidence) -> FitResult:
+        return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
+
+    evidence = choose_sides(weigh_evidence(keypoints, parts, others), glance)
+    fit = start(evidence, options, progress)
+    if options.start == "search":
+        found = fit.search()
+        return fit.warn(found, fit.complaints(found))
+    found = fit.from_network()
+    told = fit.complaints(found)
+    if told and options.search:
+        stages = drawn_or_not(options.search, parts)
+        found = fit.better(found, replace(fit, stages=stages).search())
+        told = fit.complaints(found)
+    return fit.warn(found, told)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit of one observation; arguments as ``fit_body`` has them."""
+
+    seen: Observation
+    crop: Crop
+    prior: PosePrior
+    options: FitOptions
+    stages: tuple[Stage, ...]
+    evidence: Evidence
+    progress: Progress | None
+
+    def search(self) -> FitResult:
+        """From many hypotheses, lifted in the first stage."""
+        first = self.stages[0]
+        bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
+        bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+        return self._refine(bodies, self.seen, "search", lambda energy: LiftEnergy(energy, targets, known))
+
+    def from_network(self) -> FitResult:
+        """From the network's body, whose sizes are what is expected of the person from then on."""
+        device, path = self.seen.points.device, self.options.network
+        network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
+        started = time.perf_counter()
+        body = predict_bodies([self.seen], network)
+        seconds = time.perf_counter() - started
+        seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
+        found = self._refine(body, seen, "network")
+        return replace(found, stage_seconds={"network": seconds, **found.stage_seconds})
+
+    def _refine(
+        self,
+        bodies: BodyParameters,
+        seen: Observation,
+        start: Start,
+        lift: Callable[[Energy], LiftEnergy] | None = None,
+    ) -> FitResult:
+        """All stages; the first one by another energy, if there is one."""
+        options, hypotheses = self.options, bodies.batch_size
+        energies = torch.zeros(hypotheses, device=seen.points.device)
+        terms: dict[str, torch.Tensor] = {}
+        seconds: dict[str, float] = {}
+        lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
+        finalists: list[float] = []
+        done, total = 0, sum(stage.iterations for stage in self.stages)
+        for index, stage in enumerate(self.stages):
+            started = time.perf_counter()
+            if len(energies) > 1 and index > 0:
+                kept = distinct(bodies, energies, stage.bodies)
+                bodies = bodies.select(kept)
+                lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
+            weights = stage.weights or options.weights
+            if stage.size == 0:
+                weights = replace(weights, seg=0.0)
+            if weights.depth > 0 and (count := len(bodies.log_scale)) > 1:
+                raise ValueError(f"stages: {stage.name!r} holds depth, of {count} bodies; expected one body")
+            energy = Energy(
+                seen,
+                max(stage.size, 1),
+                weights,
+                self.prior,
+                renderer=options.renderer,
+                subdivisions=options.subdivisions,
+                tolerance=options.tolerance,
+                gradient=stage.gradient,
+                max_distance=stage.max_distance,
+                depth_weight=options.depth_weight,
+                depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,
+            )
+
+            def step(iteration: int, name: str = stage.name, before: int = done) -> None:
+                if self.progress is not None:
+                    self.progress(name, before + iteration, total)
+
+            pace: dict[str, Any] = {
+                "iterations": stage.iterations,
+                "learning_rate": stage.learning_rate,
+                "frozen": stage.frozen,
+                "on_iteration": step,
+            }
+            if lift is not None and index == 0:
+                refined = refine(bodies, lift(energy), **pace)
+            else:
+                refined = minimise(bodies, energy, **pace)
+            bodies, energies, terms = refined.parameters, refined.energy, refined.terms
+            lineage.append(refined.history.cpu().numpy())
+            if len(energies) > 1:
+                finalists = energies.sort().values.tolist()
+            done += stage.iterations
+            seconds[stage.name] = time.perf_counter() - started
+        winner = int(energies.argmin())
+        return FitResult(
+            parameters=bodies.select(torch.tensor([winner], device=energies.device)),
+            crop=self.crop,
+            observation=seen,
+            stages=self.stages,
+            energy={name: float(term[winner]) for name, term in terms.items()},
+            history=[rows[:, winner] for rows in lineage],
+            stage_seconds=seconds,
+            hypotheses=hypotheses,
+            finalists=finalists,
+            start=start,
+            evidence=self.evidence,
+        )
+
+    def complaints(self, found: FitResult) -> list[str]:
+        """Sentences about what the body is too far from; none if it lies where keypoints and labels are."""
+        return complaints(found.parameters, self._judge())
+
+    def warn(self, found: FitResult, told: Sequence[str]) -> FitResult:
+        """The same, with all that looks wrong: in what was given, what was told of the body, and its parts."""
+        poor = poor_labels(found.parameters, self._judge())
+        return replace(found, warnings=(*self.evidence.warnings, *told, *poor))
+
+    def better(self, found: FitResult, again: FitResult) -> FitResult:
+        """The one with the lower energy; times and hypotheses are both's."""
+        energy = self._judge()
+        losses = [sum(float(term) for term in energy(result.parameters).values()) for result in (found, again)]
+        seconds = {
+            f"{name}, {each.start}": value for each in (found, again) for name, value in each.stage_seconds.items()
+        }
+        best = again if losses[1] < losses[0] else found
+        return replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
+
+    def _judge(self) -> Energy:
+        """The same for all starts."""
+        options = self.options
+        return Energy(
+            self.seen,
+            REFERENCE_SIZE,
+            options.weights,
+            self.prior,
+            renderer=options.renderer,
+            subdivisions=options.subdivisions,
+        )

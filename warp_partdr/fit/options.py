@@ -1,0 +1,97 @@
+"""Options of a fit: its stages, weights and renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from ..body.ellipbody import DEFAULT_SUBDIVISIONS
+from ..inputs.part_labels import PartLabels
+from ..refinement.energy import Renderer, Weights
+from ..render.mesh import DEFAULT_DEPTH_WEIGHT
+from ..render.subdivisions import DEFAULT_TOLERANCE, Subdivisions
+from .stages import OUTLINE, STAGES, Quality, Stage, Start
+
+_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), gradient="coverage")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit goes.
+
+    Attributes:
+        stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
+            them, and stays as it is where there are none.
+        weights: Of the energy's terms, where a stage has none of its own.
+        renderer: "exact" ellipsoids, or their "mesh", with PartDR's gradient.
+        subdivisions: Level of the mesh, 0 to 3; "auto": in each stage the coarsest that is within ``tolerance`` of the
+            ellipsoids.
+        tolerance: Of "auto" [px of the drawn crop].
+        trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
+        depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
+        seed: Of the random choice of hypotheses, where there are too many.
+        start: "network": the label network's body; "search": many hypotheses.
+        network: File of a label network of `partdr train`; None takes the packaged one.
+        search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
+            lower energy wins. Empty: never.
+    """
+
+    stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
+    weights: Weights = field(default_factory=Weights)
+    renderer: Renderer = "exact"
+    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
+    tolerance: float = DEFAULT_TOLERANCE
+    trust_background: bool = False
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
+    seed: int = 0
+    start: Start = "network"
+    network: str | None = None
+    search: tuple[Stage, ...] = STAGES["search"]["balanced"]
+
+    def __post_init__(self) -> None:
+        if self.start not in STAGES:
+            raise ValueError(f"start: {self.start!r}; expected {', '.join(STAGES)}")
+
+    @classmethod
+    def at(cls, quality: Quality, start: Start = "network") -> FitOptions:
+        """Those of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
+
+        Raises:
+            ValueError: If there is no such quality or start.
+        """
+        if start not in STAGES:
+            raise ValueError(f"start: {start!r}; expected {', '.join(STAGES)}")
+        if quality not in STAGES[start]:
+            raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
+        return cls(stages=STAGES[start][quality], start=start, search=STAGES["search"][quality])
+
+    def labels_first(self) -> FitOptions:
+        """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
+
+        With the coverage gradient, whose steps lower the loss, and the default weights but for L_seg's, which is 1.
+        """
+        return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
+
+    def without_outline(self) -> FitOptions:
+        """The same but for the last stage: joints nearer to the truth, outlines farther from the labels."""
+        return replace(self, stages=tuple(stage for stage in self.stages if stage.name != OUTLINE))
+
+
+def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
+    """The rounds of a fit: without labels, nothing is drawn, and a network's body follows the keypoints alone.
+
+    Raises:
+        ValueError: If a search has none left.
+    """
+    if options.start == "network":
+        if parts is not None:
+            return options.stages
+        return tuple(replace(stage, size=0) for stage in options.stages if stage.name != OUTLINE)
+    stages = drawn_or_not(options.stages, parts)
+    if not stages:
+        raise ValueError("options.stages: none without labels; expected at least one of size 0")
+    return stages
+
+
+def drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | None) -> tuple[Stage, ...]:
+    """Stages that draw are left out where there are no labels."""
+    return tuple(stage for stage in stages if parts is not None or stage.size == 0)

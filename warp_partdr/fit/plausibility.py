@@ -1,0 +1,48 @@
+"""Plausibility of a fitted body: how far it ends from what was seen, against PartBench's hardest people."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import metrics
+from ..body.labels import BACKGROUND, IGNORE
+from ..body.parameters import BodyParameters
+from ..inputs.observation import REFERENCE_SIZE
+from ..refinement.energy import Energy
+from ..render.ellipsoids import draw_ellipsoids
+
+# PartBench's hard people 60 to 119 end at 18, 0.31 and 0.37 at the worst, the first 20 at 22 px (default fit).
+MOST_OFF = 25.0  # [px of a 256 px crop], mean distance of keypoints along both axes
+MOST_WRONG = 0.4  # wrong pixels a pixel of the person
+LEAST_PART_F1 = 0.35  # in the label set's own parts
+
+
+def complaints(parameters: BodyParameters, energy: Energy) -> list[str]:
+    """Sentences about what one body is too far from; none where it lies where keypoints and labels are."""
+    posed = parameters.posed()
+    off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
+    told = []
+    if not off < MOST_OFF:
+        told.append(
+            f"keypoints: the body ends {off:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
+        )
+    if energy.target is not None:
+        person = ((energy.target != BACKGROUND) & (energy.target != IGNORE)).sum().clamp_min(1)
+        wrong = float(energy.segmentation(parameters, posed) / (2 * person))
+        if not wrong < MOST_WRONG:
+            told.append(f"labels: {wrong:.2f} wrong pixels for each of the person's; expected at most {MOST_WRONG:g}")
+    return told
+
+
+def poor_labels(parameters: BodyParameters, energy: Energy) -> list[str]:
+    """A sentence if one body's parts lie elsewhere than the labels."""
+    label_set = energy.observation.label_set
+    if energy.target is None or label_set is None:
+        return []
+    parts = draw_ellipsoids(parameters.posed(), parameters.camera(energy.size), (energy.size, energy.size)).parts[0]
+    shown = label_set.part_groups[parts.cpu().numpy()]
+    counts = metrics.confusion(shown, energy.target.cpu().numpy(), label_set.num_groups + 1)
+    score = metrics.part_f1(counts)
+    if np.isnan(score) or score >= LEAST_PART_F1:
+        return []
+    return [f"labels: part F1 {score:.2f}; expected {LEAST_PART_F1:g} or more; are these ids of {label_set.name}?"]

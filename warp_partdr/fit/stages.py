@@ -1,0 +1,106 @@
+"""How much a fit spends on accuracy: the stages of each quality, chosen from what ``partdr bench tradeoff`` found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ..errors import check_whole
+from ..interop.checks import MAX_PICTURE, MAX_PIXELS, check_steps
+from ..refinement.energy import Weights
+from ..render.ellipsoid_passes import Gradient
+
+Quality = Literal["fast", "balanced", "accurate"]
+Start = Literal["network", "search"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One round of a fit: refine what is left, then keep the best.
+
+    Attributes:
+        name: For the progress bar and the report.
+        bodies: How many hypotheses enter at most.
+        iterations: Steps of Adam.
+        learning_rate: Of these steps.
+        size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
+        weights: Of the energy's terms in this stage; None takes the fit's. Depth, which one body alone can
+            have held, is held to where the stage starts.
+        gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
+        max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
+        frozen: Parameters that stay as they are, names of ``BodyParameters``.
+    """
+
+    name: str
+    bodies: int
+    iterations: int
+    learning_rate: float
+    size: int = 0
+    weights: Weights | None = None
+    gradient: Gradient = "partdr"
+    max_distance: float = math.inf
+    frozen: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole = {
+            "bodies": check_whole("bodies", self.bodies, 1, MAX_PIXELS),
+            "size": check_whole("size", self.size, 0, math.isqrt(MAX_PICTURE) - 1),
+            "iterations": check_steps(self.iterations, self.learning_rate),
+        }
+        for name, value in whole.items():  # as ints, which JSON takes
+            object.__setattr__(self, name, value)
+
+
+# Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids
+# disagree. So the winner is chosen with labels and keypoints in balance, and only its last stage leans on the labels,
+# with keypoints, sizes and pose held harder too, and pixels acting on near edges alone.
+OUTLINE = "outline"
+OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
+
+_SEARCH: dict[Quality, tuple[Stage, ...]] = {
+    "fast": (
+        Stage("lift", 64, 20, 0.15),
+        Stage("keypoints", 64, 15, 0.05),
+        Stage("labels, coarse", 8, 25, 0.03, 64, gradient="edges"),
+        Stage("labels, fine", 2, 25, 0.02, 128, gradient="edges"),
+        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
+    ),
+    "balanced": (
+        Stage("lift", 256, 30, 0.1),
+        Stage("keypoints", 256, 20, 0.04),
+        Stage("labels, coarse", 40, 25, 0.03, 64),
+        Stage("labels, middle", 12, 25, 0.02, 128),
+        Stage("labels, fine", 4, 50, 0.01, 256),
+        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
+    ),
+    "accurate": (
+        Stage("lift", 256, 30, 0.1),
+        Stage("keypoints", 256, 40, 0.04),
+        Stage("labels, coarse", 64, 50, 0.03, 64, gradient="edges"),
+        Stage("labels, middle", 24, 50, 0.02, 128, gradient="edges"),
+        Stage("labels, fine", 8, 100, 0.01, 256, gradient="edges"),
+        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), gradient="edges"),
+    ),
+}
+
+# From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
+# to what the network says. An outline would cost joints: neither labels nor keypoints hold depth, so bodies lean and
+# limbs tilt to fill it, and bones stretch to where label sets end parts. So depth is held, keypoints and lengths more.
+# (In a search it pays nothing: its depth is no better than where an outline leaves it.)
+_NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3)
+_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, length=2e-2, thickness=2e-3, depth=1e-2)
+_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, length=3e-3, depth=1e-2)
+
+_NETWORK: dict[Quality, tuple[Stage, ...]] = {
+    "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, gradient="edges"),),
+    "balanced": (
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, gradient="edges"),
+    ),
+    "accurate": (
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
+        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, gradient="edges"),
+    ),
+}
+STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}

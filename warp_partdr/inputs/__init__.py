@@ -1,0 +1,1 @@
+"""From files and pixels to what a fit sees of one person."""

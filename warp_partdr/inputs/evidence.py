@@ -1,0 +1,213 @@
+"""One person's keypoints and labels, as far as they agree: others' pixels left out, contradictions mended and told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.landmarks import mirror_name
+from ..cameras import Crop
+from ..errors import InputError, check_each, check_type
+from .agreement import LIMBS, compare_sides, disagreement
+from .keypoints import LARGEST_PLACE, Keypoints2D
+from .part_labels import PartLabels
+from .person import Box, crop_keypoints, crop_nearest, reach_box, select_person
+from .stray_labels import ignore_stray_labels
+
+MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
+WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px
+_MANY = 3  # groups with stray pixels, from which on it is likelier that the ids mean something else
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Keypoints and labels that a fit goes by.
+
+    Attributes:
+        keypoints: The person's, in pixels of the picture; left and right as they are believed to be.
+        picture: Labels of the whole picture, left and right likewise; None if there are none.
+        window: The part of the picture where the person's labels may be, made smaller if it is large.
+        groups: Group ids in it, others' and stray ones being 255, ignore, shape of the window, uint8; None without.
+        warnings: What was found wrong, a sentence each.
+    """
+
+    keypoints: Keypoints2D
+    picture: PartLabels | None
+    window: Crop
+    groups: np.ndarray | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> PartLabels:
+        """Labels of the whole picture.
+
+        Raises:
+            ValueError: If there are none.
+        """
+        if self.picture is None:
+            raise ValueError("evidence: without part labels; expected some")
+        return self.picture
+
+    def in_window(self) -> Keypoints2D:
+        """The keypoints in pixels of the window."""
+        return crop_keypoints(self.keypoints, _box_of(self.window), self.window.size)
+
+    def target(self, size: tuple[int, int], box: Box | None = None) -> np.ndarray:
+        """The person's labels, others' being 255: group ids, shape ``size``, uint8.
+
+        Args:
+            size: (H, W) of the result [px].
+            box: What of the picture [px], what lies beyond being 255; None: all.
+
+        Raises:
+            ValueError: If there are no labels.
+        """
+        picture = self.labels.groups
+        assert self.groups is not None
+        height, width = picture.shape
+        box = box or (0.0, 0.0, float(width), float(height))
+        target = crop_nearest(picture, box, size)
+        target[target != BACKGROUND] = IGNORE
+        rows, from_rows = self._under_window(0, size[0], box[1], box[3])
+        columns, from_columns = self._under_window(1, size[1], box[0], box[2])
+        target[np.ix_(rows, columns)] = self.groups[np.ix_(from_rows, from_columns)]
+        return target
+
+    def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of those of ``count`` places that lie in the window, and the window's pixels there."""
+        places = low + (np.arange(count) + 0.5) * ((high - low) / count)
+        start = (self.window.top, self.window.left)[axis]
+        pixels = np.floor((places - start) * self.window.zoom).astype(np.int64)
+        inside = np.flatnonzero((pixels >= 0) & (pixels < self.window.size[axis]))
+        return inside, pixels[inside]
+
+
+def weigh_evidence(
+    keypoints: Keypoints2D, parts: PartLabels | None = None, others: Sequence[Keypoints2D] = ()
+) -> list[Evidence]:
+    """Leave other people out of one person's labels, and look for what contradicts the keypoints.
+
+    Args:
+        keypoints: The person's, in the picture.
+        parts: The picture's part labels; None if there are none.
+        others: Other people's keypoints.
+
+    Returns:
+        What to believe. Where keypoints and labels disagree on left and right, either may be wrong, and there are two:
+        first the keypoints' view, then the labels'.
+
+    Raises:
+        InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
+    """
+    _check_types(keypoints, parts, others)
+    _check_places(keypoints)
+    if parts is None:
+        return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
+    window = _window(keypoints, parts.groups.shape)
+    box, labels = _box_of(window), parts.label_set
+    mine = crop_keypoints(keypoints, box, window.size)
+    groups = crop_nearest(parts.groups, box, window.size)
+    groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
+    groups, names = ignore_stray_labels(groups, mine, labels)
+    warnings = [f"labels: {_join(sorted(names))} also far from any such bone; ignored there"] if names else []
+    if len(names) >= _MANY or disagreement(groups, mine, labels) > MOST_DISAGREEMENT:
+        warnings.append(f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?")
+    seen = Evidence(keypoints, parts, window, groups, tuple(warnings))
+    agreements = compare_sides(groups, mine, labels)
+    if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
+        return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
+    return [seen]
+
+
+def _check_types(keypoints: Keypoints2D, parts: PartLabels | None, others: Sequence[Keypoints2D]) -> None:
+    """Raise TypeError unless these are what a fit takes."""
+    check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
+    check_type("parts", parts, PartLabels | None, "of read_parts")
+    check_each("others", others, Keypoints2D, "of read_keypoints")
+
+
+def _check_places(keypoints: Keypoints2D) -> None:
+    visible = keypoints.visible
+    if not visible.any():
+        raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
+    if not (np.abs(keypoints.points[visible]) <= LARGEST_PLACE).all():
+        raise InputError(f"keypoints: hold NaN, or numbers beyond {LARGEST_PLACE:g}; expected pixels")
+    if len(np.unique(keypoints.points[visible], axis=0)) < 2:
+        raise InputError("keypoints: all lie in one point; expected different places")
+
+
+def _window(keypoints: Keypoints2D, size: tuple[int, int]) -> Crop:
+    """The picture itself or, if that is large, what of it the person's labels may be in."""
+    height, width = size
+    if max(size) <= WINDOW_SIDE:
+        return Crop(0.0, 0.0, 1.0, (height, width))
+    low_x, low_y, high_x, high_y = reach_box(keypoints)
+    x0, y0 = (math.floor(min(max(low, 0.0), side - 1.0)) for low, side in ((low_x, width), (low_y, height)))
+    x1, y1 = math.ceil(min(max(high_x, x0 + 1.0), width)), math.ceil(min(max(high_y, y0 + 1.0), height))
+    zoom = min(1.0, WINDOW_SIDE / max(x1 - x0, y1 - y0))
+    return Crop(float(x0), float(y0), zoom, (max(int((y1 - y0) * zoom), 1), max(int((x1 - x0) * zoom), 1)))
+
+
+def _box_of(window: Crop) -> Box:
+    height, width = window.size
+    return window.left, window.top, window.left + width / window.zoom, window.top + height / window.zoom
+
+
+def _either_side(seen: Evidence, swapped: list[str], *, whole: bool) -> Iterator[Evidence]:
+    """Labels with left and right exchanged; then, instead, keypoints.
+
+    Args:
+        seen: What disagrees on left and right.
+        swapped: Of these ``LIMBS``.
+        whole: Of all that can be compared, so of the head and the trunk as well.
+    """
+    assert seen.groups is not None
+    picture = seen.labels
+    kinds = {kind for limb in swapped for kind in LIMBS[limb]}
+    where = "" if whole else f" of {_join(swapped)}"
+    table = _mirrored_groups(picture.label_set, None if whole else kinds)
+    maps = None if picture.maps is None else picture.maps[table[: len(picture.maps)]]
+    exchanged = replace(picture, groups=table[picture.groups], maps=maps)
+    told = f"labels: left and right{where} exchanged, say the keypoints; taken so"
+    yield replace(seen, picture=exchanged, groups=table[seen.groups], warnings=(*seen.warnings, told))
+    told = f"keypoints: left and right{where} exchanged, say the labels; taken so"
+    mirror = _mirrored_joints(seen.keypoints, None if whole else swapped)
+    keypoints = replace(
+        seen.keypoints, points=seen.keypoints.points[mirror], confidence=seen.keypoints.confidence[mirror]
+    )
+    yield replace(seen, keypoints=keypoints, warnings=(*seen.warnings, told))
+
+
+def _mirrored_groups(labels: LabelSet, kinds: set[str] | None) -> np.ndarray:
+    """The group that each one becomes, where its parts are all of these kinds; None: any, shape (256,), uint8."""
+    table = np.arange(256, dtype=np.uint8)
+    names = labels.group_names
+    for name, parts in labels.groups.items():
+        of_kind = kinds is None or {part.partition("_")[2] for part in parts} <= kinds
+        if of_kind and mirror_name(name) in names:
+            table[names.index(name) + 1] = names.index(mirror_name(name)) + 1
+    return table
+
+
+_LIMB_JOINTS = {
+    "arms": ("elbow", "wrist", "fingertip", "thumb", "index", "pinky"),
+    "legs": ("knee", "ankle", "toe", "foot_index", "big_toe", "small_toe", "heel"),
+}
+
+
+def _mirrored_joints(keypoints: Keypoints2D, limbs: list[str] | None) -> np.ndarray:
+    """The keypoint whose place each one takes, those of some limbs alone, shape (J,), int64."""
+    mirror = keypoints.format.mirror
+    if limbs is None:
+        return mirror
+    joints = {joint for limb in limbs for joint in _LIMB_JOINTS[limb]}
+    moved = [name.partition("_")[2] in joints for name in keypoints.format.landmarks]
+    return np.where(moved, mirror, np.arange(len(mirror)))
+
+
+def _join(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

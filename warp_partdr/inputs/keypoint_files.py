@@ -1,0 +1,262 @@
+"""Read 2D keypoints from JSON, in the shapes in which detectors write them.
+
+* ``{"format": "coco17", "keypoints": [[x, y, confidence], ...]}``, the format's name and order as in ``skeletons.py``;
+  ``[x, y]`` alone, flat lists ``[x, y, confidence, x, y, ...]`` and a missing ``format`` are fine too;
+* OpenPose's own: ``{"people": [{"pose_keypoints_2d": [x, y, confidence, ...]}, ...]}``;
+* COCO's annotations or results: objects with flat ``keypoints``, alone, in a list, or under ``annotations``; their
+  visibilities 1 and 2 become the confidences 0.5 and 1;
+* MMPose's predictions: objects with ``keypoints`` and ``keypoint_scores``, in a list or under ``instances``;
+* the bare list of one person's keypoints, or a list of such lists.
+
+Without a name, the number of keypoints tells the format; 17 is COCO. Missing are keypoints of confidence 0, with null
+or NaN for all their numbers, and, where no confidences are given, those at exactly (0, 0).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..body.skeletons import SKELETONS
+from ..errors import InputError, shown
+from ..files.json_files import read_json
+from .keypoints import LARGEST_PLACE, Keypoints2D
+
+# Spellings of a format, without case, blanks and punctuation.
+_ALIASES: dict[str, str] = {
+    **{name: name for name in SKELETONS},
+    "coco": "coco17",
+    "openpose": "body25",
+    "openposebody25": "body25",
+    "blazepose": "blazepose33",
+    "mediapipe": "blazepose33",
+    "mediapipepose": "blazepose33",
+    "h36m": "h36m17",
+    "human36m": "h36m17",
+    "human36m17": "h36m17",
+    "lsp": "lsp14",
+    "mpii": "mpii16",
+}
+_BY_COUNT: dict[int, str] = {17: "coco17", 25: "body25", 33: "blazepose33", 14: "lsp14", 16: "mpii16"}
+_NUMBERS = {int, float}
+_MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.
+_MAX_NORMALISED = 1.5  # MediaPipe's coordinates in shares of the picture's size go a little beyond it.
+_MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
+
+
+def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list[Keypoints2D]:
+    """Everybody's 2D keypoints in a JSON file, in the file's order, but for people without visible keypoints.
+
+    Args:
+        path: The file.
+        keypoint_format: Name of the format, where the file does not say it or says it wrongly.
+
+    Raises:
+        InputError: If the file can't be read or understood, or nobody in it has usable keypoints.
+    """
+    data = read_json(path, "keypoints in JSON")
+    return parse_keypoints(data, keypoint_format, name=str(path))
+
+
+def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str = "keypoints") -> list[Keypoints2D]:
+    """The same from what the file holds; ``name`` is what errors call it.
+
+    Raises:
+        InputError: If it can't be understood, or nobody in it has usable keypoints.
+    """
+    given = _format_name(keypoint_format, "keypoint format") if keypoint_format is not None else None
+    entries = _people(data, name)
+    if not entries:
+        raise InputError(f"{name}: nobody in it; expected keypoints of at least one person")
+    places = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
+    alike: dict[tuple[str, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
+    numbers: list[list[float]] = []
+    for index, (entry, where) in enumerate(zip(entries, places, strict=True)):
+        fmt, width, values = _person(entry, given, where)
+        alike.setdefault((fmt, width), []).append(index)
+        numbers.append(values)
+    people: dict[int, Keypoints2D] = {}
+    reasons: dict[int, str] = {}
+    for (fmt, width), group in alike.items():
+        table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
+        points, confidence = _checked(table, fmt, [places[index] for index in group])
+        for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
+            if reason is None:
+                people[index] = Keypoints2D(fmt, points[row], confidence[row])
+            else:
+                reasons[index] = f"{places[index]}: {reason}"
+    if not people:
+        raise InputError(reasons[0])
+    return [people[index] for index in sorted(people)]
+
+
+def _format_name(text: str, where: str) -> str:
+    """A skeleton's name from what a user or a file calls it: "BlazePose33 x,y,visibility px" is blazepose33."""
+    words = str(text).lower().split()
+    for candidate in (words[0] if words else "", "".join(words)):
+        key = re.sub(r"[^a-z0-9]", "", candidate)
+        if key in _ALIASES:
+            return _ALIASES[key]
+    raise InputError(f"{where}: {text!r}; expected one of {', '.join(SKELETONS)}")
+
+
+def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
+    """One object with "keypoints" per person, whatever the file's shape."""
+    if isinstance(data, Mapping):
+        for key in ("people", "instances", "annotations"):
+            if isinstance(data.get(key), list):
+                return _people_of_list(data[key], name, data.get("format"))
+        if "keypoints" in data and _holds_people(data["keypoints"]):
+            return _people_of_list(data["keypoints"], name, data.get("format"))
+        return [data]
+    if isinstance(data, list):
+        if _holds_people(data):
+            return _people_of_list(data, name, None)
+        return [{"keypoints": data}] if data else []
+    raise InputError(f"{name}: {type(data).__name__}; expected an object or a list of keypoints")
+
+
+def _people_of_list(entries: Sequence[Any], name: str, fmt: Any) -> list[Mapping[str, Any]]:
+    common = {} if fmt is None else {"format": fmt}
+    people: list[Mapping[str, Any]] = []
+    for index, entry in enumerate(entries):
+        if isinstance(entry, list):
+            people.append({**common, "keypoints": entry})
+        elif isinstance(entry, Mapping):
+            people.append({**common, **entry})
+        else:
+            raise InputError(f"{name}: person {index}: {type(entry).__name__}; expected an object or a list")
+    images = {str(person["image_id"]) for person in people if isinstance(person.get("image_id"), int | str)}
+    if len(images) > 1:
+        raise InputError(f"{name}: people of {len(images)} pictures; expected those of one")
+    return people
+
+
+def _holds_people(values: Any) -> bool:
+    """Whether this is a list of people, not of one person's rows or numbers."""
+    if not isinstance(values, list) or not values:
+        return False
+    first = values[0]
+    return isinstance(first, Mapping) or (
+        isinstance(first, list) and (len(first) > 3 or any(isinstance(value, list) for value in first))
+    )
+
+
+def _person(entry: Mapping[str, Any], given: str | None, where: str) -> tuple[str, int, list[float]]:
+    """Format, numbers a keypoint, and these numbers, one keypoint after the other; null is NaN."""
+    key = "keypoints" if "keypoints" in entry else "pose_keypoints_2d"
+    values = entry.get(key)
+    if not isinstance(values, list):
+        raise InputError(f"{where}: no list of keypoints; expected one under keypoints or pose_keypoints_2d")
+    fmt = given
+    if fmt is None and entry.get("format") is not None:
+        fmt = _format_name(entry["format"], f"{where}: format")
+    rows = _rows(values, fmt, where)
+    if fmt is None:
+        if len(rows) not in _BY_COUNT:
+            counts = ", ".join(f"{count} ({known})" for count, known in sorted(_BY_COUNT.items()))
+            raise InputError(f"{where}: {len(rows)} keypoints; expected {counts}, or a format")
+        fmt = _BY_COUNT[len(rows)]
+    expected = len(SKELETONS[fmt])
+    if len(rows) != expected:
+        raise InputError(f"{where}: {len(rows)} keypoints; expected {expected} of {fmt}")
+    scores = entry.get("keypoint_scores")
+    if scores is not None:
+        if not isinstance(scores, list) or len(scores) != len(rows):
+            raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
+        rows = [[*row[:2], score] for row, score in zip(rows, scores, strict=True)]
+    width, values = len(rows[0]), list(chain.from_iterable(rows))
+    if set(map(type, values)) <= _NUMBERS:
+        with suppress(OverflowError):
+            return fmt, width, list(map(float, values))
+    landmarks = SKELETONS[fmt].landmarks
+    names = [f"{where}: keypoint {joint} ({landmark})" for joint, landmark in enumerate(landmarks)]
+    return fmt, width, [_number(value, names[index // width]) for index, value in enumerate(values)]
+
+
+def _rows(values: list[Any], fmt: str | None, where: str) -> list[list[Any]]:
+    """Rows [x, y] or [x, y, confidence] from such rows (or null) or from a flat list."""
+    kinds = set(map(type, values))
+    if list in kinds:
+        widths = {len(value) for value in values if type(value) is list}
+        if widths not in ({2}, {3}) or not kinds <= {list, type(None)}:
+            raise InputError(f"{where}: rows of {_listed(widths)} numbers; expected [x, y] or [x, y, confidence] each")
+        return values if len(kinds) == 1 else [[None] * max(widths) if value is None else value for value in values]
+    counts = {len(SKELETONS[fmt])} if fmt else set(_BY_COUNT)
+    for width in (3, 2):
+        if len(values) % width == 0 and len(values) // width in counts:
+            return [values[k : k + width] for k in range(0, len(values), width)]
+    raise InputError(
+        f"{where}: {len(values)} numbers; expected 3 (x, y, confidence) or 2 a keypoint, of {_listed(counts)} keypoints"
+    )
+
+
+def _listed(numbers: set[int]) -> str:
+    return " or ".join(map(str, sorted(numbers)))
+
+
+def _number(value: Any, name: str) -> float:
+    """A float; null is NaN."""
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{name}: {shown(value)}; expected numbers")
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _checked(table: np.ndarray, fmt: str, places: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3)."""
+
+    def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
+        for person, joint in np.argwhere(wrong)[:1].tolist():
+            landmark = SKELETONS[fmt].landmarks[joint]
+            raise InputError(f"{places[person]}: keypoint {joint} ({landmark}): {found(table[person, joint])}")
+
+    def listed(row: np.ndarray) -> str:
+        return f"[{', '.join(f'{value:g}' for value in row)}]"
+
+    points, unknown = table[..., :2], np.isnan(table).all(axis=-1)
+    confidence = table[..., 2] if table.shape[-1] == 3 else np.ones(table.shape[:2])
+    missing = unknown | ((confidence == 0) if table.shape[-1] == 3 else (points == 0).all(axis=-1))
+    refuse(~missing & ~np.isfinite(table).all(axis=-1), lambda row: f"{listed(row)}; expected finite numbers")
+    points = np.where(missing[..., None], 0.0, points)
+    confidence = np.where(missing, 0.0, confidence)
+    visibility = np.isin(confidence, (0, 1, 2)).all(axis=1) & (confidence == 2).any(axis=1)
+    confidence[visibility] /= 2  # COCO's: 1 = labelled, but hidden.
+    refuse((confidence < 0) | (confidence > _MAX_CONFIDENCE), lambda row: f"confidence {row[2]:g}; expected 0 to 1")
+    refuse(
+        (np.abs(points) > LARGEST_PLACE).any(axis=-1),
+        lambda row: f"{listed(row[:2])}; expected pixels, up to {LARGEST_PLACE:g}",
+    )
+    return points.astype(np.float32), np.minimum(confidence, 1.0).astype(np.float32)
+
+
+def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None]:
+    """What is wrong with each of N people's keypoints, None where nothing is."""
+    visible = confidence[..., None] > 0
+    lowest = np.where(visible, points, np.inf).min(axis=1)
+    highest = np.where(visible, points, -np.inf).max(axis=1)
+    extents = (highest - lowest).max(axis=1)
+    largest = np.maximum(-lowest, highest).max(axis=1)
+    seen = np.any(visible, axis=(1, 2))
+    return [_why(*each) for each in zip(seen, extents, largest, lowest, strict=True)]
+
+
+def _why(seen: np.bool_, extent: np.floating[Any], largest: np.floating[Any], corner: np.ndarray) -> str | None:
+    if not seen:
+        return "no visible keypoint; expected some with confidence above 0"
+    if extent > 0 and largest <= _MAX_NORMALISED:
+        return "all keypoints between 0 and 1; expected pixels, not shares of the picture's size"
+    if extent < _MIN_EXTENT:
+        return f"all visible keypoints in one point ({corner[0]:g}, {corner[1]:g}); expected a person"
+    return None

@@ -1,0 +1,163 @@
+"""2D keypoints of one person, how tall they say the person is, and which of several people is meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ..body.skeletons import Skeleton, skeleton
+from ..errors import InputError, check_each, check_type, check_whole
+
+LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
+MIN_CONFIDENCE = 0.3  # Below it, a keypoint says little about where the person is.
+
+_FIELDS = ("points", "confidence")
+
+# Straight chains of rigid bones, whose length in the picture tells the scale, with their length as a share of the
+# stature (mean adult of body/mean_body.json). The short ones serve only where no long one is to be seen.
+_LONG_BONES: dict[str, float] = {"shoulder-hip": 0.27, "hip-knee": 0.24, "knee-ankle": 0.247}
+_SHORT_BONES: dict[str, float] = {"shoulder-elbow": 0.155, "elbow-wrist": 0.14}
+
+
+@dataclass(frozen=True)
+class Keypoints2D:
+    """2D keypoints of one person.
+
+    Attributes:
+        skeleton: Name of their format, such as "coco17".
+        points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
+        confidence: 0 (missing) to 1, shape (J,), float32.
+
+    Raises:
+        InputError: If a shape is wrong, or a confidence is none.
+    """
+
+    skeleton: str
+    points: np.ndarray
+    confidence: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.format)
+        for name, shape in (("points", (count, 2)), ("confidence", (count,))):
+            values = getattr(self, name)
+            if not isinstance(values, np.ndarray) or values.shape != shape or values.dtype.kind != "f":
+                raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.skeleton}")
+        if not ((self.confidence >= 0) & (self.confidence <= 1)).all():
+            raise InputError("confidence: holds numbers that are not from 0 to 1")
+
+    @property
+    def format(self) -> Skeleton:
+        """The skeleton itself: landmarks and edges."""
+        return skeleton(self.skeleton)
+
+    @property
+    def visible(self) -> np.ndarray:
+        """Whether each keypoint is there at all, shape (J,), bool."""
+        return self.confidence > 0
+
+    @property
+    def confident(self) -> np.ndarray:
+        """Whether each keypoint is to be relied on, shape (J,): confidence of 0.3 and more, or any if none has that."""
+        return confident(self.confidence[None])[0]
+
+
+def confident(confidence: np.ndarray) -> np.ndarray:
+    """``Keypoints2D.confident`` of several people: confidences (N, J) to flags (N, J)."""
+    sure = confidence >= MIN_CONFIDENCE
+    return np.where(sure.any(axis=1, keepdims=True), sure, confidence > 0)
+
+
+def person_height(keypoints: Keypoints2D) -> float:
+    """How tall the person would stand in the picture [px], from the lengths of trunk, thighs and shins.
+
+    A bone seen at an angle looks shorter than it is, so the upper quartile of what the bones say counts, and a bent or
+    cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
+    """
+    return float(_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
+
+
+def _heights(name: str, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """``person_height`` of N people with one skeleton: points (N, J, 2) and confidence (N, J), shape (N,)."""
+    sure = confident(confidence)
+    low, high = (np.where(sure[..., None], points, end) for end in (np.inf, -np.inf))
+    heights = np.where(sure.any(axis=1), (high.max(axis=1) - low.min(axis=1)).max(axis=1), 0.0).astype(np.float64)
+    for bones in (_SHORT_BONES, _LONG_BONES):  # the long ones have the last word
+        pairs, shares = _bones(name, tuple(bones.items()))
+        found = np.linalg.norm(points[:, pairs[:, 0]] - points[:, pairs[:, 1]], axis=-1) / shares
+        found = np.where(sure[:, pairs].all(axis=-1), found, -np.inf)
+        told = found.max(axis=1) > 0
+        heights[told] = _upper_quartile(found[told])
+    return heights
+
+
+def _upper_quartile(values: np.ndarray) -> np.ndarray:
+    """Of each row (N, K), leaving out what is -inf; as ``numpy.quantile``, which has no way to leave out, quickly."""
+    values = np.sort(values, axis=1)
+    count = (values > -np.inf).sum(axis=1)
+    place = 0.75 * (count - 1)
+    first = values.shape[1] - count + np.floor(place).astype(int)
+    low, high = (
+        np.take_along_axis(values, np.minimum(index, values.shape[1] - 1)[:, None], axis=1)[:, 0]
+        for index in (first, first + 1)
+    )
+    share = place - np.floor(place)
+    return np.where(share < 0.5, low + (high - low) * share, high - (high - low) * (1 - share))
+
+
+@lru_cache
+def _bones(name: str, bones: tuple[tuple[str, float], ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Joint pairs (N, 2) of the bones on both sides that the skeleton has, and their shares of the stature (N,)."""
+    landmarks = skeleton(name).landmarks
+    pairs = [
+        (landmarks.index(f"{side}_{start}"), landmarks.index(f"{side}_{end}"))
+        for start, end in (bone.split("-") for bone, _ in bones)
+        for side in ("left", "right")
+    ]
+    return np.array(pairs), np.repeat([share for _, share in bones], 2)
+
+
+def choose_person(
+    people: Sequence[Keypoints2D], groups: np.ndarray | None = None, index: int | None = None
+) -> Keypoints2D:
+    """The one person to fit.
+
+    Args:
+        people: Everybody whose keypoints there are.
+        groups: Group ids of the picture's part labels, shape (H, W); without labels under them, keypoints count less.
+        index: Whom to take, 0 = first; by default the largest and most confident.
+
+    Raises:
+        InputError: If there is nobody, or ``index`` is out of range.
+        TypeError: If ``people`` are no keypoints, or ``groups`` no array.
+    """
+    check_each("people", people, Keypoints2D, "of read_keypoints")
+    check_type("groups", groups, np.ndarray | None, "of PartLabels")
+    if groups is not None and groups.ndim != 2:
+        raise InputError(f"groups: shape {groups.shape}; expected (H, W)")
+    if not people:
+        raise InputError("keypoints: nobody; expected at least one person")
+    if index is not None:
+        try:
+            return people[check_whole("person", index, 0, len(people) - 1)]
+        except ValueError as error:
+            raise InputError(str(error)) from None
+    scores = np.zeros(len(people))
+    for name in {keypoints.skeleton for keypoints in people}:
+        rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == name]
+        points, confidence = (np.stack([getattr(people[row], field) for row in rows]) for field in _FIELDS)
+        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(name, points, confidence)
+    return people[int(scores.argmax())]
+
+
+def _weights(points: np.ndarray, confidence: np.ndarray, groups: np.ndarray | None) -> np.ndarray:
+    """Weight of each keypoint in the choice of its person, shape (N, J)."""
+    if groups is None:
+        return confidence
+    height, width = groups.shape
+    columns, rows = np.moveaxis(np.floor(points).astype(np.int64), -1, 0)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    shown = groups[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+    return confidence * np.where(inside & (shown != 0), 1.0, 0.1)

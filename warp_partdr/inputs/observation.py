@@ -1,0 +1,116 @@
+"""What a fit sees of one person: a square crop with keypoints and labels, from which everybody else is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ..body.labels import IGNORE, LabelSet
+from ..cameras import Crop
+from ..interop.movable import Movable
+from .evidence import Evidence, weigh_evidence
+from .keypoints import Keypoints2D
+from .missing_labels import ignore_missing_limbs
+from .part_labels import PartLabels
+from .person import crop_nearest, person_crop
+
+REFERENCE_SIZE = 256  # [px], the paper's image size; losses are stated for it
+CROP_MARGIN = 0.1  # of the person's extent, on each side
+LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is drawn
+
+
+@dataclass(frozen=True)
+class Observation(Movable):
+    """What is known of the person, in a square crop of side 2 (coordinates -1 to 1).
+
+    Attributes:
+        landmarks: Names of the L keypoints that are there.
+        points: Where they are, shape (L, 2).
+        confidence: How much they count, 0 to 1, shape (L,).
+        labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
+        label_set: What the group ids mean.
+        maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.
+        known: How much a pixel of ``maps`` counts, shape (N, N): what is missing to 1 is the share to be ignored.
+        lengths: What to expect of the person's ``LENGTH_NAMES`` [m], shape (12,); None: the mean adult's.
+        thicknesses: The same of ``THICKNESS_NAMES`` [m], shape (15,).
+    """
+
+    landmarks: tuple[str, ...]
+    points: torch.Tensor
+    confidence: torch.Tensor
+    labels: torch.Tensor | None
+    label_set: LabelSet | None
+    maps: torch.Tensor | None = None
+    known: torch.Tensor | None = None
+    lengths: torch.Tensor | None = None
+    thicknesses: torch.Tensor | None = None
+
+
+def observe(
+    keypoints: Keypoints2D,
+    parts: PartLabels | None,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    trust_background: bool = False,
+    device: torch.device | str = "cpu",
+) -> tuple[Observation, Crop]:
+    """Cut one person out: a square crop, keypoints in it from -1 to 1; other people and missing limbs are ignored.
+
+    Where labels and keypoints disagree on left and right, the keypoints are believed (``fit_body`` tries both).
+    """
+    evidence = weigh_evidence(keypoints, parts, others)[0]
+    return crop_evidence(evidence, trust_background=trust_background, device=device)
+
+
+def crop_evidence(
+    evidence: Evidence, *, trust_background: bool = False, device: torch.device | str = "cpu"
+) -> tuple[Observation, Crop]:
+    """The same of a person whose evidence was weighed."""
+    window, keypoints = evidence.window, evidence.in_window()
+    if evidence.groups is not None and not trust_background:
+        evidence = replace(evidence, groups=ignore_missing_limbs(evidence.groups, keypoints))
+    groups = np.zeros((1, 1), dtype=np.uint8) if evidence.groups is None else evidence.groups
+    x0, y0, x1, y1 = person_crop(keypoints, groups, CROP_MARGIN)
+    half = max(x1 - x0, y1 - y0) / 2
+    u, v = (x0 + x1) / 2, (y0 + y1) / 2
+    crop = Crop(
+        left=window.left + (u - half) / window.zoom,
+        top=window.top + (v - half) / window.zoom,
+        zoom=window.zoom * REFERENCE_SIZE / (2 * half),
+        size=(REFERENCE_SIZE, REFERENCE_SIZE),
+    )
+    labels = maps = known = None
+    if evidence.picture is not None:
+        side = 2 * half / window.zoom
+        box, size = (crop.left, crop.top, crop.left + side, crop.top + side), (LABEL_SIZE, LABEL_SIZE)
+        target = evidence.target(size, box)
+        labels = torch.from_numpy(target).to(device)
+        if evidence.picture.maps is not None:
+            seen = crop_nearest(evidence.picture.maps, box, size, fill=0.0)
+            known = torch.from_numpy(np.where(target == IGNORE, 0.0, seen.sum(0)).astype(np.float32)).to(device)
+            maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
+    visible = keypoints.visible
+    points = (keypoints.points[visible] - (u, v)) / half
+    names = [name for name, there in zip(keypoints.format.landmarks, visible, strict=True) if there]
+    return (
+        Observation(
+            landmarks=tuple(names),
+            points=torch.tensor(points, dtype=torch.float32, device=device),
+            confidence=torch.tensor(keypoints.confidence[visible], dtype=torch.float32, device=device),
+            labels=labels,
+            label_set=None if evidence.picture is None else evidence.picture.label_set,
+            maps=maps,
+            known=known,
+        ),
+        crop,
+    )
+
+
+def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:
+    """Square images (..., N, N) at ``size`` pixels a side: what lies under each new pixel's centre."""
+    old = labels.shape[-1]
+    index = ((torch.arange(size, device=labels.device) + 0.5) * old / size).long().clamp_max(old - 1)
+    return labels[..., index[:, None], index].contiguous()

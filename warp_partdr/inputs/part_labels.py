@@ -1,0 +1,255 @@
+"""Read a photo, a label set and part labels.
+
+Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette (``.png``), as an integer array (H, W),
+or as a network's probability maps (K, H, W) or (H, W, K) (``.npy``), with one channel per id of the label set.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..body.labels import IGNORE, LABEL_SETS, LabelSet, label_set
+from ..errors import InputError
+from ..files.array_files import Header, read_npy
+from ..files.json_files import read_json
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+# [px], of a photo or label image: 134 megapixels, with room in memory for what is made of them.
+LARGEST_PICTURE = 2**27
+
+# 16-bit softmax outputs are off by 1e-3 in their sum.
+_SUM_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class PartLabels:
+    """Part labels of a picture.
+
+    Attributes:
+        label_set: What the groups are.
+        groups: Group ids: 0 = background, 1 to G, 255 = ignore, shape (H, W), uint8.
+        maps: Probabilities of background and groups, shape (G + 1, H, W), float32, where the file had such; what is
+            missing to a sum of 1 is the probability of something to be ignored.
+    """
+
+    label_set: LabelSet
+    groups: np.ndarray
+    maps: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        groups, count = self.groups, self.label_set.num_groups
+        if not isinstance(groups, np.ndarray) or groups.ndim != 2 or groups.dtype != np.uint8 or not groups.size:
+            found = f"{groups.dtype} {groups.shape}" if isinstance(groups, np.ndarray) else type(groups).__name__
+            raise InputError(f"groups: {found}; expected a picture of uint8 group ids (H, W)")
+        if (strange := groups[(groups > count) & (groups != IGNORE)]).size:
+            raise InputError(f"groups: id {strange[0]}; expected 0 to {count} of {self.label_set.name}, or {IGNORE}")
+        shape = (count + 1, *groups.shape)
+        if self.maps is not None and (not isinstance(self.maps, np.ndarray) or self.maps.shape != shape):
+            raise InputError(f"maps: shape {np.shape(self.maps)}; expected {shape}")
+
+
+def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
+    """A label set by name, JSON file or content, see ``body.labels.label_set``.
+
+    Raises:
+        InputError: If there is none, or it is wrong.
+    """
+    try:
+        return label_set(source)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def described_label_set(path: Path) -> LabelSet:
+    """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
+    data = read_json(path, "ids and their names")
+    if isinstance(data, dict) and "groups" in data:
+        return read_label_set(path)
+    for labels in LABEL_SETS.values():
+        names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
+        if data == names:
+            return labels
+    raise InputError(
+        f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
+        "ids (docs/inputs.md)"
+    )
+
+
+def label_set_of(parts: Path, source: str | None) -> LabelSet:
+    """Label set of a file of part labels: the one named, or else the one that ``labels.json`` beside it describes.
+
+    Args:
+        parts: The file.
+        source: A label set's name or JSON file; None if none is named.
+
+    Raises:
+        InputError: If there is none, or it is wrong.
+    """
+    if source is not None:
+        return read_label_set(source)
+    beside = parts.with_name("labels.json")
+    if not beside.is_file():
+        raise InputError(
+            f"--labels: missing; expected what the ids of {parts} mean: one of {', '.join(LABEL_SETS)}, or a JSON file"
+        )
+    return described_label_set(beside)
+
+
+def read_photo(path: str | Path) -> np.ndarray:
+    """A picture as it is meant to be seen (turned as its EXIF data says), shape (H, W, 3), uint8.
+
+    Raises:
+        InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
+    """
+    from PIL import ImageOps
+
+    with _opened(path, "a picture") as image:
+        return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+
+
+@contextmanager
+def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
+    """A picture of which the header alone is read yet; of whatever goes wrong with it, an InputError."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # PIL's, of large pictures and odd metadata
+            with Image.open(path) as image:
+                _check_pixels(path, image.width * image.height)
+                yield image
+    except InputError:
+        raise
+    except Image.DecompressionBombError as error:
+        _check_pixels(path, 2 * (Image.MAX_IMAGE_PIXELS or 0) + 1)
+        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+    except (OSError, ValueError, SyntaxError, MemoryError) as error:
+        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+
+
+def _check_pixels(path: str | Path, pixels: int) -> None:
+    if pixels > LARGEST_PICTURE:
+        raise InputError(f"{path}: more than {LARGEST_PICTURE / 1e6:.0f} megapixels; expected a smaller picture")
+
+
+def check_sizes(**sizes: tuple[int, int] | None) -> None:
+    """Raise unless all (H, W) are one: ``check_sizes(photo=photo.shape[:2], parts=groups.shape)``; None is skipped.
+
+    Raises:
+        InputError: ``photo: 640x480; parts: 320x240; expected one size`` (width x height).
+    """
+    known = {name: size for name, size in sizes.items() if size is not None}
+    if len(set(known.values())) > 1:
+        shown = "; ".join(f"{name}: {width}x{height}" for name, (height, width) in known.items())
+        raise InputError(f"{shown}; expected one size")
+
+
+def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
+    """Part labels from a ``.png`` or ``.npy`` file.
+
+    Args:
+        path: The file.
+        labels: The label set that its ids belong to.
+
+    Raises:
+        InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
+            shows nobody, or, in a set of several groups, a single part.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".png":
+        array = _read_png(path)
+    elif suffix == ".npy":
+        array = _read_npy(path, len(labels.channel_ids))
+    else:
+        raise InputError(f"{path}: {suffix or 'no suffix'}; expected .png or .npy part labels")
+    if not array.size:
+        raise InputError(f"{path}: shape {array.shape}; expected pixels")
+    if array.ndim == 3:
+        parts = _from_probabilities(array, labels, str(path))
+    elif array.ndim == 2:
+        try:
+            parts = PartLabels(labels, labels.to_groups(array))
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from error
+    else:
+        raise InputError(f"{path}: shape {array.shape}; expected (H, W), or (K, H, W) probabilities")
+    _check_content(parts, str(path))
+    return parts
+
+
+def _read_png(path: str | Path) -> np.ndarray:
+    with _opened(path, "a PNG of part labels") as image:
+        if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
+            raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
+        return np.array(image).astype(np.int32)
+
+
+def _read_npy(path: str | Path, channels: int) -> np.ndarray:
+    def check(header: Header) -> None:
+        shape, dtype = header
+        if dtype.kind not in "biuf":
+            raise InputError(f"{path}: {dtype}; expected integers, or probabilities")
+        _check_pixels(path, math.prod(shape) // (channels if len(shape) == 3 else 1))
+
+    return read_npy(path, expected="a .npy array of part labels", check=check)
+
+
+def _reason(error: BaseException) -> str:
+    """One line for what went wrong with a file."""
+    return (
+        (error.strerror or str(error))
+        if isinstance(error, OSError)
+        else " ".join(str(error).split()) or type(error).__name__
+    )
+
+
+def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:
+    channels = len(labels.channel_ids)
+    if array.dtype.kind != "f":
+        raise InputError(f"{where}: {array.dtype} of shape {array.shape}; expected (H, W) ids, or float probabilities")
+    if array.shape[0] != channels and array.shape[2] == channels:
+        array = array.transpose(2, 0, 1)
+    if array.shape[0] != channels:
+        raise InputError(
+            f"{where}: shape {array.shape}; expected ({channels}, H, W) or (H, W, {channels}), "
+            f"one map per id of {labels.name}"
+        )
+    array = array.astype(np.float32)
+    low, high = float(array.min()), float(array.max())  # NaN if there is one.
+    if not (low >= 0.0 and high <= 1.0 + _SUM_TOLERANCE):
+        raise InputError(f"{where}: values from {low:g} to {high:g}; expected probabilities, 0 to 1")
+    totals = array.sum(axis=0)
+    if np.abs(totals - 1.0).max() > _SUM_TOLERANCE:
+        raise InputError(
+            f"{where}: class probabilities add up to {totals.min():g} to {totals.max():g}; expected 1 at each pixel"
+        )
+    maps = labels.to_group_maps(array)
+    ignored = 1.0 - maps.sum(axis=0)
+    groups = maps.argmax(axis=0).astype(np.uint8)
+    groups[ignored > maps.max(axis=0)] = IGNORE
+    return PartLabels(labels, groups, maps)
+
+
+def _check_content(parts: PartLabels, where: str) -> None:
+    """Refuse labels that show nobody, or one part only: no more than a silhouette, and likely a mistake."""
+    counts = np.bincount(parts.groups.ravel(), minlength=256)
+    shown = [group for group in range(1, parts.label_set.num_groups + 1) if counts[group]]
+    if not shown:
+        raise InputError(
+            f"{where}: empty, no pixel of a body part; expected a person in the labels of {parts.label_set.name}"
+        )
+    if len(shown) == 1 and parts.label_set.num_groups > 1 and not counts[IGNORE]:
+        name = parts.label_set.group_names[shown[0] - 1]
+        raise InputError(
+            f"{where}: one part only ({name}); expected several of {parts.label_set.name}, or the label set full1"
+        )

@@ -1,0 +1,255 @@
+"""One person out of a picture: whose pixels are whose, and the crop around them.
+
+Boxes are (x0, y0, x1, y1) in pixels of the picture: pixel (row v, column u) covers u to u + 1 and v to v + 1. A box may
+reach beyond the picture; what lies there the camera never saw, so its labels are 255, ignore, not background.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..body.labels import BACKGROUND, IGNORE
+from ..errors import InputError
+from .keypoints import Keypoints2D, person_height
+
+Box = tuple[float, float, float, float]
+
+# Shares of the person's height.
+_SEED_RADIUS = 0.03  # About an arm's half thickness: a labelled pixel so near to a bone is the person's.
+_REACH = 0.25  # Farther than this from any bone, nothing is the person's; half a trunk's width is 0.12.
+_LOOSE_REACH = 0.6  # The same around a joint whose next joint is missing: a whole limb may hang there.
+_MIN_SEED_RADIUS = 1.5  # [px]
+
+# Shares of the picture's longer side: networks guess that far where the border cuts a person off, not farther.
+_BEYOND = 2.0
+_LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
+
+_LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
+
+
+def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
+    """Raise unless the keypoints may be of a picture of this size; some may lie beyond its border.
+
+    Args:
+        keypoints: The person's.
+        size: (H, W) [px]; None if there is no picture.
+
+    Raises:
+        InputError: If no confident keypoint is in the picture, or one is very far from it.
+    """
+    width, height = size[::-1] if size else (_LARGEST, _LARGEST)
+    shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
+    reach = _BEYOND * max(width, height)
+    sure = np.flatnonzero(keypoints.confident)
+    points = keypoints.points[sure]
+    far = np.flatnonzero(((points < -reach) | (points > [width + reach, height + reach])).any(axis=1))
+    if far.size:
+        name, (x, y) = keypoints.format.landmarks[sure[far[0]]], points[far[0]]
+        raise InputError(f"keypoints: {name} at ({x:g}, {y:g}); expected it in {shown}, or near them")
+    if not ((points >= 0) & (points <= [width, height])).all(axis=1).any():
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        raise InputError(f"keypoints: all from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}); expected some in {shown}")
+
+
+def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> np.ndarray:
+    """Keep one person's labels; everybody else's, and stray blobs, become 255, ignore.
+
+    The person's are the labelled pixels along the bones between the confident keypoints, and all that hangs together
+    with them not too far from the bones.
+
+    Args:
+        groups: Group ids, shape (H, W), uint8.
+        keypoints: The person's.
+        others: Other people's keypoints, if known: pixels nearer to their bones are theirs.
+
+    Returns:
+        Group ids of shape (H, W), uint8.
+
+    Raises:
+        InputError: If no labelled pixel lies along the person's bones.
+    """
+    height = person_height(keypoints)
+    reach = max(_REACH * height, _MIN_SEED_RADIUS)
+    distances = _bone_distances(keypoints, groups.shape, reach)
+    foreground = (groups != BACKGROUND) & (groups != IGNORE)
+    seeds = foreground & (distances <= max(_SEED_RADIUS * height, _MIN_SEED_RADIUS))
+    if not seeds.any():
+        raise InputError(
+            "keypoints: no labelled pixel along the person's bones; expected keypoints and part labels to agree"
+        )
+    near = np.isfinite(distances)
+    for x, y in keypoints.points[_loose_ends(keypoints)]:
+        lower_near(near, np.array([x, y, x, y]), _LOOSE_REACH * height)
+    for other in others:
+        near &= distances <= _bone_distances(other, groups.shape, reach)
+    kept = connected(foreground & near, seeds & near)
+    return np.where(foreground & ~kept, IGNORE, groups).astype(np.uint8)
+
+
+def reach_box(keypoints: Keypoints2D) -> Box:
+    """A box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
+    height = person_height(keypoints)
+    reach = np.where(_loose_ends(keypoints), _LOOSE_REACH, _REACH) * height
+    reach = np.maximum(reach, _MIN_SEED_RADIUS)[keypoints.confident, None]
+    points = keypoints.points[keypoints.confident].astype(np.float64)
+    (x0, y0), (x1, y1) = (points - reach).min(axis=0), (points + reach).max(axis=0)
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float) -> np.ndarray:
+    """Distance [px] of each pixel's centre to the nearest bone or keypoint, inf beyond ``reach``, (H, W) float32."""
+    distances = np.full(size, np.inf, dtype=np.float32)
+    sure = keypoints.confident
+    bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
+    alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
+    for start, end in [*bones, *((joint, joint) for joint in alone)]:
+        lower_near(distances, np.concatenate([keypoints.points[start], keypoints.points[end]]), reach)
+    return distances
+
+
+def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
+    """Within ``reach`` of a line segment, lower distances to those to the segment, or set a mask.
+
+    Args:
+        image: Distances [px] or a mask, shape (H, W), float32 or bool; changed in place.
+        segment: Its two ends, (x, y, x, y) [px].
+        reach: How far from the segment [px].
+    """
+    x0, y0, x1, y1 = map(float, segment)
+    rows, columns = image.shape
+    top, bottom = _clip(min(y0, y1) - reach, rows), _clip(max(y0, y1) + reach + 1, rows)
+    left, right = _clip(min(x0, x1) - reach, columns), _clip(max(x0, x1) + reach + 1, columns)
+    u = np.arange(left, right, dtype=np.float32) + 0.5 - x0
+    v = np.arange(top, bottom, dtype=np.float32)[:, None] + 0.5 - y0
+    squared = squared_distances(u, v, x1 - x0, y1 - y0)
+    part = image[top:bottom, left:right]
+    if image.dtype == bool:
+        part |= squared <= reach**2
+    else:
+        np.minimum(part, np.where(squared <= reach**2, np.sqrt(squared), np.inf), out=part)
+
+
+def squared_distances(u: np.ndarray, v: np.ndarray, along_x: float, along_y: float) -> np.ndarray:
+    """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``."""
+    share = np.clip((u * along_x + v * along_y) / max(along_x**2 + along_y**2, 1e-12), 0.0, 1.0)
+    return (u - share * along_x) ** 2 + (v - share * along_y) ** 2
+
+
+def _clip(value: float, limit: int) -> int:
+    return int(min(max(math.floor(value), 0), limit))
+
+
+def _loose_ends(keypoints: Keypoints2D) -> np.ndarray:
+    """Confident joints whose next joint down a limb is not, shape (J,), bool."""
+    sure, landmarks = keypoints.confident, keypoints.format.landmarks
+    loose = np.zeros(len(sure), dtype=bool)
+    for edge in keypoints.format.edges:
+        for joint, following in (edge, edge[::-1]):
+            loose[joint] |= sure[joint] and not sure[following] and landmarks[following].endswith(_LIMB_JOINTS)
+    return loose
+
+
+def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """The pixels of ``mask`` that hang together with a seed (8 neighbours), shape (H, W), bool.
+
+    Works on runs, the unbroken stretches of a row, of which there are few: two runs of neighbouring rows touch if they
+    overlap or meet at a corner, and those that touch one run are consecutive.
+    """
+    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, starts = np.nonzero(steps == 1)
+    ends = np.nonzero(steps == -1)[1]  # Exclusive; both in reading order, so they belong together.
+    stride = mask.shape[1] + 2  # Positions in reading order, with a gap between rows.
+    start_keys, end_keys = rows * stride + starts, rows * stride + ends
+    touching = [
+        (
+            np.searchsorted(end_keys, start_keys + offset, side="left").tolist(),
+            np.searchsorted(start_keys, end_keys + offset, side="right").tolist(),
+        )
+        for offset in (-stride, stride)
+    ]
+    seed_counts = np.pad(np.cumsum(seeds & mask, axis=1), ((0, 0), (1, 0)))
+    reached = seed_counts[rows, ends] > seed_counts[rows, starts]
+    stack = np.flatnonzero(reached).tolist()
+    flags = reached.tolist()
+    while stack:
+        run = stack.pop()
+        for first, last in touching:
+            for other in range(first[run], last[run]):
+                if not flags[other]:
+                    flags[other] = True
+                    stack.append(other)
+    kept = np.zeros((mask.shape[0], mask.shape[1] + 1), dtype=np.int8)
+    chosen = np.array(flags, dtype=bool)
+    kept[rows[chosen], starts[chosen]] = 1
+    kept[rows[chosen], ends[chosen]] = -1
+    return np.cumsum(kept, axis=1, dtype=np.int8)[:, :-1].astype(bool)
+
+
+def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
+    """A box around a person's labels and confident keypoints.
+
+    Args:
+        keypoints: The person's.
+        groups: Group ids with only this person's in them (``select_person``), shape (H, W).
+        margin: Added on each side, as a share of the longer side.
+
+    Returns:
+        (x0, y0, x1, y1) [px], whole pixels; may reach beyond the picture.
+    """
+    points = keypoints.points[keypoints.confident].astype(np.float64)
+    rows, columns = np.nonzero((groups != BACKGROUND) & (groups != IGNORE))
+    if rows.size:
+        corners = [[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]]
+        points = np.concatenate([points, corners])
+    low, high = points.min(axis=0), points.max(axis=0)
+    grow = margin * max((high - low).max(), 1.0)
+    x0, y0 = np.floor(low - grow).astype(int).tolist()
+    x1, y1 = np.ceil(high + grow).astype(int).tolist()
+    return x0, y0, x1, y1
+
+
+def crop_size(box: Box, longest: int) -> tuple[Box, tuple[int, int]]:
+    """The size of a crop whose longer side has ``longest`` pixels, and the box grown so that its pixels are square.
+
+    Returns:
+        The box, about the same centre and exactly in the ratio of the size, and the size (H, W).
+    """
+    x0, y0, x1, y1 = box
+    pixel = max(x1 - x0, y1 - y0) / longest
+    width, height = (max(math.ceil((side / pixel) - 1e-6), 1) for side in (x1 - x0, y1 - y0))
+    u, v, w, h = (x0 + x1) / 2, (y0 + y1) / 2, width * pixel / 2, height * pixel / 2
+    return (u - w, v - h, u + w, v + h), (height, width)
+
+
+def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: float = IGNORE) -> np.ndarray:
+    """Cut a box out of labels or maps and resample it, each pixel from the nearest one.
+
+    Args:
+        image: Shape (..., H, W).
+        box: What to cut out; may reach beyond the picture.
+        size: (H, W) of the result.
+        fill: Value of what lies beyond the picture: 255, ignore, for labels; 0 for probability maps.
+
+    Returns:
+        Shape (..., *size), the dtype of ``image``.
+    """
+    x0, y0, x1, y1 = box
+    rows = np.floor(y0 + (np.arange(size[0]) + 0.5) * ((y1 - y0) / size[0])).astype(np.int64)
+    columns = np.floor(x0 + (np.arange(size[1]) + 0.5) * ((x1 - x0) / size[1])).astype(np.int64)
+    height, width = image.shape[-2:]
+    cropped = image[..., rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)]
+    beyond_rows, beyond_columns = (rows < 0) | (rows >= height), (columns < 0) | (columns >= width)
+    cropped[..., beyond_rows[:, None] | beyond_columns] = fill
+    return cropped
+
+
+def crop_keypoints(keypoints: Keypoints2D, box: Box, size: tuple[int, int]) -> Keypoints2D:
+    """The keypoints in pixels of the crop that ``crop_nearest`` makes; missing ones stay at 0."""
+    x0, y0, x1, y1 = box
+    scale = np.array([size[1] / (x1 - x0), size[0] / (y1 - y0)])
+    points = (keypoints.points - np.array([x0, y0])) * scale
+    points[~keypoints.visible] = 0.0
+    return Keypoints2D(keypoints.skeleton, points.astype(np.float32), keypoints.confidence)

@@ -1,0 +1,66 @@
+"""One person of a data set: what a fit may see, and what it is scored against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..cameras import Perspective, WeakPerspective
+from .keypoints import Keypoints2D
+from .part_labels import PartLabels
+from .person import Box
+
+
+@dataclass(frozen=True)
+class SmplFit:
+    """A body in SMPL's parameters, as data sets give them.
+
+    Attributes:
+        pose: Axis-angles of the root (in the camera frame) and 23 joints [rad], shape (24, 3).
+        betas: Shape, shape (10,).
+        gender: "neutral", "male" or "female".
+    """
+
+    pose: np.ndarray
+    betas: np.ndarray
+    gender: str = "neutral"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One person of a data set. Nothing but name and keypoints need be known.
+
+    Attributes:
+        source: What figures are pooled over: a data set, or a level of difficulty.
+        name: Of the person within the source.
+        keypoints: What a fit sees: the person's 2D keypoints [px],
+        parts: and the picture's part labels.
+        others: Other people's keypoints in the picture.
+        target: The labels that the fit is scored against, group ids of ``parts.label_set``, 255 = ignore, (H, W).
+        mask: The person's silhouette, where it is annotated apart from the parts, shape (H, W), bool.
+        joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
+        joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
+        vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
+        smpl: The true body as SMPL's parameters.
+        camera: The true camera.
+        picture: File of the picture, or the picture, shape (H, W, 3), uint8.
+        box: Around the person, (x0, y0, x1, y1) [px].
+    """
+
+    source: str
+    name: str
+    keypoints: Keypoints2D
+    parts: PartLabels | None = None
+    others: tuple[Keypoints2D, ...] = ()
+    target: np.ndarray | None = None
+    mask: np.ndarray | None = None
+    joints: np.ndarray | None = None
+    joint_names: tuple[str, ...] = skeleton(MPJPE_SKELETON).landmarks
+    vertices: np.ndarray | None = None
+    smpl: SmplFit | None = None
+    camera: WeakPerspective | Perspective | None = None
+    picture: Path | np.ndarray | None = None
+    box: Box | None = None

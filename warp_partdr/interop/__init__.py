@@ -1,0 +1,1 @@
+"""Torch and Warp, and nothing of bodies: arrays, streams, graphs, checks of tensors, devices."""

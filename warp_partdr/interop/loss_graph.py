@@ -1,0 +1,240 @@
+"""L_seg of a batch and its gradient, found together: launched one by one, or for small batches as a captured graph.
+
+A small batch is done before Python has launched its kernels. So these are captured once, in buffers that are kept, and
+a call copies what is given into the buffers, replays, and copies what was found.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, Protocol
+
+import torch
+import warp as wp
+
+from ..kernels.launch import get_num_threads, launch_in_slices, run_slices, split_batch
+from .derivatives import once
+from .streams import capture_graph, launching, on_torch_stream
+
+Shapes = tuple[torch.Size, ...]
+
+_SMALL_PIXELS = 2**20
+_MAX_GRAPHS = 8
+
+
+@dataclass(frozen=True)
+class Buffers:
+    """What launches read and write, of B bodies.
+
+    Attributes:
+        inputs: What the gradient is with respect to, each of shape (B, ...); a body's numbers are contiguous.
+        target: Wanted labels, shape (N, H, W), N = 1 or B, uint8.
+        weights: Of labels, shape (256,).
+        losses: Partial sums of L_seg, shape (B, K).
+        grads: Gradients, laid out as the inputs; empty where none is wanted.
+    """
+
+    inputs: tuple[torch.Tensor, ...]
+    target: torch.Tensor
+    weights: torch.Tensor
+    losses: torch.Tensor
+    grads: tuple[torch.Tensor, ...]
+
+    def of_bodies(self, part: slice) -> Buffers:
+        """Those of some bodies."""
+        return Buffers(
+            tuple(tensor[part] for tensor in self.inputs),
+            self.target if len(self.target) == 1 else self.target[part],
+            self.weights,
+            self.losses[part],
+            tuple(tensor[part] for tensor in self.grads),
+        )
+
+
+class Recipe(Protocol):
+    """How a renderer finds the loss and its gradient: the same object for the same options, for it is a graph's key."""
+
+    def __hash__(self) -> int: ...
+
+    @property
+    def name(self) -> str:
+        """Of the public function."""
+        ...
+
+    @property
+    def modules(self) -> Sequence[ModuleType]:
+        """Python modules of the kernels it launches."""
+        ...
+
+    def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
+        """K, how many partial sums of its loss a body has."""
+        ...
+
+    def prepare(self, buffers: Buffers) -> Callable[[], None]:
+        """Allocate what is needed between; returns what fills ``losses`` and ``grads``: launches alone."""
+        ...
+
+
+def find_label_loss(
+    recipe: Recipe, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """L_seg of a batch, and its gradient if one is needed.
+
+    Args:
+        recipe: The renderer's.
+        tensors: What the loss depends on, shapes (B, ...), on one device.
+        target: Shape (N, H, W), N = 1 or B, uint8.
+        weights: From ``weight_table``.
+
+    Returns:
+        The loss of each body, differentiable, shape (B,), and ``rows``: ``rows[0]`` is a copy of the tensors for
+        ``split_rows``.
+    """
+    wanted = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    shapes = tuple([tensor.shape for tensor in tensors])
+    with torch.no_grad():
+        if wanted and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
+            loss, rows = _graph(recipe, shapes, target)(tensors, target, weights)
+        else:
+            loss, rows = launch_label_loss(recipe, wanted, tensors, target, weights)
+    if wanted:
+        loss = LabelLoss.apply(recipe.name, (loss, rows), *tensors)
+    return loss, rows
+
+
+class LabelLoss(torch.autograd.Function):
+    """A loss whose gradient was found with it, and waits for a factor."""
+
+    @staticmethod
+    def forward(ctx: Any, name: str, found: tuple[torch.Tensor, torch.Tensor], *tensors: torch.Tensor) -> torch.Tensor:
+        """The loss; ``found`` is a tuple, in which autograd sees no tensors."""
+        loss, rows = found
+        ctx.save_for_backward(rows)
+        # Not saved as rows are, for they may be written to until then: only their shapes and history are asked for.
+        ctx.name, ctx.tensors = name, tensors
+        return loss
+
+    @staticmethod
+    def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
+        """One multiplication serves all tensors."""
+        (rows,) = ctx.saved_tensors
+        shapes = tuple([tensor.shape for tensor in ctx.tensors])
+        scaled = rows.select(0, 1) * grad_loss.unsqueeze(1)
+        views = zip(_layout(shapes), ctx.needs_input_grad[2:], strict=True)
+        gradients = tuple([_view(scaled, place) if needed else None for place, needed in views])
+        return None, None, *once(ctx.name, gradients, grad_loss, *ctx.tensors)
+
+
+def split_rows(rows: torch.Tensor, shapes: Shapes) -> tuple[torch.Tensor, ...]:
+    """Views of shapes (B, ...) into contiguous rows (B, R), which hold a body's numbers one after another."""
+    return tuple(_view(rows, place) for place in _layout(shapes))
+
+
+_Place = tuple[torch.Size, tuple[int, ...], int]  # shape, strides and first number
+
+
+def _view(rows: torch.Tensor, place: _Place) -> torch.Tensor:
+    shape, strides, start = place
+    return rows.as_strided(shape, strides, rows.storage_offset() + start)
+
+
+@lru_cache(maxsize=64)
+def _layout(shapes: Shapes) -> list[_Place]:
+    """Where the tensors are in rows."""
+    length, layout, start = row_length(shapes), [], 0
+    for shape in shapes:
+        inner = [math.prod(shape[k + 1 :]) for k in range(1, len(shape))]
+        layout.append((shape, (length, *inner), start))
+        start += math.prod(shape[1:])
+    return layout
+
+
+def row_length(shapes: Shapes) -> int:
+    """R, how many numbers a body has."""
+    return sum(math.prod(shape[1:]) for shape in shapes)
+
+
+def launch_label_loss(
+    recipe: Recipe, wanted: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Loss and rows, in fresh buffers and launch by launch; with ``wanted``, ``rows[1]`` is the gradient."""
+    shapes = tuple([tensor.shape for tensor in tensors])
+    (batch, height, width), device = (shapes[0][0], *target.shape[1:]), target.device
+    rows = torch.empty(2 if wanted else 1, batch, row_length(shapes), device=device)
+    inputs = split_rows(rows[0], shapes)
+    grads = split_rows(rows[1], shapes) if wanted else ()
+    torch._foreach_copy_(inputs, tensors)
+    losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
+    buffers = Buffers(inputs, target.contiguous(), weights, losses, grads)
+    if batch > 0:
+        with on_torch_stream(device) as where:
+            launch_in_slices(
+                lambda part: recipe.prepare(buffers.of_bodies(part))(),
+                batch,
+                wp.get_device(where),
+                modules=recipe.modules,
+            )
+    return losses.sum(1), rows
+
+
+class LossGraph:
+    """The same in buffers that are kept, as a captured graph: on the CPU device one for each thread's bodies.
+
+    Args:
+        recipe: The renderer's.
+        shapes: Of the inputs.
+        targets: Shape of the target.
+        device: Where; on CUDA, for torch's current stream.
+    """
+
+    def __init__(self, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device) -> None:
+        batch, (_, height, width) = shapes[0][0], targets
+        self._rows = torch.zeros(2, batch, row_length(shapes), device=device)
+        self._inputs, grads = (split_rows(rows, shapes) for rows in self._rows)
+        self._target = torch.zeros(targets, dtype=torch.uint8, device=device)
+        self._weights, self._copied = torch.zeros(256, device=device), torch.empty(0)
+        self._losses = torch.zeros(batch, recipe.num_losses(device, batch, height, width), device=device)
+        buffers = Buffers(self._inputs, self._target, self._weights, self._losses, grads)
+        self._device = device
+        self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
+        self._slices = split_batch(batch, on_cpu=device.type == "cpu")
+        with on_torch_stream(device):
+            # They are kept, for a graph holds no memory alive.
+            self._launches = {part.start: recipe.prepare(buffers.of_bodies(part)) for part in self._slices}
+        self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
+
+    def __call__(
+        self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Loss and rows. Copies, for the next call fills the buffers again."""
+        torch._foreach_copy_(self._inputs, tensors)
+        self._target.copy_(target)
+        if weights is not self._copied:  # nobody changes a ``weight_table``
+            self._weights.copy_(weights)
+            self._copied = weights
+        if self._stream is None:
+            with on_torch_stream(self._device):
+                run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
+        else:
+            with launching(), torch.cuda.device(self._device):
+                wp.capture_launch(self._graphs[0], stream=self._stream)
+        return self._losses.sum(1), self._rows.clone()
+
+
+def _graph(recipe: Recipe, shapes: Shapes, target: torch.Tensor) -> LossGraph:
+    """The graph for these sizes, kept for the next call: for each thread and stream its own, for its buffers are."""
+    device = target.device
+    where = get_num_threads() if device.type == "cpu" else torch.cuda.current_stream(device).cuda_stream
+    return _cached_graph(threading.get_ident(), where, recipe, shapes, target.shape, device)
+
+
+@lru_cache(maxsize=_MAX_GRAPHS)
+def _cached_graph(
+    thread: int, where: int, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device
+) -> LossGraph:
+    return LossGraph(recipe, shapes, targets, device)

@@ -1,0 +1,133 @@
+"""The constant arrays that the fused refinement reads, made once a device: skeleton, landmarks, prior."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import warp as wp
+
+from ..body.landmarks import LANDMARKS, landmark_points
+from ..body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
+from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from ..kernels.refine.state import Bone, Landmark, Landmarks, Mixture, Rules, Skeleton, Touch
+
+LANDMARK_NAMES = tuple(LANDMARKS)
+
+
+def _subtrees() -> list[int]:
+    """For each part a bit mask of what moves with it, itself included; the last one is the root's."""
+    masks = [1 << part for part in range(NUM_PARTS)] + [0]
+    for part in reversed(range(NUM_PARTS)):  # parents come before their children; -1 is the last entry
+        masks[PARENTS[part]] |= masks[part]
+    return masks
+
+
+def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
+    """An array of Warp structs, from their members."""
+    return wp.array(_rows(kind, **columns), dtype=kind, device=device)
+
+
+def _rows(kind: Any, **columns: Any) -> np.ndarray:
+    rows: Any = np.zeros(len(next(iter(columns.values()))), dtype=kind.numpy_dtype())
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+@lru_cache(maxsize=8)
+def skeleton(device: str) -> Skeleton:
+    """The template on a Warp device."""
+    table = Skeleton()
+    table.bones = _structs(
+        Bone,
+        device,
+        parent=(*PARENTS, -1),
+        subtree=_subtrees(),
+        shape=(*SHAPE_INDICES, (0, 0, 0)),
+        rest_axes=(*template().rest_axes, np.eye(3)),
+    )
+    table.locked = sum(1 << part for part in LOCKED_PARTS)
+    return table
+
+
+def landmarks(device: str, points: wp.array, votes: wp.array) -> Landmarks:
+    """All ``LANDMARK_NAMES`` on a Warp device; ``points`` and ``votes`` say where which of them are seen."""
+    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
+    first, second = normalised.swapaxes(0, 1)
+    table = Landmarks()
+    table.landmarks = _structs(Landmark, device, parts=parts, shares=shares, first=first, second=second)
+    touches, first_touch = find_touches(LANDMARK_NAMES)
+    table.touches = wp.array(touches, dtype=Touch, device=device)
+    table.first_touch = wp.array(first_touch, dtype=int, device=device)
+    table.points = points
+    table.votes = votes
+    return table
+
+
+def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Which landmarks hold on to part 0, to part 1, ..., and where each part's begin.
+
+    Rows of ``Touch``, as many as all ``LANDMARK_NAMES`` have: those of ``names`` first. The others are never read, for
+    each costs time in every iteration.
+    """
+    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
+    index, end = np.nonzero(shares > 0)
+    wanted = np.isin(LANDMARK_NAMES, list(names))[index]
+    order = np.lexsort((np.arange(len(index)), parts[index, end], ~wanted))
+    index, end, count = index[order], end[order], np.count_nonzero(wanted)
+    rows = _rows(
+        Touch,
+        landmark=index,
+        share=shares[index, end],
+        normalised=normalised[index, end],
+        counts=np.equal(end, 0),
+    )
+    return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
+
+
+def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array, depths: wp.array) -> Rules:
+    """Sizes (N, 12) and (N, 15) and depths (N, 20) of N people, and the prior's joint limits if there is one."""
+    table = Rules()
+    table.usual_lengths, table.usual_thicknesses, table.depths = lengths, thicknesses, depths
+    free = np.full((NUM_PARTS, 3), np.inf)
+    lower, upper = (
+        (-free, free) if prior is None else (prior.lower_limits.cpu().numpy(), prior.upper_limits.cpu().numpy())
+    )
+    table.lower_limits = wp.array(lower, dtype=wp.vec3, device=device)
+    table.upper_limits = wp.array(upper, dtype=wp.vec3, device=device)
+    return table
+
+
+_mixtures: WeakKeyDictionary[PosePrior, dict[str, Mixture]] = WeakKeyDictionary()
+
+
+def mixture(device: str, prior: PosePrior | None) -> Mixture:
+    """A prior's Gaussians on a Warp device; none of them without a prior."""
+    if prior is None:
+        return _mixture(device, np.empty((0, NUM_FEATURES, NUM_FEATURES)), np.empty((0, NUM_FEATURES)), np.empty(0))
+    known = _mixtures.setdefault(prior, {})
+    if device not in known:
+        log_weights = prior._log_weights.double().cpu().numpy()
+        whitened_means = prior._whitened_means.double().cpu().numpy()
+        whitening = prior._whitening.double().cpu().numpy().reshape(-1, NUM_FEATURES, NUM_FEATURES)
+        means = np.linalg.solve(whitening, whitened_means[..., None])[..., 0]
+        known[device] = _mixture(device, whitening.transpose(0, 2, 1) @ whitening, means, log_weights)
+    return known[device]
+
+
+def _mixture(device: str, precisions: np.ndarray, means: np.ndarray, log_weights: np.ndarray) -> Mixture:
+    slots = np.full(NUM_PARTS + 1, -1)
+    if len(log_weights):
+        slots[[*FREE_PARTS, NUM_PARTS]] = np.arange(len(FREE_PARTS) + 1)
+    count = NUM_FEATURES // 3
+    blocks = precisions.reshape(-1, count, 3, count, 3).transpose(3, 2, 4, 0, 1).reshape(count, 9, -1)
+    table = Mixture()
+    table.slots = wp.array(slots, dtype=int, device=device)
+    table.means = wp.array(means.reshape(-1, count, 3), dtype=wp.vec3, device=device)
+    table.precisions = wp.array(np.ascontiguousarray(blocks), dtype=float, device=device)
+    table.log_weights = wp.array(log_weights, dtype=float, device=device)
+    return table

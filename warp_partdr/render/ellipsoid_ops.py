@@ -1,0 +1,166 @@
+"""Exact ellipsoids under ``torch.compile``: custom operations, which it does not look into.
+
+Their options are numbers and words one by one, for that is what an operation takes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import torch
+
+from ..interop.derivatives import once, raise_second_derivative
+from ..interop.loss_graph import launch_label_loss, row_length
+from .ellipsoid_passes import Gradient, Options, View, dense_gradient, draw, gradients, loss_recipe
+
+_NUM_TENSORS = 4  # centres, axes, semi-axes, camera
+
+
+def numbers_of(view: View, options: Options) -> tuple[Any, ...]:
+    """View and options as the operations take them."""
+    return (
+        view.height,
+        view.width,
+        view.near,
+        view.perspective,
+        list(view.labels),
+        options.gradient,
+        options.over_farther,
+        options.max_distance,
+        options.depth_weight,
+        options.steps_per_pixel,
+        options.halvings,
+    )
+
+
+def label_maps(labels: torch.Tensor, num_maps: int) -> torch.Tensor:
+    """1 where a label is shown, else 0, for labels 1 to K, shape (B, K, H, W)."""
+    index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=labels.device)
+    return (labels[:, None] == index[:, None, None]).float()
+
+
+@torch.library.custom_op("warp_partdr::ellipsoid_maps", mutates_args=())
+def _maps_op(
+    centres: torch.Tensor,
+    axes: torch.Tensor,
+    semi_axes: torch.Tensor,
+    camera: torch.Tensor,
+    num_maps: int,
+    height: int,
+    width: int,
+    near: float,
+    perspective: bool,
+    labels: Sequence[int],
+    gradient: str,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    steps_per_pixel: float,
+    halvings: int,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    view = View(height, width, near, perspective, tuple(labels))
+    picture = draw((centres, axes, semi_axes, camera), view)
+    return label_maps(picture.labels, num_maps), picture.labels, picture.depth, picture.parts
+
+
+@_maps_op.register_fake
+def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, num_maps: int, height: int, width: int, *rest: Any) -> Any:
+    shape = (centres.shape[0], height, width)
+    labels, parts = (centres.new_empty(shape, dtype=torch.uint8) for _ in range(2))
+    return centres.new_empty(shape[0], num_maps, height, width), labels, centres.new_empty(shape), parts
+
+
+@torch.library.custom_op("warp_partdr::ellipsoid_maps_backward", mutates_args=())
+def _maps_backward_op(
+    centres: torch.Tensor,
+    axes: torch.Tensor,
+    semi_axes: torch.Tensor,
+    camera: torch.Tensor,
+    grad_maps: torch.Tensor,
+    height: int,
+    width: int,
+    near: float,
+    perspective: bool,
+    labels: Sequence[int],
+    gradient: str,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    steps_per_pixel: float,
+    halvings: int,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    view = View(height, width, near, perspective, tuple(labels))
+    options = Options(cast(Gradient, gradient), over_farther, max_distance, depth_weight, steps_per_pixel, halvings)
+    tensors = (centres, axes, semi_axes, camera)
+    # Drawn again: what the gradient needs of the picture is no tensor, and drawing is the smaller part.
+    found = gradients(tensors, draw(tensors, view), view, options, dense_gradient(grad_maps))
+    return found[0], found[1], found[2], found[3]
+
+
+@_maps_backward_op.register_fake
+def _(*arguments: Any) -> Any:
+    return tuple(torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in arguments[:_NUM_TENSORS])
+
+
+def _save_maps(ctx: Any, inputs: Any, output: Any) -> None:
+    ctx.save_for_backward(*inputs[:_NUM_TENSORS])
+    ctx.numbers = inputs[_NUM_TENSORS + 1 :]
+
+
+def _backward_maps(ctx: Any, *incoming: torch.Tensor) -> Any:
+    found = torch.ops.warp_partdr.ellipsoid_maps_backward(*ctx.saved_tensors, incoming[0], *ctx.numbers)
+    return *found, None, *([None] * len(ctx.numbers))
+
+
+_maps_op.register_autograd(_backward_maps, setup_context=_save_maps)
+_maps_backward_op.register_autograd(lambda ctx, *grads: raise_second_derivative("draw_ellipsoids"))
+
+
+@torch.library.custom_op("warp_partdr::ellipsoid_label_loss", mutates_args=())
+def _loss_op(
+    centres: torch.Tensor,
+    axes: torch.Tensor,
+    semi_axes: torch.Tensor,
+    camera: torch.Tensor,
+    target: torch.Tensor,
+    weights: torch.Tensor,
+    wanted: bool,
+    height: int,
+    width: int,
+    near: float,
+    perspective: bool,
+    labels: Sequence[int],
+    gradient: str,
+    over_farther: bool,
+    max_distance: float,
+    depth_weight: float,
+    steps_per_pixel: float,
+    halvings: int,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    view = View(height, width, near, perspective, tuple(labels))
+    options = Options(cast(Gradient, gradient), over_farther, max_distance, depth_weight, steps_per_pixel, halvings)
+    return launch_label_loss(loss_recipe(view, options), wanted, (centres, axes, semi_axes, camera), target, weights)
+
+
+@_loss_op.register_fake
+def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, target: Any, weights: Any, wanted: bool, *rest: Any) -> Any:
+    batch = centres.shape[0]
+    length = row_length(tuple(tensor.shape for tensor in (centres, axes, semi_axes, camera)))
+    return centres.new_empty(batch), centres.new_empty(2 if wanted else 1, batch, length)
+
+
+def _save_loss(ctx: Any, inputs: Any, output: Any) -> None:
+    ctx.save_for_backward(output[1], *inputs[:_NUM_TENSORS])
+    ctx.num_others = len(inputs) - _NUM_TENSORS
+
+
+def _backward_loss(ctx: Any, grad_loss: torch.Tensor, grad_rows: torch.Tensor) -> Any:
+    rows, *tensors = ctx.saved_tensors
+    parts = (rows[1] * grad_loss[:, None]).split([math.prod(tensor.shape[1:]) for tensor in tensors], dim=1)
+    found = tuple(part.reshape(tensor.shape) for part, tensor in zip(parts, tensors, strict=True))
+    return *once("ellipsoid_label_loss", found, grad_loss, *tensors), *([None] * ctx.num_others)
+
+
+_loss_op.register_autograd(_backward_loss, setup_context=_save_loss)

@@ -1,0 +1,151 @@
+"""A part-labelled mesh: the faces, which part each shows, and the edges that may be silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..body.ellipbody import DEFAULT_SUBDIVISIONS, ellipbody_faces
+from ..interop.movable import Movable
+
+Edges = Literal["silhouette", "all"]
+
+MAX_LABEL = 254  # 0 is background and 255 means ignore
+
+
+@dataclass(frozen=True)
+class PartMesh(Movable):
+    """Topology shared by a whole batch; make one with ``PartMesh.from_faces`` or ``ellipbody_mesh``.
+
+    Attributes:
+        faces: Vertex indices, shape (F, 3), int32.
+        face_labels: Label 1 to 254 that a face shows, shape (F,), uint8.
+        edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
+            two labels, a border and each part of a non-manifold edge stand alone (other face -1).
+        num_labels: The highest label of a face, 255 aside; 0 without faces.
+        num_vertices: How many vertices the faces ask for at least.
+    """
+
+    faces: torch.Tensor
+    face_labels: torch.Tensor
+    edges: torch.Tensor
+    num_labels: int = field(init=False)
+    num_vertices: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        # Here and not when first asked for, which may be while torch.compile traces: then tensors have no numbers.
+        labels = self.face_labels[self.face_labels <= MAX_LABEL]
+        object.__setattr__(self, "num_labels", int(labels.max()) if labels.numel() else 0)
+        object.__setattr__(self, "num_vertices", int(self.faces.max()) + 1 if self.faces.numel() else 0)
+
+    @classmethod
+    def from_faces(cls, faces: np.ndarray, face_labels: np.ndarray, *, device: torch.device | str = "cpu") -> PartMesh:
+        """Build the edges of any triangle mesh.
+
+        Args:
+            faces: Vertex indices, shape (F, 3).
+            face_labels: Label of each face, 1 to 254, shape (F,).
+            device: Where the tensors go.
+
+        Raises:
+            ValueError: If a shape, an index or a label is out of range.
+        """
+        faces, face_labels = np.asarray(faces), np.asarray(face_labels)
+        for name, values in (("faces", faces), ("face_labels", face_labels)):
+            if values.dtype.kind not in "biuf" or not (np.isfinite(values) & (np.mod(values, 1) == 0)).all():
+                raise ValueError(f"{name}: {values.dtype}; expected integers")
+        if faces.ndim != 2 or faces.shape[1] != 3:
+            raise ValueError(f"faces: shape {faces.shape}; expected (F, 3)")
+        if face_labels.shape != (len(faces),):
+            raise ValueError(f"face_labels: shape {face_labels.shape}; expected ({len(faces)},)")
+        if faces.size and not 0 <= faces.min() <= faces.max() < 2**31:
+            raise ValueError(f"faces: index {faces.min()} to {faces.max()}; expected 0 or more, below 2**31")
+        if face_labels.size and (face_labels.min() < 1 or face_labels.max() > MAX_LABEL):
+            raise ValueError(f"face_labels: {face_labels.min()} to {face_labels.max()}; expected 1 to {MAX_LABEL}")
+        faces = np.ascontiguousarray(faces, dtype=np.int32)
+        return cls(
+            faces=torch.from_numpy(faces).to(device),
+            face_labels=torch.from_numpy(np.ascontiguousarray(face_labels, dtype=np.uint8)).to(device),
+            edges=torch.from_numpy(_find_edges(faces, face_labels)).to(device),
+        )
+
+    @cached_property
+    def every_edge(self) -> torch.Tensor:
+        """Each face's three edges alone, shape (3 F, 6): what NMR's rule (``edges="all"``) walks over."""
+        return _split_edges(self.faces)
+
+    def walked_edges(self, edges: Edges) -> torch.Tensor:
+        """Those whose x, y gradient is looked for: a public function's ``edges`` says which."""
+        if edges == "silhouette":
+            return self.edges
+        # torch.compile can't trace what ``cached_property`` does the first time.
+        return _split_edges(self.faces) if torch.compiler.is_compiling() else self.every_edge
+
+    def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
+        """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
+
+        A face with the new label 255 still hides what is behind it, but costs nothing where it shows; one with 0 is
+        left out. The edges stay those of the ellipsoids or parts that the mesh was built from.
+        """
+        old = self.face_labels.cpu().numpy()
+        try:
+            labels = np.array([table[int(label)] for label in old])
+        except LookupError as error:
+            raise ValueError(f"table: {error}; expected a label for each of the mesh's") from error
+        if labels.size and not (labels.dtype.kind in "iu" and 0 <= labels.min() <= labels.max() <= 255):
+            raise ValueError(f"table: {labels.tolist()[:5]}; expected labels 0 to 255")
+        new = torch.from_numpy(labels.astype(np.uint8)).to(self.faces.device)
+        if (new > 0).all():
+            return replace(self, face_labels=new)
+        # An edge between two faces lies within one part, so both are kept or none.
+        kept = torch.where(new > 0, (new > 0).cumsum(0) - 1, -1).int()
+        edges = self.edges.clone()
+        of_faces = edges[:, 2:4]
+        edges[:, 2:4] = torch.where(of_faces >= 0, kept[of_faces.long()], -1)
+        edges = edges[edges[:, 2:4].amax(1) >= 0]
+        return PartMesh(self.faces[new > 0], new[new > 0], edges)
+
+
+def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
+    """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
+    return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
+
+
+def _split_edges(faces: torch.Tensor) -> torch.Tensor:
+    face = torch.arange(faces.shape[0], dtype=torch.int32, device=faces.device)
+    none = torch.full_like(face, -1)
+    a, b, c = faces.unbind(1)
+    corners = ((a, b, c), (b, c, a), (c, a, b))
+    return torch.cat([torch.stack([i, j, face, none, k, k], dim=1) for i, j, k in corners])
+
+
+def _find_edges(faces: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Edges as ``PartMesh.edges``: pairs where exactly two faces of one label meet, single edges otherwise."""
+    count = len(faces)
+    if count == 0:
+        return np.zeros((0, 6), dtype=np.int32)
+    start = faces[:, [0, 1, 2]].T.reshape(-1)
+    end = faces[:, [1, 2, 0]].T.reshape(-1)
+    opposite = faces[:, [2, 0, 1]].T.reshape(-1)
+    face = np.tile(np.arange(count, dtype=np.int32), 3)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort((face, labels[face], high, low))
+    low, high, face, opposite = low[order], high[order], face[order], opposite[order]
+    key = np.stack([low, high, labels[face].astype(np.int32)])
+    is_new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)]
+    group = np.cumsum(is_new) - 1
+    size = np.bincount(group)
+    first = np.flatnonzero(is_new)
+    paired = first[size == 2]
+    single = np.flatnonzero(size[group] != 2)
+    pairs = np.stack(
+        [low[paired], high[paired], face[paired], face[paired + 1], opposite[paired], opposite[paired + 1]], axis=1
+    )
+    none = np.full(len(single), -1, dtype=np.int32)
+    singles = np.stack([low[single], high[single], face[single], none, opposite[single], opposite[single]], axis=1)
+    return np.concatenate([pairs, singles]).astype(np.int32)

@@ -1,0 +1,117 @@
+"""``body.npz``: a fitted body and its camera, and back, exactly.
+
+| key | shape | what |
+|---|---|---|
+| format | () | "warp-partdr body 1" |
+| global_orient | (3, 3) | rotation of the body in the camera frame |
+| translation | (3,) | position of the pelvis in the camera frame [m]; 0: a weak-perspective camera has no depth |
+| rotations | (20, 3, 3) | local rotation of each bone, order of ``part_names`` |
+| lengths | (12,) | ``LENGTH_NAMES`` [m] |
+| thicknesses | (15,) | ``THICKNESS_NAMES``, full widths [m] |
+| camera_scale | () | weak perspective: u = scale X + camera_translation[0] [px/m] |
+| camera_translation | (2,) | where the frame's origin is seen [px] |
+| image_size | (2,) | (H, W) of the picture [px] |
+| part_names | (20,) | names of the ellipsoids |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..body.ellipbody import EllipBody
+from ..body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES
+from ..cameras import WeakPerspective
+from ..errors import InputError
+from ..files.array_files import read_npz
+from ..interop.checks import rotation_fault
+from .result_sets import check_not_in_set, check_result
+
+FORMAT = "warp-partdr body 1"
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "global_orient": (3, 3),
+    "translation": (3,),
+    "rotations": (NUM_PARTS, 3, 3),
+    "lengths": (len(LENGTH_NAMES),),
+    "thicknesses": (len(THICKNESS_NAMES),),
+    "camera_scale": (),
+    "camera_translation": (2,),
+    "image_size": (2,),
+}
+_MAX_BYTES = 1_000_000  # of all arrays when unpacked; a body has 2 kB
+_POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
+
+
+@dataclass(frozen=True)
+class BodyFile:
+    """What ``body.npz`` holds, as float32 arrays of the shapes above; ``image_size`` is of integers."""
+
+    global_orient: np.ndarray
+    translation: np.ndarray
+    rotations: np.ndarray
+    lengths: np.ndarray
+    thicknesses: np.ndarray
+    camera_scale: np.ndarray
+    camera_translation: np.ndarray
+    image_size: np.ndarray
+
+    def body(self, device: str | None = None) -> EllipBody:
+        """The body as Warp arrays, B = 1."""
+        return EllipBody.from_numpy(
+            global_orient=self.global_orient[None],
+            translation=self.translation[None],
+            rotations=self.rotations[None],
+            lengths=self.lengths[None],
+            thicknesses=self.thicknesses[None],
+            device=device,
+        )
+
+    def camera(self) -> WeakPerspective:
+        """The camera of the picture."""
+        return WeakPerspective(
+            torch.from_numpy(self.camera_scale.reshape(1)), torch.from_numpy(self.camera_translation.reshape(1, 2))
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the file.
+
+        Raises:
+            InputError: If a report beside it says that it is of a fit: that would not be true any more.
+        """
+        check_not_in_set(Path(path))
+        arrays = {name: getattr(self, name) for name in _SHAPES}
+        np.savez(path, format=np.array(FORMAT), part_names=np.array(PART_NAMES), **arrays)
+
+
+def load_body(path: str | Path) -> BodyFile:
+    """Read a ``body.npz``; nothing in it is ever unpickled.
+
+    Raises:
+        InputError: If the file is missing or no body file, holds wrong shapes, NaN, infinity or what is no rotation, or
+            is of another fit than the report beside it.
+    """
+    data = read_npz(path, (*_SHAPES, "format"), expected="a body.npz of partdr fit", most=_MAX_BYTES)
+    check_result(path)
+    if str(found := data.pop("format")) != FORMAT:
+        raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
+    return BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})
+
+
+def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
+    shape = _SHAPES[name]
+    whole = name == "image_size"
+    if values.shape != shape or values.dtype.kind not in ("iu" if whole else "fiu"):
+        kind = "integers" if whole else "numbers"
+        raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {kind} {shape}")
+    with np.errstate(over="ignore"):  # what is too large becomes infinity, which is refused next
+        values = values.astype(np.int64 if whole else np.float32)
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {shape}")
+    if shape[-2:] == (3, 3) and (fault := rotation_fault(torch.from_numpy(values))):
+        raise InputError(f"{where}: {name}: {fault}")
+    if name in _POSITIVE and values.min() <= 0:
+        raise InputError(f"{where}: {name}: {values.min():g}; expected positive numbers")
+    return values

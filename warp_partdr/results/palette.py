@@ -1,0 +1,56 @@
+"""The colours of body parts and of directions in depth, the same in every picture and file.
+
+Left limbs are warm, right limbs are cool, the middle of the trunk is violet and the head yellow, so sides can be told
+apart without telling red from green; along a limb, the colours grow lighter towards its end. Parts that touch differ by
+more than 12 in CIE L*a*b*, also as colour-blind people see them (``tests/results/test_plot.py`` measures it).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..body.template import PART_NAMES
+
+_COLOURS: dict[str, tuple[int, int, int]] = {
+    "left_hip": (152, 107, 88),
+    "right_hip": (121, 101, 168),
+    "abdomen": (137, 136, 172),
+    "chest": (174, 173, 227),
+    "neck": (202, 198, 151),
+    "left_shoulder": (192, 156, 164),
+    "right_shoulder": (149, 214, 212),
+    "head": (240, 210, 80),
+    "left_upper_leg": (176, 58, 20),
+    "right_upper_leg": (12, 72, 140),
+    "left_lower_leg": (221, 102, 35),
+    "right_lower_leg": (32, 112, 190),
+    "left_foot": (250, 157, 88),
+    "right_foot": (90, 160, 225),
+    "left_upper_arm": (141, 29, 78),
+    "right_upper_arm": (0, 100, 105),
+    "left_forearm": (229, 63, 136),
+    "right_forearm": (31, 135, 125),
+    "left_hand": (240, 149, 145),
+    "right_hand": (109, 220, 190),
+}
+PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PART_NAMES)], dtype=np.uint8)
+"""RGB of each part label 0 to 20, shape (21, 3); 0 = background."""
+
+DEPTH_COLOURS = np.array([(220, 80, 20), (60, 60, 60), (0, 90, 181)], dtype=np.uint8)
+"""RGB of a direction along z: toward the viewer, neither, away, shape (3, 3)."""
+
+IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
+
+
+def group_colours(part_groups: np.ndarray) -> np.ndarray:
+    """RGB of each group id 0 to 255: the mean colour of the group's parts, gray for 255, shape (256, 3), uint8.
+
+    Args:
+        part_groups: Group id of each part label, shape (21,), as ``LabelSet.part_groups``.
+    """
+    table = np.zeros((256, 3), dtype=np.uint8)
+    for group in np.unique(part_groups[1:]):
+        table[group] = PART_COLOURS[1:][part_groups[1:] == group].mean(0)
+    table[0] = 0
+    table[255] = IGNORE_COLOUR
+    return table

@@ -1,0 +1,465 @@
+"""Figures of bodies, fits and gradients.
+
+Each of them is a ``matplotlib.figure.Figure`` that belongs to no window: ``figure.savefig("figure.png")`` needs no
+screen, and ``figure.axes`` are there to be changed. Of a batch, the first body is shown. Parts have the colours of
+``palette``, as in all other pictures and files. Matplotlib is loaded by the first figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
+from ..body.parameters import BodyParameters
+from ..body.posing import Posed
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, SHAPE_INDICES, THICKNESS_NAMES
+from ..cameras import Camera, WeakPerspective
+from ..errors import check_whole
+from ..fit.result import FitResult
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.part_labels import PartLabels
+from ..metrics import mpjpe, pa_mpjpe
+from ..refinement.refine import Refined
+from ..render.ellipsoid_passes import Gradient
+from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from ..render.mesh import label_loss
+from ..render.part_mesh import ellipbody_mesh
+from .palette import DEPTH_COLOURS, IGNORE_COLOUR, group_colours
+from .pictures import blend, draw_keypoints, panels, shade_body
+from .pictures import turntable as turned_pictures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+Body = FitResult | BodyParameters | Posed
+Image = np.ndarray | torch.Tensor
+
+_PARTS = "ellipbody20"
+_DPI = 100
+_BETWEEN = ("#0f4890", "#dd6623")  # two bodies, cool and warm
+_STAGES = ("#f6f6f6", "#e8edf3")
+
+
+def overlay(
+    body: Body,
+    photo: np.ndarray,
+    *,
+    camera: WeakPerspective | None = None,
+    keypoints: Keypoints2D | None = None,
+    opacity: float = 0.7,
+    legend: bool = True,
+) -> Figure:
+    """A body over the photo it was fitted to.
+
+    Args:
+        body: A fit, parameters or a posed body.
+        photo: Shape (H, W, 3), uint8.
+        camera: In pixels of the photo; a fit brings its own.
+        keypoints: Drawn over it, where they are confident.
+        opacity: Of the body, 0 to 1.
+        legend: Whether to name the parts that show.
+
+    Raises:
+        ValueError: If ``photo`` is no RGB picture, ``opacity`` is out of range, or ``camera`` is missing or not weak.
+    """
+    from PIL import Image as PilImage
+
+    photo = np.asarray(photo)
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
+        raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3)")
+    if not 0 <= opacity <= 1:
+        raise ValueError(f"opacity: {opacity}; expected 0 to 1")
+    size = photo.shape[0], photo.shape[1]
+    posed, seen = _first(body), _first_camera(_camera(body, camera))
+    if not isinstance(seen, WeakPerspective):
+        raise ValueError(f"camera: {type(seen).__name__}; expected WeakPerspective, as Perspective.to_weak gives it")
+    picture = PilImage.fromarray(blend(photo, shade_body(posed, seen, size), opacity))
+    if keypoints is not None:
+        draw_keypoints(picture, keypoints)
+    figure = _figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 6.0 + 1.1 * legend)
+    _show(figure.subplots(), np.asarray(picture))
+    if legend:
+        parts = label_set(_PARTS)
+        _legend(figure, part_patches(parts, draw_ellipsoids(posed, seen, size).labels))
+    return figure
+
+
+def part_panels(
+    target: PartLabels | Image, drawn: FitResult | Image, *, label_set: LabelSet | str | None = None
+) -> Figure:
+    """Wanted labels, drawn ones and where they differ, side by side, with the names of the parts.
+
+    Args:
+        target: Labels as read from a file, or group ids: 0 = background, 255 = ignore, shape (H, W), uint8.
+        drawn: A fit, or group ids of the same shape.
+        label_set: What the group ids mean; that of ``target`` where it brings one, else the 20 parts.
+
+    Raises:
+        ValueError: If the two are no label images of one shape, or ids are none of the set's.
+    """
+    groups = _label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
+    wanted = _labels("target", target.groups if isinstance(target, PartLabels) else target, groups)
+    if isinstance(drawn, FitResult):
+        shown = _draw(drawn.posed, drawn.camera, wanted.shape, groups)
+    else:
+        shown = _labels("drawn", drawn, groups)
+    if shown.shape != wanted.shape:
+        raise ValueError(f"drawn: shape {shown.shape}; expected {wanted.shape} as the target")
+    sheet = np.asarray(panels(wanted, shown, group_colours(groups.part_groups)))
+    patches = part_patches(groups, np.stack([wanted, shown]))
+    rows = -(-len(patches) // _columns(sheet.shape[1]))
+    width, height = sheet.shape[1] / _DPI, sheet.shape[0] / _DPI
+    below = 0.2 * rows + 0.1
+    # One pixel of the sheet is one of the figure's, so that labels stay sharp.
+    figure = _figure(width, height + below, layout=None)
+    axes = figure.add_axes((0, below / (height + below), 1, height / (height + below)))
+    axes.imshow(sheet, interpolation="nearest", aspect="auto")
+    axes.set_axis_off()
+    figure.legend(handles=patches, loc="lower center", ncols=_columns(sheet.shape[1]), frameon=False, fontsize=8)
+    return figure
+
+
+def gradient_field(
+    body: Body,
+    target: Image,
+    *,
+    camera: Camera | None = None,
+    label_set: LabelSet | str | None = None,
+    renderer: Literal["exact", "mesh"] = "exact",
+    subdivisions: int = 1,
+    gradient: Gradient = "partdr",
+) -> Figure:
+    """Where part labels pull a body: arrows against the gradient in x and y, their colour against it in z.
+
+    The loss is L_seg [px of label maps], its gradient with respect to points in the camera frame [px/m]: the
+    ellipsoids' centres ("exact"), or the mesh's vertices ("mesh"; those without a gradient have no arrow).
+
+    Args:
+        body: A fit, parameters or a posed body.
+        target: Wanted group ids in the camera's picture: 0 = background, 255 = ignore, shape (H, W), uint8.
+        camera: In pixels of the target; a fit brings its own.
+        label_set: What the group ids mean; the 20 parts by default.
+        renderer: "exact" ellipsoids, or their "mesh".
+        subdivisions: Level of the mesh, 0 to 3.
+        gradient: Of the exact renderer, as in ``ellipsoid_label_loss``; the mesh has PartDR's.
+
+    Raises:
+        ValueError: If ``target`` is no label image of the set, ``renderer`` is unknown or ``camera`` is missing.
+    """
+    if renderer not in ("exact", "mesh"):
+        raise ValueError(f"renderer: {renderer!r}; expected exact, mesh")
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    groups = _label_set(label_set)
+    wanted = _labels("target", target, groups)
+    posed, seen = _first(body), _first_camera(_camera(body, camera))
+    goal = torch.from_numpy(wanted)[None].to(posed.centres.device)
+    if renderer == "exact":
+        points = posed.centres.clone().requires_grad_()
+        moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
+        part_labels = groups.part_groups[1:].tolist()
+        loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient=gradient)
+    else:
+        points = posed.vertices(subdivisions).requires_grad_()
+        mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
+        loss, _ = label_loss(seen.project(points), mesh, goal, perspective=seen.perspective)
+    (slope,) = torch.autograd.grad(loss.sum(), points)
+    downhill = -slope[0].cpu().numpy()
+    places = seen.project(points.detach())[0, :, :2].cpu().numpy()
+
+    colours = group_colours(groups.part_groups)
+    colours[BACKGROUND] = 255
+    figure = _figure(5.5 * min(wanted.shape[1] / wanted.shape[0], 2.0) + 1.6, 6.6)
+    axes = figure.subplots()
+    _show(axes, (0.4 * colours[wanted] + 0.6 * 255).astype(np.uint8))
+    _outline(axes, _draw(posed, seen, wanted.shape, groups))
+    there = np.abs(downhill).max(1) > 0
+    longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
+    steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
+    colour_map, norm = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255), Normalize(-steepest, steepest)
+    u, v = places[there].T
+    arrows = axes.quiver(
+        u,
+        v,
+        *downhill[there].T,
+        angles="xy",
+        scale_units="xy",
+        scale=longest / (max(wanted.shape) / 6),  # the longest arrow: a sixth of the picture
+        width=0.008 if renderer == "exact" else 0.004,
+        edgecolor="white",
+        linewidth=0.4,
+        zorder=3,
+        cmap=colour_map,
+        norm=norm,
+    )
+    dot = 40 if renderer == "exact" else 10
+    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
+    key = float(f"{longest / 2:.1g}")
+    axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
+    figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
+    points_name = "centres" if renderer == "exact" else f"vertices of E{subdivisions}"
+    axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {points_name}")
+    _legend(figure, part_patches(groups, wanted))
+    return figure
+
+
+def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, label: str = "energy") -> Figure:
+    """How a loss fell, on a logarithmic scale if it is positive; a fit's stages stand apart: their weights differ.
+
+    Args:
+        history: A fit, a refinement (one line a body), or losses of shape (iterations,) or (iterations, B).
+        label: Of the vertical axis.
+
+    Raises:
+        ValueError: If there are no values.
+    """
+    from matplotlib.ticker import LogFormatter
+
+    names: list[str] = []
+    if isinstance(history, FitResult):
+        names = [stage.name for stage in history.stages]
+        curves = history.history
+    elif isinstance(history, Refined):
+        curves = [history.history.detach().cpu().numpy()]
+    else:
+        curves = [np.asarray(history, dtype=np.float64)]
+    if not curves or any(curve.ndim not in (1, 2) for curve in curves) or not sum(len(curve) for curve in curves):
+        raise ValueError(f"history: {len(curves)} empty or of a wrong shape; expected one loss or more an iteration")
+    figure = _figure(8.0, 3.6)
+    axes = figure.subplots()
+    first = 0
+    for index, curve in enumerate(curves):
+        last = first + len(curve)
+        axes.plot(np.arange(first, last) + 0.5, curve, color=_BETWEEN[0], linewidth=1.6)
+        if names:
+            axes.axvspan(first, last, color=_STAGES[index % 2], zorder=0)
+            place = axes.get_xaxis_transform()
+            axes.text((first + last) / 2, 1.02, names[index], ha="center", va="bottom", transform=place)
+        first = last
+    if all((curve > 0).all() for curve in curves):
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.set_xlim(0, first)
+    axes.set_xlabel("iteration")
+    axes.set_ylabel(label)
+    axes.grid(axis="y", which="both", alpha=0.3)
+    return figure
+
+
+def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), tilt: float = 0, size: int = 320) -> Figure:
+    """A body from all sides.
+
+    Args:
+        body: A fit, parameters or a posed body.
+        turns: About the vertical [degrees]; 0 is the camera's view.
+        tilt: About the horizontal [degrees].
+        size: Of a view [px].
+
+    Raises:
+        ValueError: If there are no turns, or ``size`` is out of range.
+    """
+    if not turns:
+        raise ValueError("turns: none; expected one angle or more")
+    size = check_whole("size", size, 16, 4096)
+    views = np.stack(turned_pictures(_first(body), tuple((float(turn), float(tilt)) for turn in turns), size))
+    rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
+    views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
+    figure = _figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
+    for axes, turn, view in zip(figure.subplots(1, len(turns), squeeze=False)[0], turns, views, strict=True):
+        axes.imshow(view)
+        axes.set_axis_off()
+        axes.set_title(f"{turn:g}°")
+    _legend(figure, part_patches(label_set(_PARTS)))
+    return figure
+
+
+def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("first", "second")) -> Figure:
+    """Two bodies with their pelvises in one place: from the front, from the side, joint by joint and size by size.
+
+    The first one is shaded from the front, with the outline of the second; joints and sizes are of both.
+
+    Args:
+        first: A fit, parameters or a posed body.
+        second: The same.
+        names: What to call them.
+    """
+    bodies = [_first(body) for body in (first, second)]
+    joints = [body.joints[0].cpu().double() - body.joints[0, :1].cpu().double() for body in bodies]
+    low = torch.stack(joints).amin((0, 1)).numpy() - 0.15
+    high = torch.stack(joints).amax((0, 1)).numpy() + 0.15
+    across, down, deep = high - low
+    widths = (5.3 * across / down, 5.3 * deep / down, 2.6, 3.0)
+    figure = _figure(sum(widths) + 4.5, 6.4)
+    front, side, distance, sizes = figure.subplots(1, 4, width_ratios=widths)
+
+    scale = 480 / float(max(high[:2] - low[:2]))
+    size = (int(np.ceil((high[1] - low[1]) * scale)), int(np.ceil((high[0] - low[0]) * scale)))
+    extent = (low[0], low[0] + size[1] / scale, low[1] + size[0] / scale, low[1])
+    shades = []
+    for body in bodies:
+        pelvis = body.joints[:, 0, :2].cpu()
+        corner = torch.tensor(low[:2], dtype=pelvis.dtype)
+        camera = WeakPerspective(pelvis.new_tensor([scale]), -(pelvis + corner) * scale)
+        shades.append(shade_body(body, camera, size))
+    white = np.full((*size, 3), 255, dtype=np.uint8)
+    front.imshow(blend(white, shades[0], 0.75), extent=extent)
+    front.contour(shades[1][..., 3], levels=[127], colors=_BETWEEN[1], extent=extent, origin="upper", linewidths=1.2)
+    for axes, axis, label in ((front, 0, "x [m], right"), (side, 2, "z [m], away from the viewer")):
+        for colour, points, name in zip(_BETWEEN, joints, names, strict=True):
+            for bone, parent in enumerate(PARENTS):
+                ends = points[[parent + 1, bone + 1]]
+                axes.plot(
+                    ends[:, axis], ends[:, 1], "o-", color=colour, markersize=3, label=name if bone == 0 else None
+                )
+        axes.set_aspect("equal")
+        axes.set_xlabel(label)
+    front.set_title("front")
+    side.set_title("side")
+    front.set_ylabel("y [m], down")
+    side.set_xlim(low[2], high[2])
+    side.set_ylim(extent[2], extent[3])
+
+    apart = (joints[0] - joints[1]).norm(dim=-1).numpy() * 1000
+    distance.barh(np.arange(len(apart)), apart, color="#6d6d6d")
+    distance.set_yticks(np.arange(len(apart)), [_plain(name) for name in JOINT_NAMES])
+    distance.invert_yaxis()
+    distance.set_xlabel("distance of joints [mm]")
+    mean, aligned = (float(metric(*joints)) * 1000 for metric in (mpjpe, pa_mpjpe))
+    distance.set_title(f"MPJPE {mean:.0f} mm, PA-MPJPE {aligned:.0f} mm")
+
+    rows = np.arange(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
+    for offset, colour, body, name in zip((-0.2, 0.2), _BETWEEN, bodies, names, strict=True):
+        sizes.barh(rows + offset, _sizes(body) * 100, 0.4, color=colour, label=name)
+    sizes.set_yticks(rows, [*LENGTH_NAMES, *THICKNESS_NAMES])
+    sizes.invert_yaxis()
+    sizes.set_xlabel("size [cm]")
+    sizes.set_title("lengths and thicknesses")
+    figure.legend(handles=sizes.get_legend_handles_labels()[0], loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
+    """Handles of a legend: each group's colour and name.
+
+    Args:
+        groups: The label set.
+        labels: Group ids; only those that are in it are named, ignored pixels too. None: all groups.
+    """
+    from matplotlib.patches import Patch
+
+    colours = group_colours(groups.part_groups) / 255
+    present = range(1, groups.num_groups + 1) if labels is None else np.unique(_numpy(labels)).tolist()
+    named = [(colours[k], _plain(groups.group_names[k - 1])) for k in present if 0 < k <= groups.num_groups]
+    if IGNORE in present:
+        named.append((IGNORE_COLOUR / 255, "ignored"))
+    return [Patch(facecolor=colour, edgecolor="0.4", linewidth=0.5, label=name) for colour, name in named]
+
+
+def _figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """An empty figure [inches], which no window owns."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=_DPI, layout=layout)
+
+
+def _legend(figure: Figure, patches: list[Patch]) -> None:
+    columns = _columns(figure.get_figwidth() * _DPI)
+    figure.legend(
+        handles=patches, loc="outside lower center", ncols=columns, frameon=False, fontsize=8, columnspacing=1.2
+    )
+
+
+def _columns(width: float) -> int:
+    """How many columns of a legend fit into a width [px]."""
+    return max(int(width // 135), 1)
+
+
+def _show(axes: Axes, picture: np.ndarray) -> None:
+    """A picture whose pixel (v, u) has its centre at (u + 0.5, v + 0.5)."""
+    height, width = picture.shape[:2]
+    axes.imshow(picture, extent=(0, width, height, 0))
+    axes.set_xlabel("u [px]")
+    axes.set_ylabel("v [px]")
+
+
+def _outline(axes: Axes, labels: np.ndarray) -> None:
+    """The borders of all labels."""
+    height, width = labels.shape
+    for group in np.unique(labels[labels != BACKGROUND]):
+        axes.contour(
+            np.arange(width) + 0.5,
+            np.arange(height) + 0.5,
+            labels == group,
+            levels=[0.5],
+            colors="0.25",
+            linewidths=0.8,
+        )
+
+
+def _draw(posed: Posed, camera: Camera, size: tuple[int, ...], groups: LabelSet) -> np.ndarray:
+    """Group ids of a body, shape (H, W), uint8."""
+    image = draw_ellipsoids(posed, camera, (size[0], size[1]), part_labels=groups.part_groups[1:].tolist())
+    return image.labels[0].cpu().numpy()
+
+
+def _sizes(posed: Posed) -> np.ndarray:
+    """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
+    sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
+    for (length, first, second), semi_axes in zip(SHAPE_INDICES, posed.semi_axes[0].cpu().numpy(), strict=True):
+        sizes[[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second]] = 2 * semi_axes
+    return sizes
+
+
+def _first(body: Body) -> Posed:
+    """The first body of what was given, without gradients."""
+    if not isinstance(body, Body):
+        raise TypeError(f"body: {type(body).__name__}; expected FitResult, BodyParameters or Posed")
+    posed = body.posed if isinstance(body, FitResult) else body.posed() if isinstance(body, BodyParameters) else body
+    if posed.joints.shape[0] == 0:
+        raise ValueError("body: none in the batch; expected one or more")
+    return Posed(**{field.name: getattr(posed, field.name)[:1].detach() for field in fields(posed)})
+
+
+def _camera(body: Body, camera: Camera | None) -> Camera:
+    if camera is None and isinstance(body, FitResult):
+        return body.camera
+    if camera is None:
+        raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
+    return camera
+
+
+def _first_camera(camera: Camera) -> Camera:
+    values = {field.name: getattr(camera, field.name)[:1].detach() for field in fields(camera)}
+    return type(camera)(**values)
+
+
+def _label_set(given: LabelSet | str | None) -> LabelSet:
+    return given if isinstance(given, LabelSet) else label_set(given or _PARTS)
+
+
+def _numpy(image: Image) -> np.ndarray:
+    return image.detach().cpu().numpy() if isinstance(image, torch.Tensor) else np.asarray(image)
+
+
+def _labels(name: str, image: Image, groups: LabelSet) -> np.ndarray:
+    """Group ids (H, W) on the host; of a batch, the first."""
+    labels = _numpy(image)
+    labels = labels[0] if labels.ndim == 3 and len(labels) else labels
+    if labels.ndim != 2 or labels.dtype != np.uint8 or not labels.size:
+        raise ValueError(f"{name}: {labels.dtype} {labels.shape}; expected uint8 group ids (H, W)")
+    if (strange := labels[(labels > groups.num_groups) & (labels != IGNORE)]).size:
+        raise ValueError(f"{name}: id {strange[0]}; expected 0 to {groups.num_groups} of {groups.name}, or {IGNORE}")
+    return labels
+
+
+def _plain(name: str) -> str:
+    """A name without underscores."""
+    return name.replace("_", " ")

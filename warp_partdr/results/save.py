@@ -1,0 +1,301 @@
+"""The files that ``partdr fit`` and ``partdr register`` leave, a set each (``result_sets``)."""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from .. import __version__, metrics
+from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
+from ..body.parameters import BodyParameters
+from ..body.posing import LandmarkGather
+from ..body.template import JOINT_NAMES
+from ..cameras import Crop, WeakPerspective
+from ..clothing.mesh import detailed_mesh
+from ..clothing.registration import Registered
+from ..errors import check_type
+from ..fit.result import FitResult
+from ..inputs.evidence import Evidence
+from ..inputs.keypoints import Keypoints2D, person_height
+from ..inputs.part_labels import PartLabels
+from ..render.mesh import PartImage, rasterize_parts
+from .body_file import BodyFile
+from .ellipbody_files import ellipbody_scene
+from .palette import group_colours
+from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
+from .result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
+from .skinned_files import save_detailed
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
+DETAILED_FILES = (
+    *(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")),
+    REGISTRATION_REPORT,
+)
+OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
+_LSP6 = "lsp6"
+
+
+def save_fit(
+    result: FitResult,
+    folder: str | Path,
+    *,
+    photo: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
+
+    Args:
+        result: Of ``fit_body``.
+        folder: Made if it is not there.
+        photo: The picture, shape (H, W, 3), uint8, if there was one.
+
+    Returns:
+        The report.
+
+    Raises:
+        TypeError: If an argument is of another type.
+    """
+    check_type("result", result, FitResult, "of fit_body")
+    check_type("photo", photo, np.ndarray | None, "of read_photo")
+    evidence = result.evidence
+    size = image_size(evidence.keypoints, evidence.picture, photo)
+    report = make_report(result)
+    comparison = None
+    if evidence.picture is not None:
+        label_set = evidence.picture.label_set
+        shown, target = compared_labels(result, size)
+        report |= compare_labels(shown, target, label_set)
+        comparison = panels(target, shown, group_colours(label_set.part_groups))
+    overlay = draw_overlay(result, size, photo)
+    # A registration that is there clothes another body.
+    with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
+        body_file(result.parameters, result.camera, size).save(temporary / "body.npz")
+        (temporary / "body.json").write_text(json.dumps(describe_body(result), indent=1) + "\n")
+        ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
+        overlay.save(temporary / "overlay.png")
+        if comparison is not None:
+            comparison.save(temporary / "parts.png")
+        loss_chart(result).save(temporary / "loss.png")
+    return report
+
+
+def compared_labels(result: FitResult, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Group ids of the body and of the person's labels, in the picture (H, W) or, if that is large, a smaller one."""
+    zoom, scored = _shown_at(size)
+    parts = result.draw(scored, camera=_zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
+    return result.evidence.labels.label_set.part_groups[parts], result.evidence.target(scored)
+
+
+def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
+    """(H, W) of the picture; without photo and labels, what holds all keypoints."""
+    for image in (photo, None if parts is None else parts.groups):
+        if image is not None:
+            return int(image.shape[0]), int(image.shape[1])
+    width, height = np.ceil(keypoints.points[keypoints.visible].max(0) * 1.1 + 1).astype(int)
+    return int(max(height, 1)), int(max(width, 1))
+
+
+def save_registered(
+    registered: Registered,
+    folder: str | Path,
+    camera: WeakPerspective,
+    size: tuple[int, int],
+    *,
+    photo: np.ndarray | None = None,
+    evidence: Evidence | None = None,
+    seconds: float | None = None,
+) -> dict[str, Any]:
+    """Write the first body as ``DETAILED_FILES``.
+
+    Args:
+        registered: In the camera frame.
+        folder: Made if it is not there.
+        camera: Of the picture.
+        size: (H, W) of the picture [px].
+        photo: The picture, shape (H, W, 3), uint8, if there was one.
+        evidence: Of the person in that picture, for the report's scores where it has labels.
+        seconds: How long the registration took, for the report.
+
+    Returns:
+        The report.
+    """
+    canvas, zoom = _canvas(size, photo)
+    model, shown_size = registered.model, (canvas.height, canvas.width)
+    shown = shade_detailed(registered.detailed, model, _zoomed(camera, zoom, shown_size), shown_size)
+    numbers: dict[str, Any] = {
+        name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
+    }
+    losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
+    report: dict[str, Any] = {"model": model.name, "losses": losses}
+    if seconds is not None:
+        report["seconds"] = round(seconds, 3)
+    if evidence is not None and evidence.picture is not None:
+        label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
+        drawn = draw_registered(registered, _zoomed(camera, zoom, scored), scored).labels[0].cpu().numpy()
+        report |= compare_labels(label_set.part_groups[drawn], evidence.target(scored), label_set)
+    with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
+        save_detailed(registered, temporary)
+        np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
+        _over(canvas, shown, 0.9).save(temporary / "detailed.png")
+    return report
+
+
+def draw_registered(registered: Registered, camera: WeakPerspective, size: tuple[int, int]) -> PartImage:
+    """The first body's 20 parts in a picture of (H, W) pixels."""
+    vertices = registered.detailed.vertices[:1].detach()
+    seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
+    return rasterize_parts(seen.project(vertices), detailed_mesh(registered.model), size)
+
+
+def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
+    """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    canvas, zoom = _canvas(size, photo)
+    shown_size = (canvas.height, canvas.width)
+    overlay = _over(canvas, shade_body(result.posed, _zoomed(result.camera, zoom, shown_size), shown_size), 0.72)
+    keypoints = result.evidence.keypoints
+    draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
+    return overlay
+
+
+def _canvas(size: tuple[int, int], photo: np.ndarray | None) -> tuple[Image, float]:
+    """The photo, or gray, as it is shown, and its pixels a pixel of the picture."""
+    from PIL import Image
+
+    zoom, (height, width) = _shown_at(size)
+    canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
+    if canvas.size != (width, height):
+        canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
+    return canvas, zoom
+
+
+def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
+    """Zoom and (H, W) at which a picture of this size is shown and compared: at most ``OVERLAY_SIDE`` px a side."""
+    zoom = min(1.0, OVERLAY_SIDE / max(size))
+    return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
+
+
+def _zoomed(camera: WeakPerspective, zoom: float, size: tuple[int, int]) -> WeakPerspective:
+    return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
+
+
+def _over(canvas: Image, rgba: np.ndarray, opacity: float) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(blend(np.asarray(canvas), rgba, opacity))
+
+
+def body_file(parameters: BodyParameters, camera: WeakPerspective, size: tuple[int, int]) -> BodyFile:
+    """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it."""
+    from ..body.rotations import rotation_from_axis_angle
+
+    parameters = parameters.detach()
+    numbers = {
+        "global_orient": parameters.global_orient()[0],
+        "translation": parameters.lengths.new_zeros(3),
+        "rotations": rotation_from_axis_angle(parameters.free_rotations())[0],
+        "lengths": parameters.lengths[0],
+        "thicknesses": parameters.thicknesses[0],
+        "camera_scale": camera.scale[0],
+        "camera_translation": camera.translation[0],
+    }
+    return BodyFile(**{name: value.cpu().numpy() for name, value in numbers.items()}, image_size=np.array(size))
+
+
+def describe_body(result: FitResult) -> dict[str, Any]:
+    """Measurements in cm and joint positions, for people and programs that don't read npz."""
+    measured = body_file(result.parameters, result.camera, (1, 1)).body("cpu").measure()
+    joints = result.posed.joints[0].detach().cpu().numpy()
+    pixels = result.camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
+    return {
+        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()},
+        "joints": {
+            "frame": "camera: x right, y down, z away from the viewer; metres from the pelvis",
+            "names": list(JOINT_NAMES),
+            "points_m": joints.round(4).tolist(),
+            "pixels": pixels.round(2).tolist(),
+        },
+        "camera": {
+            "model": "weak perspective: u = scale X + translation[0], v = scale Y + translation[1]",
+            "scale_px_per_m": round(float(result.camera.scale[0]), 4),
+            "translation_px": result.camera.translation[0].cpu().numpy().round(3).tolist(),
+        },
+    }
+
+
+def make_report(result: FitResult) -> dict[str, Any]:
+    """Losses, distance of the keypoints, times of a fit, and what looks wrong."""
+    keypoints = result.evidence.keypoints
+    sure = keypoints.confident
+    names = [name for name, there in zip(keypoints.format.landmarks, sure, strict=True) if there]
+    landmarks = LandmarkGather(names, result.camera.scale.device)(result.posed)
+    seen = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
+    distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
+    height = person_height(keypoints)
+    return {
+        "warnings": list(result.warnings),
+        "energy": {name: round(value, 4) for name, value in result.energy.items()},
+        "energy_total": round(sum(result.energy.values()), 4),
+        "energy_of_finalists": [round(value, 4) for value in result.finalists],
+        "hypotheses": result.hypotheses,
+        "start": result.start,
+        "keypoints": {
+            "confident": int(sure.sum()),
+            "mean_distance_px": round(distance, 3),
+            "mean_distance_share_of_person_height": round(distance / height, 5) if height else None,
+        },
+        "seconds": {name: round(value, 3) for name, value in result.stage_seconds.items()},
+        "seconds_total": round(sum(result.stage_seconds.values()), 3),
+        "versions": _versions(),
+    }
+
+
+def compare_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
+    """How well a body's group ids match the picture's, shape (H, W) both; also in LSP's six parts where those exist."""
+    scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
+    try:
+        table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)
+    except ValueError:
+        return scores  # the set is not finer than LSP's six parts
+    return scores | {"parts_lsp6": _scores(table[shown], table[target], lsp6.group_names)}
+
+
+def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
+    counts = metrics.confusion(shown, target, len(names) + 1)
+    person = (target != BACKGROUND) & (target != IGNORE)
+    each = metrics.f1_scores(counts)
+    return {
+        "foreground_f1": round(metrics.part_f1(metrics.foreground_counts(counts)), 4),
+        "part_f1": round(metrics.part_f1(counts), 4),
+        "part_accuracy": round(metrics.accuracy(counts), 4),
+        "f1": {
+            name: None if np.isnan(score) else round(float(score), 4)
+            for name, score in zip(("background", *names), each, strict=True)
+        },
+        # F1's mean over person and background hides it.
+        "left_out": round(float((shown == BACKGROUND)[person].mean()), 4) if person.any() else None,
+        "pixels": {
+            "person": int(person.sum()),
+            "ignored": int((target == IGNORE).sum()),
+        },
+    }
+
+
+def _versions() -> dict[str, str]:
+    import torch
+    import warp as wp
+
+    return {
+        "warp-partdr": __version__,
+        "warp": wp.config.version,
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+    }

@@ -1,0 +1,1 @@
+"""People of known truth: their poses, bodies, pictures and the noise of what is seen of them."""

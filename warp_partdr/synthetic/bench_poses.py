@@ -1,0 +1,211 @@
+"""How PartBench's people stand: drawn from the pose prior, or put together so that they hide parts of themselves.
+
+EllipBody's rotation vectors; +x of a joint bends it forward (the trunk), backward (the knee) or turns the leg back, and
+the left arm, which points to +x at rest, comes down about -z, twists about x and bends the elbow about -y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+import torch
+
+from ..body.pose_prior import FREE_PARTS, PosePrior, mirror_features
+from ..body.posing import Posed, pose
+from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
+from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES, template
+
+# Random vectors of 57 dimensions lie farther from the mean than frames of motion capture do (a median of 31 nats, those
+# frames have 12): with this share of the deviations they are as likely. Nine frames of ten have at most so many nats.
+SPREAD = 0.7
+LIKELY = 22.0
+OVER_LIMITS = 0.02  # [rad^2], a few degrees
+_JITTER = 0.12  # [rad], of every joint of a pose put together
+_LEAN = 0.08  # [rad], of its pelvis
+
+Bends = dict[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose and the side it is seen from.
+
+    Attributes:
+        kind: "prior", or a key of ``POSES``.
+        rotations: Local rotation vectors [rad], shape (20, 3).
+        up: Which way is up, in the pelvis' frame, shape (3,).
+        yaw: Turn of the person about the vertical, 0 faces the camera [rad].
+    """
+
+    kind: str
+    rotations: np.ndarray
+    up: np.ndarray
+    yaw: float
+
+
+def _arm(down: float, forward: float, inward: float, bend: float) -> Bends:
+    """Rotation vectors of a left arm: lowered, then swung forward, turned about itself and bent [degrees]."""
+    upper = _turn(-forward, 0, 0) @ _turn(0, 0, -down) @ _turn(inward, 0, 0)
+    vector = np.degrees(rotation_to_axis_angle(upper).numpy())
+    return {"upper_arm": (vector[0], vector[1], vector[2]), "forearm": (0.0, -bend, 0.0)}
+
+
+def _turn(x: float, y: float, z: float) -> torch.Tensor:
+    return rotation_from_axis_angle(torch.tensor([x, y, z], dtype=torch.float64).deg2rad())
+
+
+def _leg(forward: float, outward: float, bend: float, ankle: float = 0.0) -> Bends:
+    return {"upper_leg": (-forward, 0.0, outward), "lower_leg": (bend, 0.0, 0.0), "foot": (ankle, 0.0, 0.0)}
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """Degrees: limbs of either side as if it were the left one, the trunk, the pelvis' lean and the yaw's range."""
+
+    left: Bends
+    right: Bends
+    trunk: float = 0.0  # bend forward of abdomen and chest each
+    lean: float = 0.0  # of the pelvis, forward
+    yaw: tuple[float, float] = (-180.0, 180.0)
+
+
+def _crossed_arms(rng: np.random.Generator) -> _Recipe:
+    low, high = (_arm(68, forward, 55, bend) for forward, bend in ((20, 95), (36, 100)))
+    return _Recipe(low | _leg(2, 5, 5), high | _leg(0, 5, 3), trunk=3, yaw=(-70, 70))
+
+
+def _sitting(rng: np.random.Generator) -> _Recipe:
+    legs = [_leg(rng.uniform(75, 95), rng.uniform(3, 15), rng.uniform(70, 100)) for _ in range(2)]
+    arms = [_arm(72, rng.uniform(10, 30), rng.uniform(0, 30), rng.uniform(30, 70)) for _ in range(2)]
+    return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(0, 12), lean=rng.uniform(-10, 5))
+
+
+def _crouching(rng: np.random.Generator) -> _Recipe:
+    hip, knee = rng.uniform(95, 115), rng.uniform(105, 130)
+    leg = _leg(hip, rng.uniform(8, 18), knee, -15)
+    arms = [_arm(65, rng.uniform(35, 75), rng.uniform(0, 40), rng.uniform(15, 60)) for _ in range(2)]
+    return _Recipe(arms[0] | leg, arms[1] | leg, trunk=rng.uniform(10, 20), lean=rng.uniform(15, 30))
+
+
+def _arm_before_torso(rng: np.random.Generator) -> _Recipe:
+    across = _arm(75, rng.uniform(15, 40), rng.uniform(30, 65), rng.uniform(80, 110))
+    other = _arm(rng.uniform(60, 85), rng.uniform(-10, 20), 0, rng.uniform(5, 40))
+    return _Recipe(across | _leg(5, 6, 8), other | _leg(0, 4, 4), yaw=(-110, 110))
+
+
+def _walking_away(rng: np.random.Generator) -> _Recipe:
+    step, swing = rng.uniform(18, 32), rng.uniform(15, 35)
+    left = _arm(78, -swing, 10, rng.uniform(5, 25)) | _leg(step, 1, rng.uniform(5, 20))
+    right = _arm(78, swing, 10, rng.uniform(15, 45)) | _leg(-0.6 * step, 1, rng.uniform(15, 45))
+    return _Recipe(left, right, trunk=2, lean=3, yaw=(130, 230))
+
+
+def _bending_down(rng: np.random.Generator) -> _Recipe:
+    legs = [_leg(rng.uniform(45, 65), rng.uniform(2, 8), rng.uniform(5, 30)) for _ in range(2)]
+    arms = [_arm(72, rng.uniform(45, 80), 10, rng.uniform(5, 40)) for _ in range(2)]
+    return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(12, 22), lean=rng.uniform(35, 55))
+
+
+POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
+    "crossed arms": _crossed_arms,
+    "sitting": _sitting,
+    "crouching": _crouching,
+    "arm before torso": _arm_before_torso,
+    "walking away": _walking_away,
+    "bending down": _bending_down,
+}
+
+
+def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
+    """A random pose of a kind, in which no limb is inside another part.
+
+    Args:
+        kind: "prior", or a key of ``POSES``.
+        rng: Source of chance.
+    """
+    while True:
+        drawn = _from_prior(rng) if kind == "prior" else _from_recipe(kind, rng)
+        if drawn is not None and is_clear(posed_ellipbody(drawn.rotations, np.eye(3))):
+            return drawn
+
+
+def _from_prior(rng: np.random.Generator) -> Pose | None:
+    """One draw of the mixture; None if it is beyond the joint limits or less likely than most poses."""
+    prior, mixture = pose_mixture()
+    component = rng.choice(len(mixture["weights"]), p=mixture["weights"] / mixture["weights"].sum())
+    deviation = np.linalg.solve(mixture["whitening"][component], rng.standard_normal(len(mixture["means"][0])))
+    features = mixture["means"][component] + SPREAD * deviation
+    if rng.random() < 0.5:
+        order, sign = mirror_features()
+        features = features[order] * sign
+    rotations = np.zeros((NUM_PARTS, 3))
+    rotations[list(FREE_PARTS)] = features[:-3].reshape(-1, 3)
+    up = features[-3:] / np.linalg.norm(features[-3:])
+    vectors = torch.from_numpy(rotations)[None]
+    if prior.joint_limits(vectors) > OVER_LIMITS or prior(vectors, torch.from_numpy(up)[None]) > LIKELY:
+        return None
+    return Pose("prior", rotations, up, rng.uniform(-np.pi, np.pi))
+
+
+@lru_cache(maxsize=1)
+def pose_mixture() -> tuple[PosePrior, dict[str, np.ndarray]]:
+    """The packaged prior, and the Gaussians in its file: each stands for its mirror image too."""
+    path = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        mixture = {name: archive[name].astype(np.float64) for name in ("weights", "means", "whitening")}
+    return PosePrior().to(dtype=torch.float64), mixture
+
+
+def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
+    recipe = POSES[kind](rng)
+    sides = [recipe.left, recipe.right] if rng.random() < 0.5 else [recipe.right, recipe.left]
+    rotations = np.zeros((NUM_PARTS, 3))
+    for side, bends in zip(("left", "right"), sides, strict=True):
+        mirror = np.array([1.0, 1.0, 1.0] if side == "left" else [1.0, -1.0, -1.0])
+        for part, bend in bends.items():
+            rotations[PART_NAMES.index(f"{side}_{part}")] = np.radians(bend) * mirror
+    for part in ("abdomen", "chest"):
+        rotations[PART_NAMES.index(part), 0] = np.radians(recipe.trunk)
+    jitter = _JITTER * rng.standard_normal((NUM_PARTS, 3))
+    jitter[list(LOCKED_PARTS)] = 0.0
+    lean = np.array([np.radians(recipe.lean), 0.0, 0.0]) + _LEAN * rng.standard_normal(3) * [1.0, 0.0, 1.0]
+    up = rotation_from_axis_angle(torch.from_numpy(lean)).numpy()[1]  # R^T (0, 1, 0)
+    return Pose(kind, rotations + jitter, up, np.radians(rng.uniform(*recipe.yaw)))
+
+
+def posed_ellipbody(rotations: np.ndarray, global_orient: np.ndarray) -> Posed:
+    """The mean body in a pose, its pelvis at the origin, B = 1.
+
+    Args:
+        rotations: Rotation vectors [rad], shape (20, 3).
+        global_orient: Shape (3, 3).
+    """
+    shape = template()
+    return pose(
+        torch.from_numpy(global_orient)[None].float(),
+        torch.zeros(1, 3),
+        rotation_from_axis_angle(torch.from_numpy(rotations)[None].float()),
+        torch.from_numpy(np.array(shape.mean_lengths))[None].float(),
+        torch.from_numpy(np.array(shape.mean_thicknesses))[None].float(),
+    )
+
+
+_PARTS = range(NUM_PARTS)
+_LIMBS = [k for k, name in enumerate(PART_NAMES) if name.endswith(("forearm", "hand", "lower_leg", "foot"))]
+_ALONG = np.linspace(-0.8, 1.0, 7)  # places on a bone, of its half length
+_APART = np.array([[part not in (limb, PARENTS[limb]) and PARENTS[part] != limb for part in _PARTS] for limb in _LIMBS])
+
+
+def is_clear(posed: Posed) -> torch.Tensor:
+    """Whether no limb's bone passes through a part that it doesn't hang on, shape (B,), bool."""
+    along, apart = (torch.from_numpy(values).to(posed.centres.device) for values in (_ALONG, _APART))
+    bones = posed.semi_axes[:, _LIMBS, :1] * posed.axes[:, _LIMBS, :, 0]
+    points = posed.centres[:, _LIMBS, None] + along.to(bones)[:, None] * bones[:, :, None]  # (B, limbs, places, 3)
+    offsets = points.flatten(1, 2)[:, None] - posed.centres[:, :, None]
+    offsets = offsets @ posed.axes / posed.semi_axes[:, :, None]  # in the parts' own axes
+    inside = offsets.square().sum(-1).unflatten(2, (len(_LIMBS), -1)).amin(-1) < 1.0  # (B, parts, limbs)
+    return ~(inside & apart.T).flatten(1).any(1)

@@ -1,0 +1,195 @@
+"""People of known truth for ``partdr bench tradeoff``, and bodies a stated way off it to start from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+
+from ..body.labels import label_set
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import LandmarkGather
+from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
+from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..cameras import Crop, WeakPerspective
+from ..inputs.observation import REFERENCE_SIZE, Observation
+from ..refinement.energy import Energy
+from ..refinement.refine import refine
+from ..render.ellipsoids import draw_ellipsoids
+from .bench_people import Person, draw_anny, make_person
+
+LABELS = label_set("ellipbody20")
+ELLIPBODY, ANNY = "EllipBody", "Anny"  # whose truth it is
+TRUTH_SIZE = 1536  # [px], three samples a side of a pixel of the largest pictures, 24 of the smallest
+KEYPOINTS = skeleton("coco17").landmarks
+JOINTS = skeleton(MPJPE_SKELETON).landmarks
+HIPS = [JOINTS.index(name) for name in ("left_hip", "right_hip")]
+KEYPOINT_NOISE = 0.015  # of the crop's half-side, about 1 % of a person's height
+# Of what a start is off by, for each radian that joints are: the crop's half-sides, and the logarithm of the scale.
+_SHIFT_PER_RADIAN, _SCALE_PER_RADIAN = 0.2, 0.2
+
+_MARGIN = 0.1  # of the person's extent, on each side of the crop
+_STATURE, _GIRTH = 0.05, 0.1  # spread of the logarithm of lengths and of thicknesses, about those of the mean adult
+_SEED = 0
+_LIFT_ITERATIONS, _LIFT_RATE, _LIFT_WEIGHT = 150, 0.05, 3.0
+_TURNS = 8  # orientations that the search for a person's EllipBody starts from
+
+
+@dataclass(frozen=True)
+class People:
+    """N people in a square crop each.
+
+    Attributes:
+        name: ``ELLIPBODY`` or ``ANNY``.
+        bodies: The true bodies; of Annys, the EllipBodies whose joints lie nearest to theirs, mean in thickness.
+        labels: True part labels, shape (N, ``TRUTH_SIZE``, ``TRUTH_SIZE``), uint8.
+        points: COCO's keypoints with noise, -1 to 1 in the crop, shape (N, 17, 2).
+        joints: True ``JOINTS``, in the camera frame [m], shape (N, 14, 3).
+    """
+
+    name: str
+    bodies: BodyParameters
+    labels: torch.Tensor
+    points: torch.Tensor
+    joints: torch.Tensor
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.labels)
+
+    def to(self, device: torch.device | str) -> People:
+        """The same on another device."""
+        bodies = BodyParameters(**{name: tensor.to(device) for name, tensor in self.bodies.tensors().items()})
+        moved = (tensor.to(device) for tensor in (self.labels, self.points, self.joints))
+        return People(self.name, bodies, *moved)
+
+    def observation(self, person: int | None = None) -> Observation:
+        """What a fit sees of a person; of None, of all: points (N, 17, 2) and labels (N, ...), a body each."""
+        points, labels = (self.points, self.labels) if person is None else (self.points[person], self.labels[person])
+        return Observation(KEYPOINTS, points, points.new_ones(len(KEYPOINTS)), labels, LABELS)
+
+    def starts(self, distance: float) -> BodyParameters:
+        """The bodies with normal noise of ``distance`` [rad] on each number of a rotation, and mean sizes.
+
+        They are off by 0.2 of that in place [half-sides of the crop] and scale, too.
+        """
+        generator = torch.Generator().manual_seed(_SEED)
+        true = mean_sized(self.bodies)
+
+        def noise(like: torch.Tensor, scale: float) -> torch.Tensor:
+            return (scale * torch.randn(like.shape, generator=generator)).to(like)
+
+        turn = rotation_from_axis_angle(noise(true.shift.new_empty(len(self), 3), distance))
+        return replace(
+            true,
+            orientation=rotation_to_6d(turn @ true.global_orient()),
+            rotations=true.rotations + noise(true.rotations, distance),
+            log_scale=true.log_scale + noise(true.log_scale, _SCALE_PER_RADIAN * distance),
+            shift=true.shift + noise(true.shift, _SHIFT_PER_RADIAN * distance),
+        )
+
+
+def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
+    """The first of PartBench's people as EllipBodies of random thickness, and as the Annys that they are.
+
+    On the CPU, for every device the same.
+    """
+    persons = [make_person(index) for index in range(max(num_ellipbodies, num_annys))]
+    generator = torch.Generator().manual_seed(_SEED)
+    crops = [_crop(person) for person in persons]
+    points = torch.stack([_in_crop(person.keypoints, crop) for person, crop in zip(persons, crops, strict=True)])
+    joints = torch.stack([torch.from_numpy(person.joints).float() for person in persons])
+    bodies = _lift(persons, crops, points, joints)
+    noise = KEYPOINT_NOISE * torch.randn(points.shape, generator=generator)
+
+    own = mean_sized(bodies.select(torch.arange(num_ellipbodies)))
+    own = replace(own, lengths=_spread(own.lengths, _STATURE, generator))
+    own = replace(own, thicknesses=_spread(own.thicknesses, _GIRTH, generator))
+    posed = own.posed()
+    seen = own.camera(2).project(LandmarkGather(KEYPOINTS, "cpu")(posed))[..., :2] - 1
+    drawn = draw_truth(own)
+    ellipbodies = People(ELLIPBODY, own, drawn, seen + noise[:num_ellipbodies], LandmarkGather(JOINTS, "cpu")(posed))
+    parts = torch.cat([_draw_anny(person, crop) for person, crop in zip(persons[:num_annys], crops, strict=False)])
+    return ellipbodies, People(
+        ANNY, bodies.select(torch.arange(num_annys)), parts, (points + noise)[:num_annys], joints[:num_annys]
+    )
+
+
+def mean_sized(bodies: BodyParameters) -> BodyParameters:
+    """Mean adults in the same poses, as large in the picture as far as one scale can make them."""
+    mean = BodyParameters.mean(bodies.batch_size, device=bodies.shift.device)
+    taller = (bodies.lengths / mean.lengths).log().mean(1)
+    return replace(bodies, lengths=mean.lengths, thicknesses=mean.thicknesses, log_scale=bodies.log_scale + taller)
+
+
+def _spread(sizes: torch.Tensor, spread: float, generator: torch.Generator) -> torch.Tensor:
+    return sizes * torch.exp(spread * torch.randn(sizes.shape, generator=generator))
+
+
+def draw_truth(bodies: BodyParameters, size: int = TRUTH_SIZE) -> torch.Tensor:
+    """Labels of exact ellipsoids, shape (B, size, size), one at a time: they are large."""
+    one = (bodies.select(torch.tensor([index], device=bodies.shift.device)) for index in range(bodies.batch_size))
+    return torch.cat([draw_ellipsoids(body.posed(), body.camera(size), (size, size)).labels for body in one])
+
+
+def _crop(person: Person) -> Crop:
+    """A square around the whole person, whatever the picture's border cut off."""
+    vertices = torch.from_numpy(person.vertices)[None]
+    points = person.camera.project(vertices)[0, :, :2]
+    low, high = points.min(0).values, points.max(0).values
+    half = float((high - low).max()) * (0.5 + _MARGIN)
+    left, top = ((low + high) / 2 - half).tolist()
+    return Crop(left, top, TRUTH_SIZE / (2 * half), (TRUTH_SIZE, TRUTH_SIZE))
+
+
+def _in_crop(points: object, crop: Crop) -> torch.Tensor:
+    """Places in the picture [px] as -1 to 1 of the crop."""
+    return crop.to_crop(torch.as_tensor(points, dtype=torch.float32)) / (TRUTH_SIZE / 2) - 1
+
+
+def _draw_anny(person: Person, crop: Crop) -> torch.Tensor:
+    return draw_anny(torch.from_numpy(person.vertices)[None], person.camera.in_crop(crop), crop.size)[0]
+
+
+def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints: torch.Tensor) -> BodyParameters:
+    """EllipBodies with joints and keypoints as near as can be, from several orientations, the best of each person."""
+    prior = PosePrior()
+    weak = [_weak_camera(person, crop) for person, crop in zip(persons, crops, strict=True)]
+    scale = torch.cat([camera.scale for camera in weak]) / (TRUTH_SIZE / 2)
+    shift = torch.cat([camera.translation for camera in weak]) / (TRUTH_SIZE / 2) - 1
+    count, turns = len(persons), _TURNS
+    mean = BodyParameters.mean(turns * count)
+    yaw = 2 * math.pi / turns * torch.arange(turns).repeat_interleave(count)
+    turn = rotation_from_axis_angle(torch.nn.functional.pad(yaw[:, None], (1, 1)))
+    start = replace(
+        mean,
+        orientation=rotation_to_6d(turn @ mean.global_orient()),
+        rotations=prior.mean_pose.expand_as(mean.rotations).clone(),
+        log_scale=scale.log().repeat(turns),
+        shift=shift.repeat(turns, 1),
+    )
+    seen = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
+    energy, gather = Energy(seen, prior=prior), LandmarkGather(JOINTS, "cpu")
+    wanted = _centred(joints).repeat(turns, 1, 1)
+
+    def lifted(bodies: BodyParameters) -> dict[str, torch.Tensor]:
+        off = (_centred(gather(bodies.posed())) - wanted).abs().sum((1, 2))
+        return {**energy(bodies), "lift": _LIFT_WEIGHT * REFERENCE_SIZE / 2 * off}
+
+    found = refine(start, lifted, iterations=_LIFT_ITERATIONS, learning_rate=_LIFT_RATE)
+    best = found.energy.view(turns, count).argmin(0)
+    return found.parameters.select(best * count + torch.arange(count))
+
+
+def _weak_camera(person: Person, crop: Crop) -> WeakPerspective:
+    """The crop's camera that sees the pelvis where the person's own does."""
+    camera, pelvis = person.camera.in_crop(crop), torch.from_numpy(person.joints[HIPS]).float().mean(0)[None]
+    if isinstance(camera, WeakPerspective):
+        return WeakPerspective(camera.scale, camera.project(pelvis[:, None])[:, 0, :2])
+    return camera.to_weak(pelvis)
+
+
+def _centred(joints: torch.Tensor) -> torch.Tensor:
+    return joints - joints[:, HIPS].mean(1, keepdim=True)
