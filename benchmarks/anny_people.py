@@ -36,7 +36,7 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PARENTS, PART_NAMES, template
 from warp_partdr.cameras import Perspective
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.synthetic.mocap import Clip, is_held_out, joint_positions, load_clips, rotation_matrices
@@ -199,8 +199,7 @@ def make_person(factory: PersonFactory, source: str, pose: Clip, rng: np.random.
     camera = Perspective(torch.from_numpy(view["focal"])[None], torch.from_numpy(view["centre"])[None])
     mesh = PartMesh.from_faces(person.faces, person.face_parts + 1)
     height, width = (int(side) for side in view["size"])
-    screen = camera.project(torch.from_numpy(vertices)[None])
-    picture = rasterize_parts(screen, mesh, (height, width), perspective=True)
+    picture = draw_mesh(torch.from_numpy(vertices)[None], mesh, camera, (height, width))
     parts = picture.labels[0].numpy()
     pixels = camera.project(torch.from_numpy(coco)[None])[0, :, :2].numpy()
     hidden = is_hidden(coco, pixels, picture.depth[0].numpy())

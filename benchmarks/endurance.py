@@ -31,16 +31,17 @@ import warp as wp
 from rich.console import Console
 from rich.progress import track
 
-from warp_partdr import label_set, skeleton
+from warp_partdr import label_set, skeleton_arrays
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.inputs.observation import Observation
+from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import FusedRefinement, minimise
+from warp_partdr.refinement.refine import minimise
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss
+from warp_partdr.render.mesh import mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 ROUND = 500  # iterations
@@ -56,7 +57,7 @@ def observed(device: str, seed: int = 0) -> tuple[BodyParameters, Energy]:
     start = BodyParameters.mean(1, device=device)
     turns = 0.2 * torch.randn(1, 20, 3, generator=generator).to(device)
     truth = replace(start, rotations=turns, shift=torch.tensor([[0.1, -0.05]], device=device))
-    names = skeleton("coco17").landmarks
+    names = skeleton_arrays("coco17").landmarks
     points = truth.camera(2).project(LandmarkGather(names, device)(truth.posed()))[0, :, :2] - 1
     labels = draw_ellipsoids(truth.posed(), truth.camera(SIZE), (SIZE, SIZE)).labels[0]
     confidence = torch.ones(len(names), device=device)
@@ -110,7 +111,7 @@ class Refinement:
 def refine_long(iterations: int, device: str, rounds: Callable[[range], Iterator[int]] = iter) -> Refinement:
     """Refine in rounds of ``ROUND`` iterations, each from the best body of the one before."""
     bodies, energy = observed(device)
-    fused = FusedRefinement(energy, 1, iterations=ROUND)
+    fused = CapturedRefinement(energy, 1, iterations=ROUND)
     megabytes, energies = [], []
     started = time.perf_counter()
     for _ in rounds(range(max(iterations // ROUND, 1))):
@@ -132,8 +133,8 @@ def everything(device: str, seed: int) -> list[torch.Tensor]:
         leaves = [getattr(posed, name).detach().requires_grad_() for name in ("centres", "axes", "semi_axes")]
         loss, _ = ellipsoid_label_loss(Ellipsoids(*leaves), camera, energy.target[None], gradient=gradient)
         found += [loss.detach(), *torch.autograd.grad(loss.sum(), leaves)]
-    vertices = camera.project(posed.vertices(1)).detach().requires_grad_()
-    loss, _ = label_loss(vertices, ellipbody_mesh(1, device=device), energy.target[None])
+    vertices = posed.vertices(1).detach().requires_grad_()
+    loss, _ = mesh_label_loss(vertices, ellipbody_mesh(1, device=device), camera, energy.target[None])
     found.append(loss.detach())
     if device == "cpu":  # on CUDA, atomics add in any order
         found += torch.autograd.grad(loss.sum(), vertices)

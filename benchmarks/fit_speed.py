@@ -30,8 +30,7 @@ from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import minimise
-from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.refine import minimise, refine
 
 EXAMPLE = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
 

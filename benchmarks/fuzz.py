@@ -64,10 +64,9 @@ from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelN
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import minimise
-from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.refine import minimise, refine
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.body_file import BodyFile, load_body
 
@@ -363,14 +362,14 @@ def mesh_options(chance: Chance) -> dict[str, Any]:
 def try_rasterize_parts(chance: Chance) -> Any:
     vertices, mesh, *_ = mesh_scene(chance)
     maps = chance.number(int(chance.rng.integers(0, 6)), 254, 300, -2)
-    image = rasterize_parts(vertices, mesh, chance.size(), num_maps=maps, **mesh_options(chance))
+    image = draw_mesh(vertices, mesh, chance.size(), num_maps=maps, **mesh_options(chance))
     return image, backward(image.maps, {"vertices": vertices}, image.maps)
 
 
 def try_label_loss(chance: Chance) -> Any:
     vertices, mesh, batch, labels = mesh_scene(chance)
     target, weights = target_of(chance, batch, labels), weights_of(chance, labels)
-    loss, image = label_loss(vertices, mesh, target, label_weights=weights, **mesh_options(chance))
+    loss, image = mesh_label_loss(vertices, mesh, target, label_weights=weights, **mesh_options(chance))
     return loss, image, backward(loss, {"vertices": vertices}, loss)
 
 

@@ -36,7 +36,7 @@ import ellipsoid_reference
 import reference
 
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
 RATIOS: list[float] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6]
@@ -212,7 +212,7 @@ def triangle_errors(setting: Setting, seed: int, device: str) -> dict[str, float
     while looked < PLACES:
         moved = vertices + np.array([*rng.uniform(-0.5, 0.5, 2), 0], dtype=np.float32)
         points = torch.from_numpy(moved).to(device)[None]
-        image = rasterize_parts(points, mesh, size, perspective=setting.perspective, near=1e-3)
+        image = draw_mesh(points, mesh, size, perspective=setting.perspective, near=1e-3)
         exact = moved.astype(float)
         rows, columns = look_at(setting.side, edge_crossings(exact, faces, some_lines(setting.side, rng)), rng)
         looked += len(rows)
@@ -227,7 +227,7 @@ def triangle_errors(setting: Setting, seed: int, device: str) -> dict[str, float
     if setting.side <= GRADIENT_SIDE:
         g = smooth_maps(rng, size)
         leaf = torch.from_numpy(vertices).to(device)[None].requires_grad_()
-        image = rasterize_parts(leaf, mesh, size, perspective=setting.perspective, num_maps=2, near=1e-3)
+        image = draw_mesh(leaf, mesh, size, perspective=setting.perspective, num_maps=2, near=1e-3)
         assert image.maps is not None
         (image.maps[0] * torch.tensor(g, dtype=torch.float32, device=device)).sum().backward()
         forces = reference.gradient(

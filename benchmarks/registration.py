@@ -48,7 +48,7 @@ from warp_partdr.clothing.registration import (
     register,
     skin_vertices,
 )
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.synthetic.mocap import Clip
@@ -185,7 +185,7 @@ def draw(mesh: PartMesh, vertices: np.ndarray, side: bool, *, coloured: bool) ->
     height, width = PICTURE
     scale = 0.9 * min(width / np.ptp(points[:, 0]), height / np.ptp(points[:, 1]))
     camera = WeakPerspective(torch.tensor([scale]).float(), torch.tensor([[width / 2, height / 2]]))
-    image = rasterize_parts(camera.project(torch.from_numpy(points).float()[None]), mesh, PICTURE)
+    image = draw_mesh(torch.from_numpy(points).float()[None], mesh, camera, PICTURE)
     corners = points[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12

@@ -17,7 +17,7 @@ _SIZES = [[length, *(len(LENGTH_NAMES) + index for index in thicknesses)] for le
 _STARTS = [parent + 1 for parent in PARENTS]  # joint where each bone starts
 
 
-def pose_bones(
+def pose_bones_by_torch(
     global_orient: torch.Tensor,
     translation: torch.Tensor,
     rotations: torch.Tensor,
@@ -39,7 +39,7 @@ def pose_bones(
     return joints, turned, centres, turned @ _AXES.to(lengths), sizes / 2
 
 
-def place_vertices(
+def place_vertices_by_torch(
     centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
 ) -> torch.Tensor:
     """The unit sphere's mesh deformed into each ellipsoid, shape (B, P, N, 3) [m]."""

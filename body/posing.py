@@ -11,7 +11,8 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..interop.checks import check_numbers, check_tensor, contiguous
+from ..interop.arrays import contiguous
+from ..interop.checks import check_numbers, check_tensor
 from ..interop.derivatives import is_transformed
 from ..interop.movable import Movable
 from ..interop.streams import on_torch_stream
@@ -44,7 +45,11 @@ class Posed(Movable):
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
-        place = plain_posing.place_vertices if _in_torch(self.centres, self.axes, self.semi_axes) else _Vertices.apply
+        place = (
+            plain_posing.place_vertices_by_torch
+            if _in_torch(self.centres, self.axes, self.semi_axes)
+            else _Vertices.apply
+        )
         return place(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
 
 
@@ -109,7 +114,7 @@ def pose(
         check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
     parameters = (global_orient, translation, rotations, lengths, thicknesses)
     if _in_torch(*parameters):
-        return Posed(*plain_posing.pose_bones(*parameters))
+        return Posed(*plain_posing.pose_bones_by_torch(*parameters))
     if validate:
         numbers = {name: tensor for name, (tensor, _) in shapes.items()}
         check_numbers(numbers, rotations=("global_orient", "rotations"))
@@ -154,7 +159,7 @@ class _Bones(torch.autograd.Function):
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
         *parameters, rotations = ctx.saved_tensors
         if _differentiable(*adjoints):
-            return torch.func.vjp(plain_posing.pose_bones, *parameters)[1](adjoints)
+            return torch.func.vjp(plain_posing.pose_bones_by_torch, *parameters)[1](adjoints)
         global_orient, _, local_rotations, lengths, _ = parameters
         scalar, vec, mat = _WARP_TYPES[lengths.dtype]
         # The kernel gathers into the first two, which autograd may share with others: copies.
@@ -201,7 +206,7 @@ class _Vertices(torch.autograd.Function):
     def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         centres, axes, semi_axes = ctx.saved_tensors
         if _differentiable(adj_vertices):
-            place = partial(plain_posing.place_vertices, subdivisions=ctx.subdivisions)
+            place = partial(plain_posing.place_vertices_by_torch, subdivisions=ctx.subdivisions)
             return *torch.func.vjp(place, centres, axes, semi_axes)[1](adj_vertices), None
         scalar, vec, mat = _WARP_TYPES[axes.dtype]
         gradients = (

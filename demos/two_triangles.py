@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh
 
 Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
@@ -135,7 +136,7 @@ def place(shapes: np.ndarray, centres: np.ndarray, depths: tuple[float, float]) 
 def _scenes(starts: list[np.ndarray], goals: list[np.ndarray], device: torch.device | str) -> Scenes:
     mesh = triangles_mesh(device)
     start, goal = (torch.from_numpy(np.stack(vertices)).to(device) for vertices in (starts, goals))
-    return Scenes(mesh, start, goal, rasterize_parts(goal, mesh, IMAGE_SIZE).labels)
+    return Scenes(mesh, start, goal, draw_mesh(goal, mesh, WeakPerspective.identity(device), IMAGE_SIZE).labels)
 
 
 def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
@@ -185,7 +186,8 @@ def _is_fair(start: np.ndarray, goal: np.ndarray, device: torch.device | str) ->
     if areas.min() < 150 or both[..., :2].min() < 0 or (both[..., :2] > IMAGE_SIZE[::-1]).any():
         return False
     vertices = torch.from_numpy(both).to(device)
-    labels = rasterize_parts(vertices, triangles_mesh(device), IMAGE_SIZE).labels.cpu().numpy()
+    camera = WeakPerspective.identity(device)
+    labels = draw_mesh(vertices, triangles_mesh(device), camera, IMAGE_SIZE).labels.cpu().numpy()
     shown_b, shown_a = (labels[0] == 2).sum() / areas[1], (labels[1] == 1).sum() / areas[2]
     return bool(0.2 < shown_b < 0.95 and 0.3 < shown_a < 0.8)
 
@@ -204,6 +206,7 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     if not supervision.parts:
         mesh, target = mesh.relabel({1: 1, 2: 1}), target.clamp(max=1)
     count, device = len(scenes.start), scenes.start.device
+    camera = WeakPerspective.identity(device)
     shift = torch.zeros(count, 2, 1, 2, device=device, requires_grad=True)  # [px]
     advance = torch.zeros(count, 2, 1, 1, device=device, requires_grad=True)  # [m]
     # Adam divides each coordinate's gradient by its own size, so neither lambda nor the loss's scale has to be chosen.
@@ -218,7 +221,8 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     course = [vertices().detach()]
     for iteration in range(ITERATIONS):
         is_first = iteration == 0  # the target stays, so one look at its labels is enough
-        loss, _ = label_loss(vertices(), mesh, target, depth_weight=supervision.depth_weight, validate=is_first)
+        options = {"depth_weight": supervision.depth_weight, "validate": is_first}
+        loss, _ = mesh_label_loss(vertices(), mesh, camera, target, **options)
         optimizer.zero_grad()
         loss.sum().backward()
         optimizer.step()
@@ -229,7 +233,7 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
 
 def judge(scenes: Scenes, vertices: torch.Tensor) -> Outcome:
     """Compare vertices of shape (S, 6, 3) with the goal."""
-    labels = rasterize_parts(vertices, scenes.mesh, IMAGE_SIZE).labels
+    labels = draw_mesh(vertices, scenes.mesh, WeakPerspective.identity(vertices.device), IMAGE_SIZE).labels
 
     def iou(have: torch.Tensor, want: torch.Tensor) -> torch.Tensor:
         return (have & want).sum((1, 2)) / (have | want).sum((1, 2))
@@ -284,8 +288,8 @@ def silhouette_panel(scenes: Scenes) -> Image.Image:
 
 def _render(mesh: PartMesh, vertices: torch.Tensor, colours: np.ndarray) -> tuple[Image.Image, np.ndarray]:
     size = (IMAGE_SIZE[0] * SCALE * FINE, IMAGE_SIZE[1] * SCALE * FINE)
-    enlarge = torch.tensor([SCALE * FINE, SCALE * FINE, 1], device=vertices.device)
-    labels = rasterize_parts((vertices * enlarge)[None], mesh, size).labels[0].cpu().numpy()
+    camera = WeakPerspective(torch.full((1,), float(SCALE * FINE)), torch.zeros(1, 2)).to(vertices.device)
+    labels = draw_mesh(vertices[None], mesh, camera, size).labels[0].cpu().numpy()
     return Image.fromarray(colours[labels]), labels
 
 

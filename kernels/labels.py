@@ -45,13 +45,23 @@ def unequal_bytes(a: wp.uint32, b: wp.uint32):
     return (((difference & _LOW_BITS) + _LOW_BITS) | difference) & HIGH_BITS
 
 
+@wp.func
+def map_weight(label: int):
+    """How much the map of a label counts: background and what is to be ignored have none."""
+    return wp.where(label == 0 or label == IGNORE, 0.0, 1.0)
+
+
 @wp.struct
 class LabelTarget:
-    """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another."""
+    """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another.
+
+    The last three members are read by one renderer each, and stay empty for the other.
+    """
 
     target: wp.array3d[wp.uint8]  # (N, H, W), 255 = ignore
-    label_weights: wp.array[float]  # (256,), entry 0 is 0: background has no map
-    reach: wp.array4d[wp.vec2i]  # (N, 2, L, max(H, W)) from ``find_reach``
+    reach: wp.array4d[wp.vec2i]  # ellipsoids: (N, 2, L, max(H, W)) from ``find_reach``
+    scale: wp.array[float]  # mesh: (B,) gradient of the loss itself
+    extents: wp.array3d[wp.vec4i]  # mesh: (B, 3, L) where pixels are wrong, from ``launch_compare_labels``
 
 
 @wp.struct
@@ -59,6 +69,7 @@ class DenseGradient:
     """Any gradient with respect to the part maps."""
 
     maps: wp.array4d[float]  # (B, K, H, W)
+    label: int  # mesh: the z pass looks for one map's part at a time
 
 
 @wp.func
@@ -84,7 +95,7 @@ def gradient_at(g: LabelTarget, t: int, label: int, pixel: int, shown: int):
         value = 2.0
     elif want == label:
         value = -2.0
-    return value * g.label_weights[label]
+    return value * map_weight(label)
 
 
 @wp.func
@@ -125,7 +136,7 @@ def cost_of(g: LabelTarget, want: int, label: int):
     """What one pixel of area costs that shows a label and should show another, 0 = background."""
     if want == IGNORE or want == label:
         return 0.0
-    return g.label_weights[label] + g.label_weights[want]
+    return map_weight(label) + map_weight(want)
 
 
 @wp.func

@@ -23,7 +23,7 @@ def one_minus_cosine(square: float):
 
 
 @wp.func
-def rotation_from_axis_angle(v: wp.vec3):
+def matrix_from_axis_angle(v: wp.vec3):
     """Rodrigues' formula; any length of ``v``, zero is the identity."""
     square = wp.dot(v, v)
     first = 1.0 - square / 6.0
@@ -84,7 +84,7 @@ def least_axis(v: wp.vec3):
 
 
 @wp.func
-def rotation_from_6d(first: wp.vec3, second: wp.vec3):
+def matrix_from_6d(first: wp.vec3, second: wp.vec3):
     """Gram-Schmidt of two columns; a column without a direction of its own is replaced by a fixed other one."""
     x = unit_or(first, wp.vec3(1.0, 0.0, 0.0))
     y = second

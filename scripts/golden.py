@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 import sys
-from dataclasses import replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import get_args
@@ -34,10 +34,11 @@ from warp_partdr.fit.stages import Quality, Start
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.part_labels import read_parts
-from warp_partdr.render.ellipsoid_passes import Gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
+from warp_partdr.render.options import Gradient
 from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.renderers import RendererMesh
 
 SCENES = 8
 SIZE = (120, 150)
@@ -111,16 +112,32 @@ def _ellipsoids(body: object, target: object, camera: Camera, gradient: Gradient
     return fingerprint(wanted, loss, picture.labels, picture.depth, picture.parts, maps, *of_loss, *of_maps)
 
 
+@dataclass(frozen=True)
+class _OnScreen:
+    """A camera whose picture of the vertices is a leaf, so that a gradient can be taken in it."""
+
+    camera: Camera
+    screen: torch.Tensor
+
+    def project(self, points: torch.Tensor) -> torch.Tensor:
+        return self.screen
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.camera, name)
+
+
 def _mesh(body: object, target: object, camera: Camera, level: int) -> str:
     mesh = ellipbody_mesh(level).relabel(LABELS.part_groups)
     shift = torch.tensor([0.0, 0.0, 3.0 if camera.perspective else 0.0])
-    vertices = camera.project(body.vertices(level) + shift).detach().requires_grad_()
-    options = {"perspective": camera.perspective}
-    wanted = rasterize_parts(camera.project(target.vertices(level) + shift), mesh, SIZE, **options).labels
-    loss, picture = label_loss(vertices, mesh, wanted, **options)
-    (of_loss,) = torch.autograd.grad(loss.sum(), vertices)
-    maps = rasterize_parts(vertices, mesh, SIZE, num_maps=mesh.num_labels, **options).maps
-    (of_maps,) = torch.autograd.grad((maps * torch.linspace(-1, 1, SIZE[1])).sum(), vertices)
+    # By the gradient on the screen, which is what fingerprints hold: those of the camera's own axes are torch's.
+    screen = camera.project(body.vertices(level) + shift).detach().requires_grad_()
+    camera = _OnScreen(camera, screen)
+    vertices = body.vertices(level)
+    wanted = draw_mesh(target.vertices(level) + shift, mesh, camera.camera, SIZE).labels
+    loss, picture = mesh_label_loss(vertices, mesh, camera, wanted)
+    (of_loss,) = torch.autograd.grad(loss.sum(), screen)
+    maps = draw_mesh(vertices, mesh, camera, SIZE, num_maps=mesh.num_labels).maps
+    (of_maps,) = torch.autograd.grad((maps * torch.linspace(-1, 1, SIZE[1])).sum(), screen)
     return fingerprint(wanted, loss, picture.labels, picture.depth, picture.face_index, maps, of_loss, of_maps)
 
 
@@ -134,7 +151,7 @@ def example() -> dict[str, str]:
         for quality in get_args(Quality):
             result = fit_body(keypoints, parts, options=FitOptions.at(quality, start))
             found[f"example, {quality} from {start}"] = fingerprint(*result.parameters.tensors().values())
-    options = replace(FitOptions.at("fast", "search"), renderer="mesh", subdivisions=1)
+    options = FitOptions.at("fast", "search").drawn_by(lambda old: RendererMesh(1, max_distance=old.max_distance))
     result = fit_body(keypoints, parts, options=options)
     found["example, drawn as a mesh"] = fingerprint(*result.parameters.tensors().values())
     clothed = register(result.posed, anny())

@@ -23,10 +23,10 @@ from warp_partdr import (
     PartMesh,
     WeakPerspective,
     choose_person,
+    draw_mesh,
     ellipbody_mesh,
     fit_body,
     label_set,
-    rasterize_parts,
     read_keypoints,
     read_parts,
     read_photo,
@@ -110,7 +110,7 @@ def draw_arm(vertices: torch.Tensor, level: int, size: int, samples: int = 3) ->
     scale = 0.92 * width / (high[0] - low[0])  # [px/m]
     u, v = (low[:2] + high[:2]) / 2 * scale
     camera = WeakPerspective(torch.tensor([scale]), torch.tensor([[width / 2 - u, height / 2 - v]]))
-    shown = rasterize_parts(camera.project(vertices), mesh, (height, width))
+    shown = draw_mesh(vertices, mesh, camera, (height, width))
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     brightness = 0.45 + 0.55 * np.clip(normals @ LIGHT, 0, 1)

@@ -23,7 +23,7 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
@@ -109,9 +109,10 @@ def scaled_camera(factor: int = 1) -> Perspective:
 
 def draw(points: np.ndarray, mesh: PartMesh, factor: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Labels, nearest face (-1 = none) and the weights of its corners, shapes (H, W), (H, W) and (H, W, 3)."""
-    screen = scaled_camera(factor).project(torch.from_numpy(points)[None])
+    camera = scaled_camera(factor)
+    screen = camera.project(torch.from_numpy(points)[None])
     height, width = (factor * size for size in IMAGE_SIZE)
-    picture = rasterize_parts(screen, mesh, (height, width), perspective=True)
+    picture = draw_mesh(torch.from_numpy(points)[None], mesh, camera, (height, width))
     face_index = picture.face_index[0].numpy()
     corners = screen[0].numpy()[mesh.faces.numpy()[np.maximum(face_index, 0)]]  # (H, W, 3 corners, 3)
     v, u = np.mgrid[:height, :width] + 0.5

@@ -20,8 +20,7 @@ from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.part_labels import PartLabels, read_label_set
 from warp_partdr.network.predict import predict_bodies
-from warp_partdr.refinement.fused import minimise
-from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.refine import minimise, refine
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.results.save import save_fit
 

@@ -19,7 +19,7 @@ from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.interop.checks import check_image_size
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.results.ellipbody_files import ellipbody_scene
 
@@ -36,7 +36,7 @@ def draw(**options: Any) -> Any:
 
 def rasterize(**options: Any) -> Any:
     size = options.pop("image_size", (8, 8))
-    return rasterize_parts(CAMERA.project(BODY.posed().vertices(0)), ellipbody_mesh(0), size, **options)
+    return draw_mesh(CAMERA.project(BODY.posed().vertices(0)), ellipbody_mesh(0), size, **options)
 
 
 ARGUMENTS = {

@@ -13,6 +13,8 @@ __version__ = "0.1.0"
 
 # Public name: the submodule that defines it. No name may be that of a submodule, which would hide it once imported.
 _EXPORTS = {
+    "RendererEllipsoids": "render.renderers",
+    "RendererMesh": "render.renderers",
     "anny": "clothing.anny",
     "anny_shape": "clothing.anny",
     "Detailed": "clothing.model",
@@ -59,8 +61,7 @@ _EXPORTS = {
     "load_ellipbodynet": "network.picture_checkpoint",
     "predict_bodies": "network.predict",
     "observe": "inputs.observation",
-    "FusedRefinement": "refinement.fused",
-    "minimise": "refinement.fused",
+    "CapturedRefinement": "refinement.captured",
     "get_num_threads": "kernels.launch",
     "set_num_threads": "kernels.launch",
     "read_keypoints": "inputs.keypoint_files",
@@ -79,15 +80,15 @@ _EXPORTS = {
     "Posed": "body.posing",
     "pose": "body.posing",
     "Stage": "fit.stages",
-    "Refined": "refinement.refine",
+    "Refined": "refinement.steps",
     "Registered": "clothing.registration",
     "RegistrationOptions": "clothing.registration",
     "RegistrationWeights": "clothing.registration",
     "register": "clothing.registration",
     "refine": "refinement.refine",
     "PartImage": "render.mesh",
-    "label_loss": "render.mesh",
-    "rasterize_parts": "render.mesh",
+    "mesh_label_loss": "render.mesh",
+    "draw_mesh": "render.mesh",
     "coarsest_subdivisions": "render.subdivisions",
     "silhouette_error": "render.subdivisions",
 }
@@ -151,21 +152,22 @@ if TYPE_CHECKING:
     from .network.label_network import LabelNetwork as LabelNetwork
     from .network.picture_checkpoint import load_ellipbodynet as load_ellipbodynet
     from .network.predict import predict_bodies as predict_bodies
+    from .refinement.captured import CapturedRefinement as CapturedRefinement
     from .refinement.energy import Energy as Energy
     from .refinement.energy import Weights as Weights
-    from .refinement.fused import FusedRefinement as FusedRefinement
-    from .refinement.fused import minimise as minimise
-    from .refinement.refine import Refined as Refined
     from .refinement.refine import refine as refine
+    from .refinement.steps import Refined as Refined
     from .render.ellipsoids import EllipsoidImage as EllipsoidImage
     from .render.ellipsoids import Ellipsoids as Ellipsoids
     from .render.ellipsoids import draw_ellipsoids as draw_ellipsoids
     from .render.ellipsoids import ellipsoid_label_loss as ellipsoid_label_loss
     from .render.mesh import PartImage as PartImage
-    from .render.mesh import label_loss as label_loss
-    from .render.mesh import rasterize_parts as rasterize_parts
+    from .render.mesh import draw_mesh as draw_mesh
+    from .render.mesh import mesh_label_loss as mesh_label_loss
     from .render.part_mesh import PartMesh as PartMesh
     from .render.part_mesh import ellipbody_mesh as ellipbody_mesh
+    from .render.renderers import RendererEllipsoids as RendererEllipsoids
+    from .render.renderers import RendererMesh as RendererMesh
     from .render.subdivisions import coarsest_subdivisions as coarsest_subdivisions
     from .render.subdivisions import silhouette_error as silhouette_error
     from .results.body_file import BodyFile as BodyFile

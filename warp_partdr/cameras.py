@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
+from .errors import check_type
 from .interop.checks import FLOATS, check_tensor
 from .interop.movable import Movable
 
@@ -21,20 +22,33 @@ class WeakPerspective(Movable):
     Attributes:
         scale: s [px/m], shape (B,).
         translation: (t_u, t_v), where the frame's origin is seen [px], shape (B, 2).
+        near: Depth at or before which nothing is drawn [m]; none by default.
 
     Raises:
-        ValueError: If a shape or dtype is wrong, or the two differ in dtype or device.
+        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, or ``near`` is NaN.
     """
 
     scale: torch.Tensor
     translation: torch.Tensor
+    near: float = -math.inf
 
     perspective = False
 
     def __post_init__(self) -> None:
+        _check_near(self.near)
         check_tensor("scale", self.scale, (None,), dtypes=FLOATS)
         shape = (self.scale.shape[0], 2)
         check_tensor("translation", self.translation, shape, dtypes=FLOATS, like=("scale", self.scale))
+
+    @classmethod
+    def identity(cls, device: torch.device | str = "cpu") -> WeakPerspective:
+        """The camera, one for any batch, of points (u [px], v [px], z [m]) that are in the picture already."""
+        return cls(torch.ones(1, device=device), torch.zeros(1, 2, device=device))
+
+    @property
+    def near_plane(self) -> float:
+        """Depth at or before which nothing is drawn [m]."""
+        return float(self.near)
 
     @property
     def intrinsics(self) -> torch.Tensor:
@@ -49,13 +63,13 @@ class WeakPerspective(Movable):
 
     def in_crop(self, crop: Crop) -> WeakPerspective:
         """The camera of the crop's own picture."""
-        return WeakPerspective(
-            self.scale * crop.zoom, (self.translation - crop.origin_of(self.translation)) * crop.zoom
-        )
+        translation = (self.translation - crop.origin_of(self.translation)) * crop.zoom
+        return WeakPerspective(self.scale * crop.zoom, translation, self.near)
 
     def in_full(self, crop: Crop) -> WeakPerspective:
         """The camera of the full picture, where this one is the crop's."""
-        return WeakPerspective(self.scale / crop.zoom, self.translation / crop.zoom + crop.origin_of(self.translation))
+        translation = self.translation / crop.zoom + crop.origin_of(self.translation)
+        return WeakPerspective(self.scale / crop.zoom, translation, self.near)
 
     @classmethod
     def from_hmr(cls, parameters: torch.Tensor, image_size: int) -> WeakPerspective:
@@ -101,20 +115,28 @@ class Perspective(Movable):
     Attributes:
         focal: (f_x, f_y) [px], shape (B, 2).
         centre: Principal point (c_x, c_y) [px], shape (B, 2).
+        near: Depth at or before which nothing is drawn [m]; not below 1e-6, whatever it says.
 
     Raises:
-        ValueError: If a shape or dtype is wrong, or the two differ in dtype or device.
+        ValueError: If a shape or dtype is wrong, the two differ in dtype or device, or ``near`` is NaN.
     """
 
     focal: torch.Tensor
     centre: torch.Tensor
+    near: float = 0.01
 
     perspective = True
 
     def __post_init__(self) -> None:
+        _check_near(self.near)
         check_tensor("focal", self.focal, (None, 2), dtypes=FLOATS)
         shape = (self.focal.shape[0], 2)
         check_tensor("centre", self.centre, shape, dtypes=FLOATS, like=("focal", self.focal))
+
+    @property
+    def near_plane(self) -> float:
+        """Depth at or before which nothing is drawn [m]: never behind the camera."""
+        return max(float(self.near), _MIN_DEPTH)
 
     @property
     def intrinsics(self) -> torch.Tensor:
@@ -135,11 +157,13 @@ class Perspective(Movable):
 
     def in_crop(self, crop: Crop) -> Perspective:
         """The camera of the crop's own picture."""
-        return Perspective(self.focal * crop.zoom, (self.centre - crop.origin_of(self.centre)) * crop.zoom)
+        centre = (self.centre - crop.origin_of(self.centre)) * crop.zoom
+        return Perspective(self.focal * crop.zoom, centre, self.near)
 
     def in_full(self, crop: Crop) -> Perspective:
         """The camera of the full picture, where this one is the crop's."""
-        return Perspective(self.focal / crop.zoom, self.centre / crop.zoom + crop.origin_of(self.centre))
+        centre = self.centre / crop.zoom + crop.origin_of(self.centre)
+        return Perspective(self.focal / crop.zoom, centre, self.near)
 
     def to_weak(self, point: torch.Tensor) -> WeakPerspective:
         """The weak-perspective camera that agrees at depth ``point`` z; offsets are then measured from ``point``.
@@ -153,6 +177,11 @@ class Perspective(Movable):
 
 
 _MIN_DEPTH = 1e-6  # [m]
+
+
+def _check_near(near: float) -> None:
+    if math.isnan(near):
+        raise ValueError(f"near: {near}; expected a depth")
 
 
 def _check_side(image_size: float) -> None:
@@ -209,3 +238,21 @@ class Crop:
 
 
 Camera = WeakPerspective | Perspective
+
+
+def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> None:
+    """Raise unless it is a camera, one for all B bodies or one a body, where they are.
+
+    Args:
+        camera: What the caller passed; another one that has ``intrinsics`` and ``project`` will do.
+        batch: B.
+        like: Name and tensor whose device it must be on.
+    """
+    if not hasattr(camera, "intrinsics"):
+        check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
+    intrinsics = camera.intrinsics
+    check_tensor("camera", intrinsics, (None, 4), dtypes=FLOATS)
+    if intrinsics.shape[0] not in (1, batch):
+        raise ValueError(f"camera: {intrinsics.shape[0]} of them; expected {batch}, as {like[0]}, or 1")
+    if intrinsics.device != like[1].device:
+        raise ValueError(f"camera: on {intrinsics.device}; expected {like[1].device}, as {like[0]}")

@@ -13,7 +13,7 @@ import torch
 from ..body.parameters import BodyParameters
 from ..body.template import LOCKED_PARTS, PART_NAMES
 from ..errors import InputError
-from ..render.ellipsoid_passes import Gradient
+from ..render.options import Gradient
 from .buttons import Button
 from .clothing import Clothing
 from .film import FILM, Film

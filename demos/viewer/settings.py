@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from ..errors import InputError
-from ..render.ellipsoid_passes import Gradient
+from ..render.options import DEFAULT_DEPTH_WEIGHT, Gradient
+from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
 
 Supervision = Literal["keypoints", "silhouette", "parts"]
 RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
@@ -66,6 +67,17 @@ class Settings:
     def level(self) -> int | None:
         """Subdivisions of the mesh; None for exact ellipsoids."""
         return None if self.renderer == "exact" else int(self.renderer[1])
+
+    @property
+    def depth_weight(self) -> float:
+        """The paper's lambda of the z gradient."""
+        return DEFAULT_DEPTH_WEIGHT if self.depth_gradient else 0.0
+
+    def drawn_by(self) -> Renderer:
+        """The renderer of these settings."""
+        if self.level is None:
+            return RendererEllipsoids(self.gradient, depth_weight=self.depth_weight)
+        return RendererMesh(self.level, depth_weight=self.depth_weight)
 
     @property
     def offers_depth(self) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,10 @@ from ..body.posing import Posed
 from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from ..errors import InputError
 from ..metrics import mpjpe, part_f1
-from ..refinement.energy import Energy, Renderer
-from ..refinement.refine import SHAPE_RATE, SIZES, rate_share
-from ..render.ellipsoids import draw_ellipsoids
-from ..render.mesh import DEFAULT_DEPTH_WEIGHT, rasterize_parts
-from ..render.part_mesh import PartMesh, ellipbody_mesh
+from ..refinement.energy import Energy
+from ..refinement.stepper import Refinement
+from ..refinement.steps import size_bounds
+from ..render.renderers import Renderer, RendererMesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file
 from .settings import Settings
@@ -31,7 +29,6 @@ from .targets import Target, read_body
 from .view import VIEW, seen_as, view_of
 from .wanted import BACKGROUND_COLOUR, WantedPicture, picture_colours, wanted_picture
 
-_FINAL_RATE = 0.1
 _TIMED = 15  # the last so many iterations tell the time of one
 _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact ellipsoids
 
@@ -70,7 +67,6 @@ class DemoState:
         self.target = target
         self.settings = settings or Settings()
         self.prior = PosePrior()
-        self.history: list[float] = []
         self._seen: Target | None = None  # what the wanted pictures were made of
         self._wanted_pictures: dict[int, WantedPicture | None] = {}  # by their size
         _check_labels(self.settings, target)
@@ -113,57 +109,36 @@ class DemoState:
 
     def _begin(self) -> None:
         self._moved()
-        self.body = self.body.leaves()
-        rate = self.settings.learning_rate
-        groups = [
-            {"params": tensor, "lr": rate * (SHAPE_RATE if name in SIZES else 1.0)}
-            for name, tensor in self.body.tensors().items()
-        ]
-        self._adam = torch.optim.Adam(groups)
-        self._schedule = torch.optim.lr_scheduler.LambdaLR(
-            self._adam, lambda step: rate_share(min(step, self.settings.steps), self.settings.steps, _FINAL_RATE)
+        settings = self.settings
+        self.energy = self._make_energy(settings.drawn_by())
+        self._refinement = Refinement(
+            self.body, self.energy, iterations=settings.steps, learning_rate=settings.learning_rate
         )
-        self.history = []
+        self.body = self._refinement.bodies
+        self.history: list[float] = []
         self._times: deque[float] = deque(maxlen=_TIMED)
-        self.energy = self._make_energy("exact" if self.settings.level is None else "mesh", self.settings.level or 0)
         self._outline_energy: Energy | None = None
         if self._seen is not self.target:
             self._seen, self._wanted_pictures = self.target, {}
         if (size := self.settings.size) not in self._wanted_pictures:
             self._wanted_pictures[size] = wanted_picture(self.target, size)
 
-    def _make_energy(self, renderer: Renderer, level: int) -> Energy:
+    def _make_energy(self, renderer: Renderer) -> Energy:
         seen, settings = self.target.observation, self.settings
         if settings.supervision == "keypoints":
             seen = replace(seen, labels=None, label_set=None)
         elif settings.supervision == "silhouette" and seen.labels is not None:
             person = (seen.labels != BACKGROUND) & (seen.labels != IGNORE)
             seen = replace(seen, labels=seen.labels.masked_fill(person, 1), label_set=label_set("full1"))
-        return Energy(
-            seen,
-            size=settings.size,
-            prior=self.prior,
-            renderer=renderer,
-            subdivisions=level,
-            gradient=settings.gradient,
-            depth_weight=DEFAULT_DEPTH_WEIGHT if settings.depth_gradient else 0.0,
-        )
+        return Energy(seen, size=settings.size, prior=self.prior, renderer=renderer)
 
     def step(self) -> None:
-        """One iteration of the refinement: what ``refine`` does, with nothing ahead of it decided."""
+        """One iteration of the refinement."""
         began = time.perf_counter()
-        total = torch.stack(list(self.energy(self.body).values())).sum()
-        self._adam.zero_grad(set_to_none=True)
-        total.backward()
-        self._adam.step()
-        self._schedule.step()
-        with torch.no_grad():
-            for name in SIZES:
-                low, high = self.bounds(name)
-                self.body.tensors()[name].clamp_(low, high)
+        self._refinement.step()
         self._moved()
         self._times.append(time.perf_counter() - began)
-        self.history.append(float(total.detach()))
+        self.history.append(float(self._refinement.history[-1]))
 
     def _moved(self) -> None:
         self._posed: Posed | None = None
@@ -177,12 +152,7 @@ class DemoState:
 
     def bounds(self, name: str) -> tuple[torch.Tensor, torch.Tensor]:
         """Smallest and largest "lengths" or "thicknesses" [m], shape (1, 12) or (1, 15) each."""
-        low, high = SIZES[name]
-        return low * self._mean.tensors()[name], high * self._mean.tensors()[name]
-
-    @cached_property
-    def _mean(self) -> BodyParameters:
-        return BodyParameters.mean(1)
+        return size_bounds(name, "cpu")
 
     def set_length(self, name: str, metres: float) -> None:
         """Change one of ``LENGTH_NAMES``, within 60 and 140 % of the mean adult's; the edited body is the new start."""
@@ -234,15 +204,10 @@ class DemoState:
     def drawn(self) -> np.ndarray:
         """Group ids of the body as the renderer of the settings draws it, shape (size, size), uint8."""
         if self._drawn is None:
-            size, level, groups = self.settings.size, self.settings.level, self.target.label_set.part_groups
-            posed, camera = self.posed(), self.body.camera(size)
-            if level is None:
-                shown = draw_ellipsoids(posed, camera, (size, size), part_labels=groups[1:].tolist(), validate=False)
-                self._drawn = shown.labels[0].numpy()
-            else:
-                mesh = _mesh(level, tuple(groups.tolist()))
-                points = camera.project(posed.vertices(level))
-                self._drawn = rasterize_parts(points, mesh, (size, size), validate=False).labels[0].numpy()
+            size, groups = self.settings.size, self.target.label_set.part_groups[1:].tolist()
+            renderer, camera = self.settings.drawn_by(), self.body.camera(size)
+            shown = renderer.draw(self.posed(), camera, (size, size), part_labels=groups, validate=False)
+            self._drawn = shown.labels[0].numpy()
         return self._drawn
 
     def wanted(self) -> np.ndarray | None:
@@ -270,10 +235,7 @@ class DemoState:
         """
         body, posed = self.body.detach(), self.posed()
         posed = replace(posed, centres=posed.centres.clone().requires_grad_())
-        loss = self.energy.weights.proj * self.energy.reprojection(body, posed)
-        if self.energy.target is not None:
-            loss = loss + self.energy.weights.seg * self.energy.segmentation(body, posed)
-        loss.sum().backward()
+        torch.stack(list(self.energy.terms(body, posed, ("proj", "seg")).values())).sum().backward()
         assert posed.centres.grad is not None
         return posed.centres.detach()[0].numpy(), -posed.centres.grad[0].numpy()
 
@@ -288,7 +250,7 @@ class DemoState:
         """
         level = self.settings.level
         if self._outline_energy is None:
-            mesh = self._make_energy("mesh", _OUTLINE_LEVEL)
+            mesh = self._make_energy(RendererMesh(_OUTLINE_LEVEL, depth_weight=self.settings.depth_weight))
             self._outline_energy = mesh if level is None else self.energy
         energy = self._outline_energy
         if energy.target is None:
@@ -340,12 +302,6 @@ class DemoState:
     def load(self, path: str | Path) -> None:
         """Start from the body of a ``body.npz``; see ``read_body``."""
         self.reset(read_body(path))
-
-
-@lru_cache(maxsize=8)
-def _mesh(level: int, groups: tuple[int, ...]) -> PartMesh:
-    """With the labels of these groups, whose edges take a moment to find."""
-    return ellipbody_mesh(level).relabel(np.array(groups, dtype=np.uint8))
 
 
 def _check_labels(settings: Settings, target: Target) -> None:

@@ -23,7 +23,7 @@ from ..inputs.part_labels import check_sizes, label_set_of, read_parts, read_pho
 from ..inputs.person import check_inside
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
-from ..refinement.refine import SIZES
+from ..refinement.steps import SIZES
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..synthetic.bench_poses import draw_pose

@@ -17,13 +17,12 @@ from .creases import walk_creases
 from .forces import (
     BLOCK,
     Forces,
-    Scene,
+    SceneArrays,
     SurfaceForces,
     Worker,
     find_subject,
     launch_on_ellipsoids,
     make_scene,
-    rests,
     store_forces,
     worker_of,
 )
@@ -35,12 +34,10 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 @wp.func
 def push_coverage(
-    scene: Scene, forces: Forces, w: Worker, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
+    scene: SceneArrays, forces: Forces, w: Worker, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
 ):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    if rests(scene.active, w.b):
-        return sums
     s = scene.silhouettes[w.b, w.k]
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
@@ -61,7 +58,7 @@ def push_coverage(
 
 @wp.kernel(launch_bounds=(BLOCK, 8))
 def coverage_forces(
-    scene: Scene,
+    scene: SceneArrays,
     steps_per_pixel: float,
     halvings: int,
     gradient: Any,
@@ -87,9 +84,8 @@ def launch_coverage_forces(
     halvings: int,
     gradient: Any,  # LabelTarget or DenseGradient
     forces: Forces,
-    active: wp.array | None = None,
 ) -> None:
-    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
+    """Fill the sums of forces on every ellipsoid."""
     launch_find_neighbours(seen)
-    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective)
     launch_on_ellipsoids(coverage_forces, [scene, steps_per_pixel, halvings, gradient], forces)

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..lanes import ballot, lowest_bit, nth_bit, tell
 from .borders import chord_shares, find_crossing, front_at, lead, room_at, room_slope, root_at, slope_at
-from .forces import Ellipsoid, Scene, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
+from .forces import Ellipsoid, SceneArrays, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
 
 wp.set_module_options({"enable_backward": False})
@@ -89,7 +89,7 @@ def push_crease(
 @wp.func
 def push_chord(
     sums: SurfaceForces,
-    scene: Scene,
+    scene: SceneArrays,
     subject: Subject,
     j: int,
     first: wp.vec2,
@@ -220,7 +220,7 @@ def crease_end_in(subject: Subject, j: int, place: wp.vec2, low: wp.vec2, high: 
 @wp.func
 def walk_cell(
     sums: SurfaceForces,
-    scene: Scene,
+    scene: SceneArrays,
     subject: Subject,
     j: int,
     low: wp.vec2,
@@ -299,7 +299,7 @@ def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: flo
 @wp.func
 def walk_creases(
     sums: SurfaceForces,
-    scene: Scene,
+    scene: SceneArrays,
     subject: Subject,
     share: int,
     shares: int,

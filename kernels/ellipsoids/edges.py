@@ -28,7 +28,7 @@ from .borders import find_crossing, front_at, lead, nearness_slope, outline_end,
 from .forces import (
     BLOCK,
     Forces,
-    Scene,
+    SceneArrays,
     Subject,
     SurfaceForces,
     Worker,
@@ -37,7 +37,6 @@ from .forces import (
     load_ellipsoid,
     make_scene,
     pixel_box,
-    rests,
     store_forces,
     worker_of,
 )
@@ -98,7 +97,9 @@ class Lever:
 
 
 @wp.func
-def push_outline(sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x: float, y: float, excess: float):
+def push_outline_crossing(
+    sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x: float, y: float, excess: float
+):
     """Force on an ellipsoid whose outline a line along an axis crosses at (x, y)."""
     normal = wp.normalize(outward_at(s, x, y))
     amount = excess * wp.abs(wp.where(axis == 0, normal[0], normal[1]))
@@ -106,7 +107,7 @@ def push_outline(sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x:
 
 
 @wp.func
-def push_crease(
+def push_crease_crossing(
     sums: SurfaceForces, lever: Lever, s: Silhouette, other: Silhouette, axis: int, x: float, y: float, excess: float
 ):
     """Force on an ellipsoid whose front crosses another's at (x, y) on a line along an axis."""
@@ -199,8 +200,8 @@ def push_border(
     if excess == 0.0:
         return sums
     if meet:
-        return push_crease(sums, lever, s, other, axis, x, y, excess)
-    return push_outline(sums, lever, s, axis, x, y, excess)
+        return push_crease_crossing(sums, lever, s, other, axis, x, y, excess)
+    return push_outline_crossing(sums, lever, s, axis, x, y, excess)
 
 
 @wp.func
@@ -216,11 +217,9 @@ def find_lane(found: int, number: int, lanes: int):
 
 
 @wp.func
-def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
+def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    if rests(scene.active, w.b):
-        return sums
     s = scene.silhouettes[w.b, w.k]
     subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
     left, right, top, bottom = pixel_box(subject, s)
@@ -267,8 +266,8 @@ def push_borders(scene: Scene, w: Worker, lanes: int, gradient: Any):
 
 
 @wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
-def push_edges(
-    scene: Scene,
+def push_crossings(
+    scene: SceneArrays,
     gradient: Any,
     lanes: int,
     forces: Forces,  # OUTPUT
@@ -279,7 +278,7 @@ def push_edges(
 
 
 for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(push_edges, {"gradient": _gradient})
+    wp.overload(push_crossings, {"gradient": _gradient})
 
 
 def launch_edge_forces(
@@ -290,8 +289,7 @@ def launch_edge_forces(
     perspective: bool,
     gradient: Any,  # LabelTarget or DenseGradient
     forces: Forces,
-    active: wp.array | None = None,
 ) -> None:
-    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
-    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
-    launch_on_ellipsoids(push_edges, [scene, gradient], forces)
+    """Fill the sums of forces on every ellipsoid."""
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective)
+    launch_on_ellipsoids(push_crossings, [scene, gradient], forces)

@@ -26,7 +26,7 @@ class Ellipsoid:
 
 
 @wp.struct
-class Scene:
+class SceneArrays:
     """B bodies of P ellipsoids and their picture: what every estimator of a gradient reads."""
 
     centres: wp.array2d[wp.vec3]  # (B, P)
@@ -37,14 +37,7 @@ class Scene:
     neighbours: wp.array3d[wp.uint32]  # (B, P, N) from ``find_neighbours``
     creases: wp.array3d[wp.uint32]  # (B, P, N)
     parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
-    active: wp.array[int]  # (B,) 0: the body rests, nothing is asked of it; empty: none rests
     perspective: bool
-
-
-@wp.func
-def rests(active: wp.array[int], b: int):
-    """Whether nothing is asked of a body."""
-    return active.shape[0] > 0 and active[b] == 0
 
 
 @wp.struct
@@ -62,7 +55,7 @@ class Subject:
 
 
 @wp.func
-def find_subject(scene: Scene, b: int, k: int, target: int):
+def find_subject(scene: SceneArrays, b: int, k: int, target: int):
     """Ellipsoid k of body b."""
     subject = Subject()
     subject.b = b
@@ -77,7 +70,7 @@ def find_subject(scene: Scene, b: int, k: int, target: int):
 
 
 @wp.func
-def load_ellipsoid(scene: Scene, subject: Subject):
+def load_ellipsoid(scene: SceneArrays, subject: Subject):
     """The subject in space."""
     e = Ellipsoid()
     e.centre = scene.centres[subject.b, subject.k]
@@ -315,16 +308,12 @@ _WARPS_TO_FILL = 2048  # of 132 multiprocessors
 _MAX_SHARES = 16  # measured: docs/performance.md
 
 
-def make_scene(
-    ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool, active: wp.array | None = None
-) -> Scene:
+def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool) -> SceneArrays:
     """A scene of centres, axes, semi-axes and camera, as ``launch_see`` and ``launch_draw`` left it."""
-    scene = Scene()
+    scene = SceneArrays()
     scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
     scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
     scene.parts, scene.perspective = parts, perspective
-    if active is not None:
-        scene.active = active
     return scene
 
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..lanes import ballot, lowest_bit, tell
 from .borders import chord_shares
-from .forces import Ellipsoid, Scene, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
+from .forces import Ellipsoid, SceneArrays, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at
 
 wp.set_module_options({"enable_backward": False})
@@ -133,7 +133,7 @@ def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
 
 @wp.func
 def walk_outline(
-    scene: Scene,
+    scene: SceneArrays,
     subject: Subject,
     share: int,
     shares: int,

@@ -17,7 +17,7 @@ from .forces import (
     BLOCK,
     Ellipsoid,
     Forces,
-    Scene,
+    SceneArrays,
     Subject,
     SurfaceForces,
     Worker,
@@ -28,7 +28,6 @@ from .forces import (
     load_ellipsoid,
     make_scene,
     pixel_box,
-    rests,
     store_forces,
     to_unit,
     unproject,
@@ -56,7 +55,6 @@ def walk_line(
     side: int,  # -1: the outline's low end on this line, 1: its high end
     crossing: float,
     edge_nearness: float,
-    over_farther: bool,
     max_distance: float,
     gradient: Any,
 ):
@@ -90,7 +88,7 @@ def walk_line(
             break
         if may_want(gradient, subject.target, s.label, at):
             switches = part == 0
-            if part > 0 and over_farther:
+            if part > 0:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
                 y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
                 switches = front_at(subject.silhouettes[part - 1], x, y) < edge_nearness
@@ -119,7 +117,6 @@ def walk_lines(
     thread: int,
     threads: int,
     perspective: bool,
-    over_farther: bool,
     max_distance: float,
     gradient: Any,
 ):
@@ -141,7 +138,7 @@ def walk_lines(
             x = wp.where(axis == 0, crossing, across)
             y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            slope = walk_line(subject, s, axis, line, side, crossing, nearness, over_farther, max_distance, gradient)
+            slope = walk_line(subject, s, axis, line, side, crossing, nearness, max_distance, gradient)
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness, perspective))
                 fx = wp.where(axis == 0, slope, 0.0)
@@ -236,18 +233,14 @@ def walk_depths(
 
 
 @wp.func
-def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float, depth_weight: float, gradient: Any):
+def push_partdr(scene: SceneArrays, w: Worker, max_distance: float, depth_weight: float, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    if rests(scene.active, w.b):
-        return sums
     subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
     s = subject.silhouettes[w.k]
     if s.low[0] <= s.high[0]:
         e = load_ellipsoid(scene, subject)
-        sums = walk_lines(
-            sums, subject, e, s, w.number, w.count, scene.perspective, over_farther, max_distance, gradient
-        )
+        sums = walk_lines(sums, subject, e, s, w.number, w.count, scene.perspective, max_distance, gradient)
         if depth_weight != 0.0:
             sums = walk_depths(sums, subject, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
     return sums
@@ -255,8 +248,7 @@ def push_partdr(scene: Scene, w: Worker, over_farther: bool, max_distance: float
 
 @wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
 def partdr_forces(
-    scene: Scene,
-    over_farther: bool,
+    scene: SceneArrays,
     max_distance: float,  # [px]
     depth_weight: float,
     gradient: Any,
@@ -265,7 +257,7 @@ def partdr_forces(
 ):
     """Sums over the forces on each ellipsoid."""
     w = worker_of(forces, lanes, wp.tid())
-    store_forces(forces, w, push_partdr(scene, w, over_farther, max_distance, depth_weight, gradient))
+    store_forces(forces, w, push_partdr(scene, w, max_distance, depth_weight, gradient))
 
 
 for _gradient in (LabelTarget, DenseGradient):
@@ -278,14 +270,12 @@ def launch_partdr_forces(
     parts: wp.array,
     *,
     perspective: bool,
-    over_farther: bool,
     max_distance: float,
     depth_weight: float,
     gradient: Any,  # LabelTarget or DenseGradient
     forces: Forces,
-    active: wp.array | None = None,
 ) -> None:
-    """Fill the sums of forces on every ellipsoid; those of bodies that are not active come out 0."""
-    scene = make_scene(ellipsoids, seen, parts, perspective=perspective, active=active)
-    inputs = [scene, over_farther, max_distance, depth_weight, gradient]
+    """Fill the sums of forces on every ellipsoid."""
+    scene = make_scene(ellipsoids, seen, parts, perspective=perspective)
+    inputs = [scene, max_distance, depth_weight, gradient]
     launch_on_ellipsoids(partdr_forces, inputs, forces)

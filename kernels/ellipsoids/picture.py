@@ -8,7 +8,6 @@ import warp as wp
 
 from ..labels import LabelTarget, are_words, cost_of, flat, target_of, words_of
 from ..lanes import LANES, ballot, lowest_bit, sum_lanes
-from .forces import rests
 from .silhouette import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -75,7 +74,6 @@ def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
     perspective: bool,
     target: LabelTarget,
-    active: wp.array[int],  # (B,) 0: the body's picture stays as it is; empty: all are drawn
     strips: int,  # a tile
     parts: wp.array3d[wp.uint8],  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background  OUTPUT
     labels: wp.array3d[wp.uint8],  # (B, H, W) or empty  OUTPUT
@@ -93,7 +91,7 @@ def draw_tiles(
     in_picture = tiles * ((height + tile_height - 1) // tile_height)
     b = (thread // LANES) // in_picture
     tile = (thread // LANES) - b * in_picture
-    if b >= parts.shape[0] or rests(active, b):
+    if b >= parts.shape[0]:
         return
     ellipsoids = silhouettes[b]
     left = (tile % tiles) * _STRIP_WIDTH
@@ -177,7 +175,6 @@ def draw_rows(
     silhouettes: wp.array2d[Silhouette],
     perspective: bool,
     target: LabelTarget,
-    active: wp.array[int],
     nearest: wp.array3d[float],  # (B, H, W) scratch
     parts: wp.array3d[wp.uint8],
     labels: wp.array3d[wp.uint8],
@@ -186,8 +183,6 @@ def draw_rows(
 ):
     """CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
     b, row = wp.tid()
-    if rests(active, b):
-        return
     width = parts.shape[2]
     begin = row * width
     image = flat(parts[b])
@@ -294,17 +289,15 @@ def launch_draw(
     labels: wp.array,
     depth: wp.array,
     losses: wp.array,
-    active: wp.array | None = None,
 ) -> None:
     """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
 
     All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses``
-    only. Bodies whose flag in ``active`` is 0 stay as they are.
+    only.
     """
     device = silhouettes.device
     batch, height, width = parts.shape
-    moving = wp.empty(0, dtype=int, device=device) if active is None else active
-    inputs = [silhouettes, perspective, target, moving]
+    inputs = [silhouettes, perspective, target]
     outputs = [parts, labels, depth, losses]
     if device.is_cpu:
         wp.launch(draw_rows, (batch, height), [*inputs, nearest], outputs, device=device)

@@ -1,49 +1,31 @@
 """The loss gradient g of the part maps, as PartDR's backward pass reads it.
 
 g comes in two forms: dense maps (B, K, H, W), or a target label image, from which L_seg's gradient at a pixel follows
-from two labels (``LabelTarget``).
+from two labels: 2 w (shown) where a part is wrong and -2 w (wanted) where one is missing.
 """
 
 from typing import Any
 
 import warp as wp
 
-from ..labels import IGNORE, flat
+from ..labels import IGNORE, DenseGradient, LabelTarget, flat, map_weight
 from .rasterize import MISSING, SURPLUS
-
-
-@wp.struct
-class LabelTarget:
-    """L_seg against a label image: g is 2 w (shown) where a part is wrong and -2 w (wanted) where one is missing."""
-
-    target: wp.array3d[wp.uint8]  # (B, H, W), 255 = ignore
-    label_weights: wp.array[float]  # (256,)
-    scale: wp.array[float]  # (B,) gradient of the loss itself
-    extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, from ``launch_compare_labels``
-
-
-@wp.struct
-class DenseGradient:
-    """Any gradient with respect to the part maps."""
-
-    maps: wp.array4d[float]  # (B, K, H, W)
-    wanted: int  # the z pass looks for one map's part at a time
 
 
 @wp.func
 def pixels_of(g: LabelTarget, b: int, label: int):
-    """What ``gradient_at`` reads for a label: the target."""
+    """What ``pixel_gradient`` reads for a label: the target."""
     return flat(g.target[b])
 
 
 @wp.func
 def pixels_of(g: DenseGradient, b: int, label: int):
-    """What ``gradient_at`` reads for a label: its map."""
+    """What ``pixel_gradient`` reads for a label: its map."""
     return flat(g.maps[b, label - 1])
 
 
 @wp.func
-def gradient_at(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
+def pixel_gradient(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
     """dL/dA of map ``label`` at a pixel that shows this label or another, but for the factor ``weight_of``."""
     want = int(target[at])
     if shows_it:
@@ -52,15 +34,15 @@ def gradient_at(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool)
 
 
 @wp.func
-def gradient_at(map: wp.array[float], at: int, label: int, shows_it: bool):
+def pixel_gradient(map: wp.array[float], at: int, label: int, shows_it: bool):
     """dL/dA of map ``label`` at a pixel."""
     return map[at]
 
 
 @wp.func
 def weight_of(g: LabelTarget, b: int, label: int):
-    """The factor of all that ``gradient_at`` says of a label."""
-    return g.label_weights[label] * g.scale[b]
+    """The factor of all that ``pixel_gradient`` says of a label."""
+    return map_weight(label) * g.scale[b]
 
 
 @wp.func
@@ -70,15 +52,15 @@ def weight_of(g: DenseGradient, b: int, label: int):
 
 
 @wp.func
-def wanted_at(g: LabelTarget, b: int, at: int):
+def target_label_at(g: LabelTarget, b: int, at: int):
     """The label that may come forward at a pixel: what the target shows."""
     return int(flat(g.target[b])[at])
 
 
 @wp.func
-def wanted_at(g: DenseGradient, b: int, at: int):
+def target_label_at(g: DenseGradient, b: int, at: int):
     """The label that may come forward at a pixel: every one in its turn, and its map's gradient says how much."""
-    return g.wanted
+    return g.label
 
 
 @wp.func

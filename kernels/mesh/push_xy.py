@@ -1,6 +1,6 @@
 """PartDR's backward pass in x and y: how part maps change as silhouette edges move (paper, eq. 10 and 11).
 
-The definition is docs/renderer.md; ``tests/reference.py`` is the same in slow float64. The result is linear in the loss
+The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
 gradient of the part maps (``map_gradient``).
 """
 
@@ -9,10 +9,10 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import flat
-from .map_gradient import DenseGradient, LabelTarget, all_wrong, extent, gradient_at, pixels_of, weight_of
+from ..labels import DenseGradient, LabelTarget, flat
+from .map_gradient import all_wrong, extent, pixel_gradient, pixels_of, weight_of
 from .rasterize import MISSING, SURPLUS, launch_bodies
-from .triangles import first_pixel
+from .triangles import ImageArrays, MeshArrays, first_pixel
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -54,10 +54,7 @@ def side_of(p0: wp.vec3, p1: wp.vec3, q: wp.vec3):
 def find_silhouettes(
     first_body: int,
     threads: int,  # of one body: E
-    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
-    face_labels: wp.array[wp.uint8],  # (F,)
-    edges: wp.array2d[int],  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
-    near: float,
+    mesh: MeshArrays,
     size: wp.vec2i,  # width, height
     gradient: Any,
     counts: wp.array2d[wp.uint64],  # (B, 16), zeroed  MODIFIED: column 0, edges in the high half, lines in the low one
@@ -66,8 +63,8 @@ def find_silhouettes(
     """List the edges that bound their part, where it is wrong: few of all, and they do all the work."""
     thread = wp.tid()
     b = first_body + thread // threads
-    ends = edges[thread % threads]
-    points = vertices[b]
+    ends = mesh.edges[thread % threads]
+    points = mesh.vertices[b]
     p0 = points[ends[0]]
     p1 = points[ends[1]]
     q = points[ends[4]]
@@ -78,9 +75,9 @@ def find_silhouettes(
         r = points[ends[5]]
         other_side = side_of(p0, p1, r)
         nearest = wp.min(nearest, r[2])
-    if side + other_side == 0 or nearest <= near:
+    if side + other_side == 0 or nearest <= mesh.near:
         return  # the faces lie on either side: no silhouette
-    wrong = all_wrong(gradient, b, int(face_labels[ends[2]]))
+    wrong = all_wrong(gradient, b, int(mesh.face_labels[ends[2]]))
     rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
     columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
     lines = rows[1] + columns[1]
@@ -111,8 +108,6 @@ def reach_out(
     depth: wp.array[float],
     asked: Any,
     label: int,
-    all_edges: bool,
-    over_farther: bool,
     edge_depth: float,
     at: int,  # first pixel
     step: int,  # to the next
@@ -124,13 +119,12 @@ def reach_out(
     while left > 0:
         # both loads before anything hangs on them, so that they wait together
         shown = int(picture[at])
-        value = gradient_at(asked, at, label, False)
+        value = pixel_gradient(asked, at, label, False)
         if shown == label:
-            if not all_edges:
-                break
-        elif value != 0.0:
+            break
+        if value != 0.0:
             switches = shown == 0
-            if over_farther and not switches:
+            if not switches:
                 switches = depth[at] > edge_depth
             if switches:
                 pull += value / wp.max(distance, 1.0)
@@ -143,11 +137,8 @@ def reach_out(
 @wp.func
 def draw_in(
     picture: wp.array[wp.uint8],
-    face_index: wp.array[int],
     asked: Any,
     label: int,
-    all_edges: bool,
-    face: int,
     at: int,
     step: int,
     left: int,
@@ -157,12 +148,9 @@ def draw_in(
     pull = float(0.0)
     while left > 0:
         shown = int(picture[at])
-        value = gradient_at(asked, at, label, True)
+        value = pixel_gradient(asked, at, label, True)
         if shown == 0:
             break
-        if all_edges:
-            if face_index[at] != face:
-                break
         pull += wp.where(shown == label, value, 0.0) / wp.max(distance, 1.0)
         at += step
         distance += 1.0
@@ -174,18 +162,11 @@ def draw_in(
 def push_edges(
     first_body: int,
     threads: int,  # of one body
-    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
-    face_labels: wp.array[wp.uint8],  # (F,)
-    edges: wp.array2d[int],  # (E, 6)
+    mesh: MeshArrays,
+    images: ImageArrays,
     counts: wp.array2d[wp.uint64],  # (B, 16), column 0
     silhouettes: wp.array2d[wp.vec2i],  # (B, E)
-    perspective: bool,
-    all_edges: bool,  # True: NMR's rule, every visible face reaches out; False: silhouettes only
-    over_farther: bool,  # whether an edge also moves over parts farther away than itself; the paper's rule: no
     max_distance: float,  # [px] pixels farther from the edge do nothing; the paper's rule: inf
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
-    face_index: wp.array3d[int],  # (B, H, W), read where something shows
-    depth: wp.array3d[float],  # (B, H, W) [m], likewise
     gradient: Any,
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
 ):
@@ -202,19 +183,19 @@ def push_edges(
     share = (2 * lines + threads - 1) // threads
     task = thread % threads * share
     end = wp.min(task + share, 2 * lines)
-    size = wp.vec2i(labels.shape[2], labels.shape[1])
-    picture = flat(labels[b])
+    size = wp.vec2i(images.labels.shape[2], images.labels.shape[1])
+    picture = flat(images.labels[b])
+    depth = flat(images.depth[b])
     while task < end:
         outward = task < lines
         line = task - wp.where(outward, 0, lines)
         silhouette = found[last_before(found, count, line)]
         line -= silhouette[1]
-        ends = edges[silhouette[0] >> 3]
+        ends = mesh.edges[silhouette[0] >> 3]
         sides = (silhouette[0] & 7) - 2
-        face = ends[2]
-        label = int(face_labels[face])
-        p0 = vertices[b, ends[0]]
-        p1 = vertices[b, ends[1]]
+        label = int(mesh.face_labels[ends[2]])
+        p0 = mesh.vertices[b, ends[0]]
+        p1 = mesh.vertices[b, ends[1]]
         wrong = all_wrong(gradient, b, label)
         rows = lines_between(p0[1], p1[1], wrong[0], wrong[1], size[1])
         columns = lines_between(p0[0], p1[0], wrong[2], wrong[3], size[0])
@@ -244,7 +225,7 @@ def push_edges(
             w0 = 1.0 - w1
             crossing = w0 * q0[0] + w1 * q1[0]
             edge_depth = w0 * q0[2] + w1 * q1[2]
-            if perspective:
+            if mesh.perspective:
                 edge_depth = 1.0 / (w0 / q0[2] + w1 / q1[2])
             # first pixel centres strictly outside and at or inside the crossing, clamped in float against overflow
             place = wp.clamp(crossing, -1.0, float(count_along) + 1.0)
@@ -255,13 +236,7 @@ def push_edges(
                 outside = inside + 1
 
             going = bool(True)
-            if all_edges:
-                # NMR draws on visible faces only: the pixel just inside must show this one
-                going = inside >= 0 and inside < count_along
-                if going:
-                    at = start + inside * pitch
-                    going = picture[at] != wp.uint8(0) and flat(face_index[b])[at] == face
-            elif outside >= 0 and outside < count_along:
+            if outside >= 0 and outside < count_along:
                 # an edge inside its own part's picture bounds nothing
                 going = int(picture[start + outside * pitch]) != label
 
@@ -276,23 +251,9 @@ def push_edges(
             at = start + pixel * pitch
             pull = float(0.0)
             if outward:
-                pull = reach_out(
-                    picture,
-                    flat(depth[b]),
-                    asked,
-                    label,
-                    all_edges,
-                    over_farther,
-                    edge_depth,
-                    at,
-                    step * pitch,
-                    left,
-                    distance,
-                )
+                pull = reach_out(picture, depth, asked, label, edge_depth, at, step * pitch, left, distance)
             else:
-                pull = draw_in(
-                    picture, flat(face_index[b]), asked, label, all_edges, face, at, step * pitch, left, distance
-                )
+                pull = draw_in(picture, asked, label, at, step * pitch, left, distance)
             pull *= float(-inward)
             ends_pull = wp.vec2(w0 * pull, w1 * pull)  # by how much either moves the crossing
             pull_x += wp.where(axis == 0, ends_pull, wp.vec2())
@@ -335,34 +296,23 @@ class SilhouetteList:
 
 
 def launch_push_edges(
-    vertices: wp.array,
-    face_labels: wp.array,
-    edges: wp.array,
+    mesh: MeshArrays,
+    images: ImageArrays,
     *,
-    near: float,
-    perspective: bool,
-    all_edges: bool,
-    over_farther: bool,
     max_distance: float,
-    labels: wp.array,
-    face_index: wp.array,
-    depth: wp.array,
     gradient: Any,  # LabelTarget or DenseGradient
     found: SilhouetteList,
     grad_vertices: wp.array,
 ) -> None:
-    """Add the x and y gradient.
-
-    All images are contiguous; ``face_index`` and ``depth`` need no values where nothing shows.
-    """
-    device = vertices.device
-    batch, height, width = labels.shape
+    """Add the x and y gradient; all images are contiguous."""
+    device = mesh.vertices.device
+    batch, height, width = images.labels.shape
     found.counts.zero_()
     launch_bodies(
         find_silhouettes,
         batch,
-        edges.shape[0],
-        [vertices, face_labels, edges, near, wp.vec2i(width, height), gradient],
+        mesh.edges.shape[0],
+        [mesh, wp.vec2i(width, height), gradient],
         [found.counts, found.silhouettes],
         device,
     )
@@ -370,21 +320,7 @@ def launch_push_edges(
         push_edges,
         batch,
         1 if device.is_cpu else _LINE_THREADS,
-        [
-            vertices,
-            face_labels,
-            edges,
-            found.counts,
-            found.silhouettes,
-            perspective,
-            all_edges,
-            over_farther,
-            max_distance,
-            labels,
-            face_index,
-            depth,
-            gradient,
-        ],
+        [mesh, images, found.counts, found.silhouettes, max_distance, gradient],
         [grad_vertices],
         device,
     )

@@ -1,6 +1,6 @@
 """PartDR's backward pass in z: what is hidden and should be seen comes forward (paper, eq. 12).
 
-The definition is docs/renderer.md; ``tests/reference.py`` is the same in slow float64. The result is linear in the loss
+The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
 gradient of the part maps (``map_gradient``).
 """
 
@@ -9,10 +9,12 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import flat
-from .map_gradient import DenseGradient, LabelTarget, extent, gradient_at, pixels_of, wanted_at, weight_of
+from ..labels import DenseGradient, LabelTarget, flat
+from .map_gradient import extent, pixel_gradient, pixels_of, target_label_at, weight_of
 from .rasterize import EMPTY_KEY, HIDDEN, launch_bodies, row_lane_bits
 from .triangles import (
+    ImageArrays,
+    MeshArrays,
     Triangle,
     covers,
     depth_at,
@@ -39,11 +41,7 @@ _COUNT_STRIDE = 32  # as of the silhouettes' counters
 def draw_hidden_faces(
     first_body: int,
     threads: int,  # of one body
-    vertices: wp.array2d[wp.vec3],  # (B, V)
-    faces: wp.array[wp.vec3i],  # (F,)
-    face_labels: wp.array[wp.uint8],  # (F,)
-    near: float,
-    perspective: bool,
+    mesh: MeshArrays,
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
     labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
     gradient: Any,
@@ -56,11 +54,11 @@ def draw_hidden_faces(
     b = first_body + thread // threads
     lanes = 1 << lane_bits
     face = (thread % threads) >> lane_bits
-    label = int(face_labels[face])
+    label = int(mesh.face_labels[face])
     wrong = extent(gradient, b, HIDDEN, label)
     if wrong[1] < 0:
         return
-    t = load_triangle(vertices[b], faces[face], near)
+    t = load_triangle(mesh.vertices[b], mesh.faces[face], mesh.near)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
@@ -79,11 +77,11 @@ def draw_hidden_faces(
             at = row * width + column
             # both loads before anything hangs on them, so that they wait together
             shown = int(picture[at])
-            wanted = wanted_at(gradient, b, at)
+            wanted = target_label_at(gradient, b, at)
             if shown != 0 and shown != label and wanted == label:
                 values = edge_values(e, float(column) + 0.5, y)
                 if covers(e, values):
-                    depth = depth_at(t, weights_3d(t, values, perspective))
+                    depth = depth_at(t, weights_3d(t, values, mesh.perspective))
                     if wp.atomic_min(body_keys, at, depth_key(depth, face)) == EMPTY_KEY:
                         pixels[b, wp.atomic_add(counts, b, 0, 1)] = at
 
@@ -92,11 +90,7 @@ def draw_hidden_faces(
 def push_depths(
     first_body: int,
     threads: int,  # of one body
-    vertices: wp.array2d[wp.vec3],  # (B, V)
-    faces: wp.array[wp.vec3i],  # (F,)
-    face_labels: wp.array[wp.uint8],  # (F,)
-    near: float,
-    perspective: bool,
+    mesh: MeshArrays,
     depth_weight: float,  # the paper's lambda [m]
     face_index: wp.array3d[int],  # (B, H, W), read where something shows
     gradient: Any,
@@ -114,19 +108,19 @@ def push_depths(
         at = pixels[b, i]
         back_index = key_face(body_keys[at])
         body_keys[at] = EMPTY_KEY
-        wanted = int(face_labels[back_index])
-        amount = gradient_at(pixels_of(gradient, b, wanted), at, wanted, False) * weight_of(gradient, b, wanted)
+        wanted = int(mesh.face_labels[back_index])
+        amount = pixel_gradient(pixels_of(gradient, b, wanted), at, wanted, False) * weight_of(gradient, b, wanted)
         amount *= depth_weight
         if amount == 0.0:
             continue
         x = float(at % width) + 0.5
         y = float(at // width) + 0.5
-        back_face = faces[back_index]
-        front_face = faces[flat(face_index[b])[at]]
-        back = load_triangle(vertices[b], back_face, near)
-        front = load_triangle(vertices[b], front_face, near)
-        back_weights = weights_3d(back, edge_values(make_edges(back), x, y), perspective)
-        front_weights = weights_3d(front, edge_values(make_edges(front), x, y), perspective)
+        back_face = mesh.faces[back_index]
+        front_face = mesh.faces[flat(face_index[b])[at]]
+        back = load_triangle(mesh.vertices[b], back_face, mesh.near)
+        front = load_triangle(mesh.vertices[b], front_face, mesh.near)
+        back_weights = weights_3d(back, edge_values(make_edges(back), x, y), mesh.perspective)
+        front_weights = weights_3d(front, edge_values(make_edges(front), x, y), mesh.perspective)
         delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
         amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
@@ -187,32 +181,24 @@ class HiddenPixels:
 
 
 def launch_push_depths(
-    vertices: wp.array,
-    faces: wp.array,
-    face_labels: wp.array,
+    mesh: MeshArrays,
+    images: ImageArrays,
     *,
-    near: float,
-    perspective: bool,
     depth_weight: float,
-    labels: wp.array,
-    face_index: wp.array,
     gradient: Any,
     hidden: HiddenPixels,
     grad_vertices: wp.array,
 ) -> None:
-    """Add the z gradient.
-
-    All images are contiguous; ``face_index`` needs no values where nothing shows.
-    """
-    device = vertices.device
-    batch = labels.shape[0]
-    bits = row_lane_bits(batch * faces.shape[0], device)
+    """Add the z gradient; all images are contiguous."""
+    device = mesh.vertices.device
+    batch, faces = images.labels.shape[0], mesh.faces.shape[0]
+    bits = row_lane_bits(batch * faces, device)
     hidden.counts.zero_()
     launch_bodies(
         draw_hidden_faces,
         batch,
-        faces.shape[0] << bits,
-        [vertices, faces, face_labels, near, perspective, bits, labels, gradient],
+        faces << bits,
+        [mesh, bits, images.labels, gradient],
         [hidden.keys, hidden.counts, hidden.pixels],
         device,
     )
@@ -220,18 +206,7 @@ def launch_push_depths(
         push_depths,
         batch,
         1 if device.is_cpu else _PIXEL_THREADS,
-        [
-            vertices,
-            faces,
-            face_labels,
-            near,
-            perspective,
-            depth_weight,
-            face_index,
-            gradient,
-            hidden.counts,
-            hidden.pixels,
-        ],
+        [mesh, depth_weight, images.face_index, gradient, hidden.counts, hidden.pixels],
         [hidden.keys, grad_vertices],
         device,
     )

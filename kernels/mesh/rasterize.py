@@ -5,10 +5,12 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import EACH_BYTE, are_words, flat, unequal_bytes, words_of
+from ..labels import EACH_BYTE, are_words, flat, map_weight, unequal_bytes, words_of
 from ..lanes import LANES, ballot, lowest_bit, tell
 from .triangles import (
     BACKGROUND,
+    ImageArrays,
+    MeshArrays,
     covers,
     depth_at,
     depth_key,
@@ -88,10 +90,7 @@ def empty_keys(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
 def draw_faces(
     first_body: int,
     threads: int,  # of one body
-    vertices: wp.array2d[wp.vec3],  # (B, V) screen space
-    faces: wp.array[wp.vec3i],  # (F,)
-    near: float,  # [m]
-    perspective: bool,
+    mesh: MeshArrays,
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
     touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: the nearest face's key
@@ -101,7 +100,7 @@ def draw_faces(
     b = first_body + thread // threads
     lanes = 1 << lane_bits
     face = (thread % threads) >> lane_bits
-    t = load_triangle(vertices[b], faces[face], near)
+    t = load_triangle(mesh.vertices[b], mesh.faces[face], mesh.near)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
@@ -121,7 +120,7 @@ def draw_faces(
         for column in range(columns[0], columns[1] + 1):
             values = edge_values(e, float(column) + 0.5, y)
             if covers(e, values):
-                depth = depth_at(t, weights_3d(t, values, perspective))
+                depth = depth_at(t, weights_3d(t, values, mesh.perspective))
                 wp.atomic_min(body_keys, row * width + column, depth_key(depth, face))
 
 
@@ -129,13 +128,11 @@ def draw_faces(
 def resolve_keys(
     first_body: int,
     threads: int,
-    face_labels: wp.array[wp.uint8],  # (F,)
+    mesh: MeshArrays,
     lanes: int,  # threads that share a row of tiles: a warp, or one
     touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
     keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
-    face_index: wp.array3d[int],  # (B, H, W), may be null  OUTPUT
-    depth: wp.array3d[float],  # (B, H, W) [m], may be null  OUTPUT
-    labels: wp.array3d[wp.uint8],  # (B, H, W)  OUTPUT
+    images: ImageArrays,  # all but the labels may be null  OUTPUT
 ):
     """Split the keys into face-index map, depth and label image, where something shows."""
     thread = wp.tid()
@@ -147,7 +144,7 @@ def resolve_keys(
     rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
     body_keys = flat(keys[b])
     body_touched = flat(touched[b])
-    body_labels = flat(labels[b])
+    body_labels = flat(images.labels[b])
     for first in range(0, tiles, lanes):
         show = bool(False)  # something, in this thread's tile
         if first + lane < tiles:
@@ -171,11 +168,11 @@ def resolve_keys(
                         at = top + k * width
                         body_keys[at] = EMPTY_KEY
                         face = key_face(found[k])
-                        body_labels[at] = face_labels[face]
-                        if face_index:
-                            flat(face_index[b])[at] = face
-                        if depth:
-                            flat(depth[b])[at] = key_depth(found[k])
+                        body_labels[at] = mesh.face_labels[face]
+                        if images.face_index:
+                            flat(images.face_index[b])[at] = face
+                        if images.depth:
+                            flat(images.depth[b])[at] = key_depth(found[k])
 
 
 @wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
@@ -184,7 +181,6 @@ def compare_labels(
     threads: int,
     labels: wp.array3d[wp.uint8],  # (B, H, W)
     target: wp.array3d[wp.uint8],  # (B, H, W), 255 = ignore
-    label_weights: wp.array[float],  # (256,)
     lanes: int,  # threads that share a row of blocks: a warp, or one
     extents: wp.array3d[wp.vec4i],  # (B, 3, L), zeroed, as ``grow``  MODIFIED
     losses: wp.array3d[float],  # ``pixel_lanes``  OUTPUT
@@ -227,7 +223,7 @@ def compare_labels(
                 other |= unequal_bytes(wanted[k], wanted_label * EACH_BYTE)
                 count += wp.bit_count(wrong[k] & ~other)
                 wrong[k] &= other
-            loss += float(count) * (label_weights[int(shown_label)] + label_weights[int(wanted_label)])
+            loss += float(count) * (map_weight(int(shown_label)) + map_weight(int(wanted_label)))
             concerned = ballot(count > 0)
             # the first of these blocks and the last one reach as far as all of them
             if lane == lowest_bit(concerned) or concerned >> wp.uint32(lane) == wp.uint32(1):
@@ -292,57 +288,42 @@ def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp
         wp.atomic_max(extents, b, kind, label, reach)
 
 
-def launch_rasterize(
-    vertices: wp.array,
-    faces: wp.array,
-    face_labels: wp.array,
-    *,
-    near: float,
-    perspective: bool,
-    zbuffer: ZBuffer,
-    labels: wp.array,
-    depth: wp.array | None = None,
-    face_index: wp.array | None = None,
-    background: bool = True,
-) -> None:
-    """Draw every face; write the label image and, where asked for, depth and face-index map, all of them contiguous.
+def launch_rasterize(mesh: MeshArrays, images: ImageArrays, *, zbuffer: ZBuffer, background: bool = True) -> None:
+    """Draw every face: the label image and, where there are such, depth and face-index map, all of them contiguous.
 
     Without ``background`` these two stay as they were where nothing shows; the gradient does not look there.
     """
-    labels.zero_()
-    if background and depth is not None:
-        depth.fill_(wp.inf)
-    if background and face_index is not None:
-        face_index.fill_(BACKGROUND)
-    device = vertices.device
-    batch = vertices.shape[0]
-    bits = row_lane_bits(batch * faces.shape[0], device)
+    images.labels.zero_()
+    if background and images.depth is not None:
+        images.depth.fill_(wp.inf)
+    if background and images.face_index is not None:
+        images.face_index.fill_(BACKGROUND)
+    device = mesh.vertices.device
+    batch, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
+    bits = row_lane_bits(batch * faces, device)
     launch_bodies(
         draw_faces,
         batch,
-        faces.shape[0] << bits,
-        [vertices, faces, near, perspective, bits],
+        faces << bits,
+        [mesh, bits],
         [zbuffer.touched, zbuffer.keys],
         device,
     )
-    _, tile_rows, lanes = pixel_lanes(labels.shape, device.is_cpu)
+    _, tile_rows, lanes = pixel_lanes(images.labels.shape, device.is_cpu)
     launch_bodies(
         resolve_keys,
         batch,
         tile_rows * lanes,
-        [face_labels, lanes],
-        [zbuffer.touched, zbuffer.keys, face_index, depth, labels],
+        [mesh, lanes],
+        [zbuffer.touched, zbuffer.keys, images],
         device,
     )
 
 
-def launch_compare_labels(
-    labels: wp.array, target: wp.array, label_weights: wp.array, *, extents: wp.array, losses: wp.array
-) -> None:
+def launch_compare_labels(labels: wp.array, target: wp.array, *, extents: wp.array, losses: wp.array) -> None:
     """Fill partial sums of the loss, shape ``pixel_lanes``, and the ``extents`` (B, 3, L) of wrong pixels.
 
-    Both images are contiguous. Entry 0 of ``label_weights`` must be 0, as background has no part map. Labels from L on
-    have no extent.
+    Both images are contiguous. Labels from L on have no extent.
     """
     extents.zero_()
     batch, block_rows, lanes = losses.shape
@@ -350,7 +331,7 @@ def launch_compare_labels(
         compare_labels,
         batch,
         block_rows * lanes,
-        [labels, target, label_weights, lanes],
+        [labels, target, lanes],
         [extents, losses],
         labels.device,
     )

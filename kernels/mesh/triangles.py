@@ -13,6 +13,27 @@ BACKGROUND = wp.constant(-1)  # the face-index map's value where no face is (pap
 
 
 @wp.struct
+class MeshArrays:
+    """A part-labelled mesh of B bodies before a camera."""
+
+    vertices: wp.array2d[wp.vec3]  # (B, V) screen space
+    faces: wp.array[wp.vec3i]  # (F,)
+    face_labels: wp.array[wp.uint8]  # (F,)
+    edges: wp.array2d[int]  # (E, 6): vertex, vertex, face, face or -1, opposite vertex of either face
+    near: float  # [m]
+    perspective: bool
+
+
+@wp.struct
+class ImageArrays:
+    """The picture of a mesh; depth and face index hold no values where nothing shows."""
+
+    labels: wp.array3d[wp.uint8]  # (B, H, W)
+    depth: wp.array3d[float]  # (B, H, W) [m]
+    face_index: wp.array3d[int]  # (B, H, W)
+
+
+@wp.struct
 class Edge:
     """One edge of a face, in the direction in which the face lies on its positive side."""
 

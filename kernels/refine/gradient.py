@@ -8,7 +8,7 @@ import warp as wp
 
 from ..rotations import axis_angle_gradient, columns_gradient
 from .prior import mixture_gradient
-from .state import Load, Problem, State, column, has_bit
+from .state import PRIOR, Load, Problem, State, column, has_bit
 
 _DOWN = wp.constant(wp.vec3(0.0, 1.0, 0.0))  # camera frame
 
@@ -42,7 +42,7 @@ def gather_rotation(problem: Problem, state: State, b: int, k: int):
         total = state.gradient.rotations[b, k] + axis_angle_gradient(state.bodies.rotations[b, k], own)
         slot = problem.mixture.slots[k]
         if slot >= 0:
-            total += problem.weights.prior * mixture_gradient(state.likelihood, b, slot)
+            total += problem.weights[PRIOR] * mixture_gradient(state.likelihood, b, slot)
         state.gradient.rotations[b, k] = total
 
 
@@ -80,7 +80,7 @@ def gather_orientation(problem: Problem, state: State, b: int):
     orientation = state.orientations[b]
     slot = problem.mixture.slots[root]
     if slot >= 0:
-        torque += problem.weights.prior * wp.cross(_DOWN, orientation * mixture_gradient(state.likelihood, b, slot))
+        torque += problem.weights[PRIOR] * wp.cross(_DOWN, orientation * mixture_gradient(state.likelihood, b, slot))
     first, second = columns_gradient(
         state.bodies.orientation[b, 0], state.bodies.orientation[b, 1], orientation, torque
     )

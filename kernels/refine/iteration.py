@@ -76,7 +76,6 @@ def start_bodies(problem: Problem, state: State):
         state.rows.first_moment[b, i] = 0.0
         state.rows.second_moment[b, i] = 0.0
     if lane == 0:
-        state.active[b] = 1
         state.iteration[b] = 0
     pose_body(problem, state, b, lane)
 
@@ -89,13 +88,6 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     b = thread // lanes
     lane = thread - b * lanes
     num_parts = state.wrenches.shape[1]
-    if state.active[b] == 0:
-        if lane == 0:
-            iteration = state.iteration[b]
-            state.records.history[iteration, b] = state.records.history[iteration - 1, b]
-            count_iteration(problem, state, b)
-        return
-
     # Threads that have nothing else to do yet bring the prior's matrices into the cache.
     matrices = problem.mixture.precisions
     size = matrices.shape[0] * matrices.shape[1] * matrices.shape[2]
@@ -139,14 +131,13 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
 
     if lane == 0:
         count_iteration(problem, state, b)
-    if state.active[b] == 1:
-        pose_body(problem, state, b, lane)
+    pose_body(problem, state, b, lane)
 
 
 def _launch(kernel: wp.Kernel, inputs: list[object], state: State) -> None:
-    device = state.active.device
+    device = state.iteration.device
     lanes = 1 if device.is_cpu else BLOCK
-    wp.launch(kernel, state.active.shape[0] * lanes, inputs, device=device, block_dim=lanes)
+    wp.launch(kernel, state.iteration.shape[0] * lanes, inputs, device=device, block_dim=lanes)
 
 
 def launch_start(problem: Problem, state: State) -> None:

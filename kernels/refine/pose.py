@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..rotations import rotation_from_6d, rotation_from_axis_angle
+from ..rotations import matrix_from_6d, matrix_from_axis_angle
 from .state import Problem, State, column, has_bit
 
 
@@ -12,7 +12,7 @@ def turn_part(problem: Problem, state: State, b: int, k: int):
     v = state.bodies.rotations[b, k]
     turn = wp.identity(n=3, dtype=float)
     if not has_bit(problem.skeleton.locked, k):
-        turn = rotation_from_axis_angle(v)
+        turn = matrix_from_axis_angle(v)
     state.turns[b, k] = turn
     slot = problem.mixture.slots[k]
     if slot >= 0:
@@ -22,7 +22,7 @@ def turn_part(problem: Problem, state: State, b: int, k: int):
 @wp.func
 def turn_body(problem: Problem, state: State, b: int):
     """Orientation and camera."""
-    orientation = rotation_from_6d(state.bodies.orientation[b, 0], state.bodies.orientation[b, 1])
+    orientation = matrix_from_6d(state.bodies.orientation[b, 0], state.bodies.orientation[b, 1])
     state.orientations[b] = orientation
     up = problem.mixture.slots[problem.mixture.slots.shape[0] - 1]
     if up >= 0:

@@ -4,6 +4,8 @@ An iteration of a body is a chain of stages (``refine_iteration``); a stage is a
 one another. Each task owns what it writes and adds in a fixed order, so a run repeats bit for bit.
 """
 
+from typing import Any
+
 import warp as wp
 
 from ..ellipsoids.forces import Forces
@@ -12,16 +14,12 @@ from ..ellipsoids.forces import Forces
 MODULE = wp.get_module("warp_partdr.refine")
 wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
 
-# Columns of the energy's terms.
+# Columns of the energy's terms that are no rules of single parts (``rules``); there is room for more of these.
 PROJ = wp.constant(0)
 SEG = wp.constant(1)
-LENGTH = wp.constant(2)
-THICKNESS = wp.constant(3)
 PRIOR = wp.constant(4)
-LIMITS = wp.constant(5)
-DEPTH = wp.constant(6)
-NUM_TERMS = 7
-Terms = wp.types.vector(length=NUM_TERMS, dtype=wp.float32)
+NUM_TERMS = 8
+Terms: Any = wp.types.vector(length=NUM_TERMS, dtype=wp.float32)
 
 
 @wp.struct
@@ -35,7 +33,7 @@ class Bone:
 
 
 @wp.struct
-class Skeleton:
+class SkeletonArrays:
     """The template."""
 
     bones: wp.array[Bone]  # (P + 1,) the root comes last
@@ -95,19 +93,6 @@ class Mixture:
 
 
 @wp.struct
-class TermWeights:
-    """Factors of the energy's terms."""
-
-    proj: float  # with the pixels of a half-side
-    seg: float
-    length: float
-    thickness: float
-    prior: float
-    limits: float
-    depth: float
-
-
-@wp.struct
 class StepRule:
     """How far each parameter may go."""
 
@@ -118,25 +103,16 @@ class StepRule:
 
 
 @wp.struct
-class Stopping:
-    """When a body has come to rest: its best energy fell by no more than a share in so many iterations."""
-
-    tolerance: float  # negative: never
-    patience: int
-
-
-@wp.struct
 class Problem:
     """What is minimised, and how."""
 
-    skeleton: Skeleton
+    skeleton: SkeletonArrays
     half_size: float  # of the drawn crop [px]
     landmarks: Landmarks
     rules: Rules
     mixture: Mixture
-    weights: TermWeights
+    weights: Terms
     step_rule: StepRule
-    stopping: Stopping
 
 
 @wp.struct
@@ -171,7 +147,7 @@ class Rows:
 
 
 @wp.struct
-class Ellipsoids:
+class EllipsoidArrays:
     """Posed parts, and the camera that sees them."""
 
     centres: wp.array2d[wp.vec3]  # (B, P) [m]
@@ -227,27 +203,25 @@ class Records:
     energy: wp.array[float]  # (B,) the best
     terms: wp.array[Terms]  # (B,) of the best
     history: wp.array2d[float]  # (iterations + 1, B)
-    mark: wp.array[float]  # (B,) energy that the next progress is measured from
-    mark_iteration: wp.array[int]  # (B,)
 
 
 @wp.struct
 class State:
     """B bodies on their way."""
 
-    active: wp.array[int]  # (B,) 0: the body rests
     iteration: wp.array[int]  # (B,) the one that comes next; the last one may be repeated
     bodies: Bodies
     gradient: Bodies
     rows: Rows
     turns: wp.array2d[wp.mat33]  # (B, P) local rotations
     orientations: wp.array[wp.mat33]  # (B,)
-    ellipsoids: Ellipsoids
+    ellipsoids: EllipsoidArrays
     likelihood: Likelihood
     drawn: wp.array3d[float]  # (B, P, 16) all shares of the renderer's forces, weighted
     pulls: wp.array2d[Pull]  # (B, L)
     wrenches: wp.array2d[Wrench]  # (B, P)
     loads: wp.array2d[Load]  # (B, P + 1) the last one is the root's
+    pushes: wp.array2d[wp.vec3]  # (B, P) forces of rules on the parts' centres
     costs: wp.array2d[Terms]  # (B, P) shares of the terms, weighted
     records: Records
 

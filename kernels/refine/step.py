@@ -13,13 +13,13 @@ _NUM_TERMS = wp.constant(NUM_TERMS)
 
 @wp.func
 def keep_books(problem: Problem, state: State, b: int):
-    """Note the energy; say whether it is the best and whether the body may rest."""
-    records, stopping = state.records, problem.stopping
+    """Note the energy, and whether it is the best."""
+    records = state.records
     terms = Terms()
     for part in range(state.costs.shape[1]):
         terms += state.costs[b, part]
     if problem.mixture.log_weights.shape[0] > 0:
-        terms[PRIOR] = -problem.weights.prior * state.likelihood.log_density[b]
+        terms[PRIOR] = -problem.weights[PRIOR] * state.likelihood.log_density[b]
     energy = float(0.0)
     for i in range(_NUM_TERMS):
         energy += terms[i]
@@ -30,31 +30,23 @@ def keep_books(problem: Problem, state: State, b: int):
     if better:
         records.energy[b] = energy
         records.terms[b] = terms
-    if stopping.tolerance >= 0.0:
-        mark = records.mark[b]
-        if iteration == 0 or mark - records.energy[b] > stopping.tolerance * wp.abs(mark):
-            records.mark[b] = records.energy[b]
-            records.mark_iteration[b] = iteration
-        elif iteration - records.mark_iteration[b] >= stopping.patience:
-            state.active[b] = 0
 
 
 @wp.func
 def step_number(problem: Problem, state: State, b: int, i: int):
-    """Keep parameter i if this body is the best so far, and move it if the body moves on."""
+    """Keep parameter i if this body is the best so far, and move it."""
     rows, rule = state.rows, problem.step_rule
     value = rows.parameters[b, i]
     if state.records.better[b] == 1:
         rows.best[b, i] = value
-    if state.active[b] == 1:
-        g = rows.gradient[b, i]
-        first = rows.first_moment[b, i] + (1.0 - _BETA1) * (g - rows.first_moment[b, i])
-        second = _BETA2 * rows.second_moment[b, i] + (1.0 - _BETA2) * g * g
-        rows.first_moment[b, i] = first
-        rows.second_moment[b, i] = second
-        now = rule.schedule[state.iteration[b]]
-        value -= now[0] * rule.rates[i] * first / (wp.sqrt(second) / now[1] + _EPSILON)
-        rows.parameters[b, i] = wp.clamp(value, rule.lower[i], rule.upper[i])
+    g = rows.gradient[b, i]
+    first = rows.first_moment[b, i] + (1.0 - _BETA1) * (g - rows.first_moment[b, i])
+    second = _BETA2 * rows.second_moment[b, i] + (1.0 - _BETA2) * g * g
+    rows.first_moment[b, i] = first
+    rows.second_moment[b, i] = second
+    now = rule.schedule[state.iteration[b]]
+    value -= now[0] * rule.rates[i] * first / (wp.sqrt(second) / now[1] + _EPSILON)
+    rows.parameters[b, i] = wp.clamp(value, rule.lower[i], rule.upper[i])
 
 
 @wp.func

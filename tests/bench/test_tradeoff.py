@@ -27,7 +27,7 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import REFERENCE_SIZE, resize_nearest
-from warp_partdr.refinement.refine import SHAPE_RATE
+from warp_partdr.refinement.steps import SHAPE_RATE
 from warp_partdr.synthetic.tradeoff_people import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
 
 

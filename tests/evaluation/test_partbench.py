@@ -25,7 +25,7 @@ from warp_partdr.evaluation.scoring import Pixels, Score
 from warp_partdr.fit.start_search import hypothesize
 from warp_partdr.inputs.observation import observe
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import minimise
 from warp_partdr.synthetic.bench_noise import LEVELS, Level, spoil_keypoints, spoil_labels
 from warp_partdr.synthetic.bench_people import COCO, NUM_PEOPLE, draw_anny, make_person, pose_kind
 from warp_partdr.synthetic.bench_poses import POSES, draw_pose

@@ -22,9 +22,10 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.refine import SIZES, refine
+from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.steps import SIZES
 from warp_partdr.render.ellipsoids import draw_ellipsoids
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SIZE = (200, 160)
@@ -56,7 +57,7 @@ def seen_by(body: BodyParameters, fmt: str = "coco17") -> tuple[Keypoints2D, Par
     names = skeleton(fmt).landmarks
     points = camera.project(LandmarkGather(names, device)(posed))[0, :, :2].cpu().numpy()
     mesh = ellipbody_mesh(2, device=device)
-    labels = rasterize_parts(camera.project(posed.vertices(2)), mesh, SIZE).labels[0].cpu().numpy()
+    labels = draw_mesh(camera.project(posed.vertices(2)), mesh, SIZE).labels[0].cpu().numpy()
     keypoints = Keypoints2D(fmt, points.astype(np.float32), np.ones(len(points), dtype=np.float32))
     return keypoints, PartLabels(label_set("ellipbody20"), labels)
 

@@ -28,7 +28,7 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
 
@@ -76,7 +76,7 @@ def measured_error(parts: Posed | Ellipsoids, camera: Camera, level: int) -> np.
     exact = draw_ellipsoids(parts, fine, size).labels.cpu().numpy() > 0
     posed = Posed(parts.centres, parts.axes, parts.centres, parts.axes, parts.semi_axes)  # vertices ask for three
     mesh = ellipbody_mesh(level, device=parts.centres.device)
-    image = rasterize_parts(fine.project(posed.vertices(level)), mesh, size, perspective=camera.perspective)
+    image = draw_mesh(fine.project(posed.vertices(level)), mesh, size, perspective=camera.perspective)
     drawn = image.labels.cpu().numpy() > 0
     assert not (drawn & ~exact).any()  # the mesh is inscribed
     return np.array([distance_transform_edt(~mine)[true].max() for mine, true in zip(drawn, exact, strict=True)]) / FINE
@@ -111,7 +111,7 @@ def test_silhouette_error_is_what_pictures_show(device: str, kind: str, level: i
         mesh = replace(
             unit, faces=unit.faces[unit.face_labels == 1], face_labels=unit.face_labels[unit.face_labels == 1]
         )
-        drawn = rasterize_parts(vertices, mesh, size, perspective=camera.perspective).labels.cpu().numpy() > 0
+        drawn = draw_mesh(vertices, mesh, size, perspective=camera.perspective).labels.cpu().numpy() > 0
         for body in range(3):
             if exact[body].any() and not exact[body][[0, -1]].any() and not exact[body][:, [0, -1]].any():
                 seen = distance_transform_edt(~drawn[body])[exact[body]].max() / FINE

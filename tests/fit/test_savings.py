@@ -26,11 +26,11 @@ from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import FusedRefinement, minimise
-from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.refine import minimise, refine
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SIZE = 96
@@ -103,13 +103,13 @@ def test_faces_left_out_are_as_if_they_were_not_there(device):
     found = []
     for shape, points in ((few, vertices), (mesh.relabel(table), camera.project(away).detach())):
         points = points.clone().requires_grad_()
-        loss, image = label_loss(points, shape, target)
+        loss, image = mesh_label_loss(points, shape, target)
         loss.sum().backward()
         found.append((loss.detach(), image.labels, points.grad))
     assert torch.equal(found[0][0], found[1][0])
     assert torch.equal(found[0][1], found[1][1])
     torch.testing.assert_close(found[0][2], found[1][2], rtol=1e-5, atol=1e-3)
-    assert rasterize_parts(vertices, few, (SIZE, SIZE)).labels.max() <= 16
+    assert draw_mesh(vertices, few, (SIZE, SIZE)).labels.max() <= 16
 
 
 @pytest.mark.parametrize("renderer", ["exact", "mesh"])
@@ -175,7 +175,7 @@ def test_what_cannot_be_frozen_is_refused(frozen, message):
         with pytest.raises(ValueError, match=message):
             path(bodies(), energy, frozen=frozen)
     with pytest.raises(ValueError, match=message):
-        FusedRefinement(energy, 2, frozen=frozen)
+        CapturedRefinement(energy, 2, frozen=frozen)
 
 
 @pytest.mark.parametrize("renderer", ["exact", "mesh"])

@@ -18,8 +18,7 @@ from warp_partdr.network.checkpoint import packaged_network, save_label_network
 from warp_partdr.network.label_network import LabelNetwork, LabelNetworkConfig
 from warp_partdr.network.predict import predict_bodies
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import minimise
-from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.refine import minimise, refine
 
 QUICK = (Stage("lift", 16, 15, 0.1), Stage("labels", 2, 20, 0.03, 64))
 

@@ -19,7 +19,7 @@ from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import _VertexCosts, vertex_parts
 from warp_partdr.metrics import align_similarity, mpjpe
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SIZE = (24, 20)
@@ -198,17 +198,17 @@ def drawn(device) -> dict[str, tuple[Callable[[torch.Tensor], torch.Tensor], tor
     body = BodyParameters.mean(2, device=device)
     posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
     vertices = camera.project(posed.vertices(0)).detach()
-    target = rasterize_parts(vertices, mesh, SIZE).labels.roll(2, 2)
+    target = draw_mesh(vertices, mesh, SIZE).labels.roll(2, 2)
 
     def ellipsoids(centres: torch.Tensor) -> Ellipsoids:
         return Ellipsoids(centres, posed.axes, posed.semi_axes)
 
     return {
         "rasterize_parts": (
-            lambda v: rasterize_parts(v, mesh, SIZE, num_maps=20).maps.square().sum(),
+            lambda v: draw_mesh(v, mesh, SIZE, num_maps=20).maps.square().sum(),
             vertices,
         ),
-        "label_loss": (lambda v: label_loss(v, mesh, target)[0].sum(), vertices),
+        "label_loss": (lambda v: mesh_label_loss(v, mesh, target)[0].sum(), vertices),
         "draw_ellipsoids": (
             lambda c: draw_ellipsoids(ellipsoids(c), camera, SIZE, num_maps=20).maps.square().sum(),
             posed.centres,
@@ -260,7 +260,7 @@ def test_torch_func_on_targets_is_an_error(device, drawn):
     targets = torch.zeros(3, 1, *SIZE, dtype=torch.uint8, device=device)
     vertices = camera.project(posed.vertices(0))
     with pytest.raises(NotImplementedError, match=r"^label_loss: called under torch\.func"):
-        torch.func.vmap(lambda target: label_loss(vertices, mesh, target)[0])(targets)
+        torch.func.vmap(lambda target: mesh_label_loss(vertices, mesh, target)[0])(targets)
     with pytest.raises(NotImplementedError, match=r"^ellipsoid_label_loss: called under torch\.func"):
         torch.func.vmap(lambda target: ellipsoid_label_loss(posed, camera, target)[0])(targets)
 

@@ -16,7 +16,7 @@ from warp_partdr.cameras import WeakPerspective
 from warp_partdr.interop import loss_graph
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.render.ellipsoids import EllipsoidImage, Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import PartImage, label_loss
+from warp_partdr.render.mesh import PartImage, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SIZE = (48, 40)
@@ -59,7 +59,7 @@ class Scene:
     ) -> tuple[torch.Tensor, EllipsoidImage | PartImage]:
         """L_seg and the picture."""
         if renderer == "mesh":
-            return label_loss(leaves[0], ellipbody_mesh_on(str(self.target.device)), self.target, **options)
+            return mesh_label_loss(leaves[0], ellipbody_mesh_on(str(self.target.device)), self.target, **options)
         return ellipsoid_label_loss(Ellipsoids(*leaves), self.camera, self.target, gradient=renderer, **options)
 
     def answer(self, renderer: str, **options: object) -> list[torch.Tensor]:

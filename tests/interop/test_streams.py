@@ -18,7 +18,7 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.observation import observe
 from warp_partdr.interop.streams import capture_graph, on_torch_stream
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.fused import minimise
+from warp_partdr.refinement.refine import minimise
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 
 

@@ -18,9 +18,10 @@ from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.kernels.ellipsoids.forces import Forces
 from warp_partdr.kernels.refine.state import Drawn
+from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.fused import FusedRefinement, _split
-from warp_partdr.refinement.refine import SIZES, refine
+from warp_partdr.refinement.refine import refine
+from warp_partdr.refinement.steps import SIZES
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 
 SIZE = 64
@@ -62,7 +63,7 @@ def energy_of(body: BodyParameters, *, labels: bool = False, **options) -> Energ
 
 def gradient_at(energy: Energy, bodies: BodyParameters, **options) -> tuple[dict, dict]:
     """Terms and gradient of the fused path."""
-    fused = FusedRefinement(energy, bodies.batch_size, iterations=0, **options)
+    fused = CapturedRefinement(energy, bodies.batch_size, iterations=0, **options)
     return fused.refine(bodies).terms, _split(fused._gradient)
 
 
@@ -135,7 +136,7 @@ def test_depth_is_held_as_in_torch(device):
         assert_same({name: tensor[mine] for name, tensor in gradient.items()}, want, 1e-5)
     assert_same(gradient_at(free, bodies)[1], autograd_at(free, bodies)[1], 1e-5)
     with pytest.raises(ValueError, match="energies: some with depths, some without; expected the same of all"):
-        FusedRefinement([energies[0], free], 4)
+        CapturedRefinement([energies[0], free], 4)
 
 
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
@@ -228,7 +229,7 @@ def test_a_run_ends_where_the_flexible_one_does(device, iterations):
     energy, start = energy_of(body), moved(body, 8)
     want = refine(start, energy, iterations=iterations, learning_rate=0.02)
     steps: list[int] = []
-    fused = FusedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
+    fused = CapturedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
     have = fused.refine(start, on_iteration=steps.append)
     assert steps == list(range(1, iterations + 1))
     for name, tensor in want.parameters.tensors().items():
@@ -246,7 +247,7 @@ def test_labels_bring_a_moved_body_back(device):
     body = walker(device)
     energy = energy_of(body, labels=True, weights=Weights(seg=0.3), gradient="coverage")
     start = moved(body, 3, amount=0.08)
-    have = FusedRefinement(energy, 3, learning_rate=0.02).refine(start)
+    have = CapturedRefinement(energy, 3, learning_rate=0.02).refine(start)
     want = refine(start, energy, learning_rate=0.02)
     assert (have.terms["seg"] < 0.4 * gradient_at(energy, start)[0]["seg"]).all()
     torch.testing.assert_close(have.energy, want.energy, rtol=0.05, atol=0.5)
@@ -256,7 +257,7 @@ def test_labels_bring_a_moved_body_back(device):
 def test_sizes_stay_within_bounds(device):
     body = walker(device)
     huge = replace(observation(body), points=100 * observation(body).points)
-    have = FusedRefinement(Energy(huge), 1, learning_rate=1.0).refine(body).parameters
+    have = CapturedRefinement(Energy(huge), 1, learning_rate=1.0).refine(body).parameters
     mean = BodyParameters.mean(1, device=device)
     at_a_bound = 0
     for name, (low, high) in SIZES.items():
@@ -270,7 +271,7 @@ def test_sizes_stay_within_bounds(device):
 def test_a_run_repeats_bit_for_bit(device):
     body = walker(device)
     energy = energy_of(body, labels=True)
-    runs = [FusedRefinement(energy, 4).refine(moved(body, 4)) for _ in range(2)]
+    runs = [CapturedRefinement(energy, 4).refine(moved(body, 4)) for _ in range(2)]
     for name, tensor in runs[0].parameters.tensors().items():
         assert torch.equal(tensor, runs[1].parameters.tensors()[name]), name
     assert torch.equal(runs[0].history, runs[1].history)
@@ -279,7 +280,7 @@ def test_a_run_repeats_bit_for_bit(device):
 def test_further_iterations_leave_bodies_where_they_are(device):
     """They repeat the last one, and write nothing beyond the history."""
     body = walker(device)
-    fused = FusedRefinement(energy_of(body, labels=True), 2, iterations=3)
+    fused = CapturedRefinement(energy_of(body, labels=True), 2, iterations=3)
     want = fused.refine(moved(body, 2))
     parameters, history = fused._parameters.clone(), fused._history.clone()
     wp.synchronize_device(device)
@@ -295,7 +296,7 @@ def test_two_threads_give_what_one_gives():
     """Replays on the CPU device share nothing; a tile there would."""
     body = walker()
     energy, start = energy_of(body), moved(body, 16)
-    fused = [FusedRefinement(energy, 16) for _ in range(2)]
+    fused = [CapturedRefinement(energy, 16) for _ in range(2)]
     want = fused[0].refine(start).history
     with ThreadPoolExecutor(2) as pool:
         for _ in range(5):
@@ -311,9 +312,9 @@ def test_bodies_do_not_influence_one_another(device):
     energies[1].prior = energies[0].prior
     start = moved(body, 4)
     start.shift[2] = math.nan
-    together = FusedRefinement(energies, 4, iterations=20).refine(start)
+    together = CapturedRefinement(energies, 4, iterations=20).refine(start)
     for b in (0, 1, 3):
-        alone = FusedRefinement(energies[b % 2], 1, iterations=20)
+        alone = CapturedRefinement(energies[b % 2], 1, iterations=20)
         member = alone.refine(start.select(torch.tensor([b], device=device)))
         assert torch.equal(together.history[:, b], member.history[:, 0])
         for name, tensor in member.parameters.tensors().items():
@@ -328,12 +329,12 @@ def test_buffers_serve_again(device):
     second.prior = first.prior
     second.observation = replace(second.observation)
     start = moved(body, 2)
-    fused = FusedRefinement(first, 2, iterations=10)
+    fused = CapturedRefinement(first, 2, iterations=10)
     before = fused.refine(start)
     kept = before.history.clone()
     fused.observe(second)
     changed = fused.refine(moved(body, 2, seed=5))
-    fresh = FusedRefinement(second, 2, iterations=10).refine(moved(body, 2, seed=5))
+    fresh = CapturedRefinement(second, 2, iterations=10).refine(moved(body, 2, seed=5))
     assert torch.equal(changed.history, fresh.history)
     assert torch.equal(before.history, kept)  # results are copies
     fused.observe(first)
@@ -343,11 +344,11 @@ def test_buffers_serve_again(device):
 def test_keypoints_that_are_gone_pull_no_more(device):
     body = walker(device)
     many, few = observation(body, "body25"), observation(body, "lsp14")
-    fused = FusedRefinement(Energy(many), 1, iterations=3)
+    fused = CapturedRefinement(Energy(many), 1, iterations=3)
     fused.observe(Energy(few))
     assert torch.equal(
         fused.refine(moved(body, 1)).history,
-        FusedRefinement(Energy(few), 1, iterations=3).refine(moved(body, 1)).history,
+        CapturedRefinement(Energy(few), 1, iterations=3).refine(moved(body, 1)).history,
     )
 
 
@@ -368,8 +369,8 @@ def test_a_body_rests_when_it_gains_no_more(device):
     energy, start = energy_of(body), moved(body, 3)
     start = BodyParameters(**{n: torch.cat([t, body.tensors()[n]]) for n, t in start.tensors().items()})
     options = {"iterations": 80, "learning_rate": 0.02}
-    free = FusedRefinement(energy, 4, **options).refine(start)
-    resting = FusedRefinement(energy, 4, **options, tolerance=0.1, patience=5)
+    free = CapturedRefinement(energy, 4, **options).refine(start)
+    resting = CapturedRefinement(energy, 4, **options, tolerance=0.1, patience=5)
     have = resting.refine(start)
     lasts = [last_iteration(free.history[:, b].cpu().numpy(), 0.1, 5) for b in range(4)]
     assert 5 <= min(lasts) < max(lasts) < 79
@@ -383,12 +384,12 @@ def test_a_body_rests_when_it_gains_no_more(device):
     torch.testing.assert_close(sum(energy(stayed).values()), have.history[-1], rtol=1e-4, atol=1e-3)
     again = sum(energy(have.parameters).values())
     torch.testing.assert_close(again, have.energy, rtol=1e-4, atol=1e-3)
-    patient = FusedRefinement(energy, 4, **options, tolerance=0.0, patience=80).refine(start)
+    patient = CapturedRefinement(energy, 4, **options, tolerance=0.0, patience=80).refine(start)
     assert torch.equal(patient.history, free.history)
 
 
 def test_empty_batch(device):
-    have = FusedRefinement(energy_of(walker(device)), 0).refine(BodyParameters.mean(0, device=device))
+    have = CapturedRefinement(energy_of(walker(device)), 0).refine(BodyParameters.mean(0, device=device))
     assert have.energy.shape == (0,)
     assert have.history.shape == (50, 0)
 
@@ -396,7 +397,7 @@ def test_empty_batch(device):
 def test_bad_calls_name_the_argument(device):
     body = walker(device)
     energy = energy_of(body)
-    fused = FusedRefinement(energy, 2)
+    fused = CapturedRefinement(energy, 2)
     with pytest.raises(ValueError, match="shape"):
         fused.refine(body)
     with pytest.raises(ValueError, match="float64"):
@@ -408,7 +409,7 @@ def test_bad_calls_name_the_argument(device):
     with pytest.raises(ValueError, match="labels"):
         fused.observe(replace(energy, observation=observation(body, labels=True)))
     with pytest.raises(ValueError, match="renderer 'mesh'"):
-        FusedRefinement(energy_of(body, labels=True, renderer="mesh"), 1)
+        CapturedRefinement(energy_of(body, labels=True, renderer="mesh"), 1)
     soft = replace(observation(body, labels=True), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE))
     with pytest.raises(ValueError, match="probabilities"):
-        FusedRefinement(Energy(soft), 1)
+        CapturedRefinement(Energy(soft), 1)

@@ -10,9 +10,9 @@ from test_fitting import walker
 from test_fused import observation
 
 from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.fused import FusedRefinement, _split
-from warp_partdr.refinement.refine import SHAPE_RATE, rate_share
+from warp_partdr.refinement.steps import SHAPE_RATE, rate_share
 
 
 def springs(weight: float, body: BodyParameters) -> Energy:
@@ -27,7 +27,7 @@ def test_a_step_is_adams(device, weight, steps):
     """Kingma and Ba's with torch's numbers, however large the gradient is: the first step is the rate itself."""
     rate, body = 0.01, walker(device)
     start = replace(body, lengths=body.lengths + 0.01, thicknesses=body.thicknesses - 0.004)
-    fused = FusedRefinement(springs(weight, body), 1, iterations=steps, learning_rate=rate)
+    fused = CapturedRefinement(springs(weight, body), 1, iterations=steps, learning_rate=rate)
     fused.refine(start)
     last = _split(fused._parameters)
     for name in ("lengths", "thicknesses"):
@@ -61,7 +61,7 @@ def test_nearly_collinear_columns_are_a_rotation(device, gap):
     first, aside = axes[..., 0], axes[..., 1]
     body = walker(device)
     bodies = BodyParameters(**{name: torch.cat([tensor] * 8) for name, tensor in body.tensors().items()})
-    fused = FusedRefinement(springs(1.0, body), 8, iterations=0)
+    fused = CapturedRefinement(springs(1.0, body), 8, iterations=0)
     fused.refine(replace(bodies, orientation=torch.cat([first, first + gap * aside], dim=1)))
     found = torch.from_numpy(fused._state.orientations.numpy()).to(device)
     torch.testing.assert_close(found.mT @ found, torch.eye(3, device=device).expand(8, 3, 3), rtol=0, atol=2e-6)

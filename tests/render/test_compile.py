@@ -8,7 +8,7 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh
 
 SIZE = (24, 20)
@@ -17,7 +17,7 @@ SIZE = (24, 20)
 def scene(device):
     vertices, mesh = body_scene(6, SIZE, device, subdivisions=0, batch=2)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    return leaf, mesh, noisy_target(rasterize_parts(leaf, mesh, SIZE).labels, 20, 3)
+    return leaf, mesh, noisy_target(draw_mesh(leaf, mesh, SIZE).labels, 20, 3)
 
 
 def untouched(mesh: PartMesh) -> PartMesh:
@@ -83,8 +83,8 @@ def test_mesh(device, path, edges):
     def loss_of(vertices):
         moved = vertices * 1.01
         if path == "labels":
-            return label_loss(moved, mesh, target, edges=edges)[0].sum()
-        return (rasterize_parts(moved, mesh, SIZE, num_maps=20, edges=edges).maps * 0.5).square().sum()
+            return mesh_label_loss(moved, mesh, target, edges=edges)[0].sum()
+        return (draw_mesh(moved, mesh, SIZE, num_maps=20, edges=edges).maps * 0.5).square().sum()
 
     assert_compiled_first_gives_eager_numbers(loss_of, leaf)
 
@@ -111,7 +111,7 @@ def test_pictures_alone(device):
     given, camera = ellipsoids_and_camera(device)
 
     def pictures(vertices, centres):
-        mesh_picture = rasterize_parts(vertices, mesh, SIZE)
+        mesh_picture = draw_mesh(vertices, mesh, SIZE)
         picture = draw_ellipsoids(Ellipsoids(centres, given.axes, given.semi_axes), camera, SIZE)
         return mesh_picture.labels, picture.labels, picture.parts, picture.depth
 
@@ -130,12 +130,12 @@ def test_from_the_body_s_parameters_to_the_loss(device):
     def loss_of(lengths):
         posed = pose(body.global_orient(), lengths.new_zeros(2, 3), turns, lengths, body.thicknesses)
         camera = WeakPerspective(lengths.new_full((2,), 10.0), lengths.new_full((2, 2), 10.0))
-        return label_loss(camera.project(posed.vertices(0)), mesh, target)[0].sum() + posed.joints.square().sum()
+        return mesh_label_loss(camera.project(posed.vertices(0)), mesh, target)[0].sum() + posed.joints.square().sum()
 
     assert_compiled_first_gives_eager_numbers(loss_of, body.lengths.requires_grad_())
 
 
 def test_eager_takes_the_function():
     leaf, mesh, target = scene("cpu")
-    loss, _ = label_loss(leaf, mesh, target)
+    loss, _ = mesh_label_loss(leaf, mesh, target)
     assert "LabelLoss" in type(loss.grad_fn).__name__

@@ -16,7 +16,7 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 CAMERAS = [False, True]  # perspective?
@@ -210,7 +210,7 @@ def test_meshes_approach_the_picture(device, perspective):
     for level in range(4):
         points = camera.project(posed.vertices(level))
         mesh = ellipbody_mesh(level, device=device)
-        labels = rasterize_parts(points, mesh, size, perspective=perspective).labels
+        labels = draw_mesh(points, mesh, size, perspective=perspective).labels
         agreement.append((labels == exact)[body | (labels > 0)].float().mean().item())
     assert agreement == sorted(agreement)
     assert agreement[0] < 0.9
@@ -833,6 +833,6 @@ def test_the_mesh_renderer_refuses_the_same_options(option):
     mesh = ellipbody_mesh(0)
     vertices = torch.zeros(1, mesh.num_vertices, 3)
     with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        rasterize_parts(vertices, mesh, (8, 8), **option)
+        draw_mesh(vertices, mesh, (8, 8), **option)
     with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        label_loss(vertices, mesh, TARGET, **option)
+        mesh_label_loss(vertices, mesh, TARGET, **option)

@@ -35,7 +35,7 @@ from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.cameras import Crop, Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 PLACE = 0.01  # [px] that an outline may be off, and of coordinates beyond the picture PLACE_SHARE more
@@ -257,7 +257,7 @@ def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
     g = np.random.default_rng(0).normal(size=(3, *MESH_SIZE)).astype(np.float32).astype(float)
     for edges in EDGES:
         leaf = torch.from_numpy(vertices).to(device)[None].requires_grad_()
-        image = rasterize_parts(leaf, mesh, MESH_SIZE, perspective=perspective, num_maps=3, edges=edges)
+        image = draw_mesh(leaf, mesh, MESH_SIZE, perspective=perspective, num_maps=3, edges=edges)
         (image.maps[0] * torch.tensor(g, dtype=torch.float32, device=device)).sum().backward()
         shown, index, depth = (x[0].cpu().numpy() for x in (image.labels, image.face_index, image.depth))
         want = reference.rasterize(vertices.astype(float), faces, labels, MESH_SIZE, perspective=perspective, near=near)
@@ -305,7 +305,7 @@ def test_wild_faces_stay_finite_and_cover_what_they_should(device, seed, size, t
     mesh = PartMesh.from_faces(faces, labels, device=device)
     for edges in EDGES:
         leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-        loss, image = label_loss(
+        loss, image = mesh_label_loss(
             leaf, mesh, checked_target(MESH_SIZE, count, device), perspective=perspective, edges=edges
         )
         loss.sum().backward()
@@ -350,7 +350,7 @@ def test_extreme_faces(device, name, perspective, edges):
     leaf = torch.tensor([corners], dtype=torch.float32, device=device, requires_grad=True)
     mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
     target = checked_target((12, 12), 1, device)
-    loss, image = label_loss(leaf, mesh, target, perspective=perspective, edges=edges)
+    loss, image = mesh_label_loss(leaf, mesh, target, perspective=perspective, edges=edges)
     loss.sum().backward()
     near = 0.01 if perspective else -np.inf
     want = reference.rasterize(
@@ -386,7 +386,7 @@ def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
     mesh = ellipbody_mesh(1, device=device)
     for edges in EDGES:
         vertices = camera.project(pose(**leaves).vertices(1))
-        loss, picture = label_loss(vertices, mesh, target, perspective=True, edges=edges)
+        loss, picture = mesh_label_loss(vertices, mesh, target, perspective=True, edges=edges)
         shown = picture.face_index[0].unique()
         drawn = mesh.faces[shown[shown >= 0].long()].long()
         assert (vertices[0, :, 2][drawn] > 0.01).all()
@@ -422,7 +422,7 @@ def test_no_depth_between_two_parts(device, perspective):
     triangle = [[1.0, 1.0, z], [14.0, 2.0, z], [5.0, 13.0, z]]
     leaf = torch.tensor([triangle + triangle], device=device, requires_grad=True)
     mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device)
-    loss, image = label_loss(leaf, mesh, torch.full((1, *size), 2, dtype=torch.uint8, device=device))
+    loss, image = mesh_label_loss(leaf, mesh, torch.full((1, *size), 2, dtype=torch.uint8, device=device))
     loss.sum().backward()
     pixels = (image.labels == 1).sum().item()
     bound = 2 * pixels * math.log(1 / reference.MIN_DELTA_Z + 1)
@@ -462,7 +462,7 @@ def test_empty_and_full_targets(device, label):
         middle = corners.mean(1, keepdim=True)
         growth = torch.ones(1, device=device, requires_grad=True)
         mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
-        loss, image = label_loss(middle + growth * (corners - middle), mesh, target, edges=edges)
+        loss, image = mesh_label_loss(middle + growth * (corners - middle), mesh, target, edges=edges)
         loss.sum().backward()
         assert loss.item() == (image.labels != label).sum()
         assert (sign * growth.grad > 0).all(), edges
@@ -481,7 +481,7 @@ def test_a_label_that_no_part_has(device):
         assert all_finite(leaves)
     mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
     with pytest.raises(ValueError, match="target: label 200"):
-        label_loss(torch.ones(1, 3, 3, device=device), mesh, target)
+        mesh_label_loss(torch.ones(1, 3, 3, device=device), mesh, target)
 
 
 # --- Sizes ----------------------------------------------------------------------------------------------------------
@@ -512,7 +512,7 @@ def test_a_picture_of_8192_pixels_a_side(device):
     np.testing.assert_array_equal(have[sure], parts[1][sure])
     del image
     vertices = camera.project(posed.vertices(0))
-    loss, picture = label_loss(vertices, ellipbody_mesh(0, device=device), target)
+    loss, picture = mesh_label_loss(vertices, ellipbody_mesh(0, device=device), target)
     (gradient,) = torch.autograd.grad(loss.sum(), vertices)
     assert torch.isfinite(gradient).all()
     meshes = picture.labels[0, torch.from_numpy(rows).to(device), torch.from_numpy(columns).to(device)].cpu().numpy()
@@ -538,7 +538,7 @@ def ball(batch=1, device="cpu"):
 def test_pictures_that_can_not_be_counted_are_refused(device, size):
     """Before anything is allocated."""
     with pytest.raises(ValueError, match="image_size: 1 pictures of"):
-        rasterize_parts(*triangle(device), size)
+        draw_mesh(*triangle(device), size)
     with pytest.raises(ValueError, match="image_size: 1 pictures of"):
         draw_ellipsoids(*ball(device=device), size)
 
@@ -551,8 +551,8 @@ def test_batches_that_can_not_be_counted_are_refused(device):
     calls = [
         lambda: draw_ellipsoids(*ball(many, device), size),
         lambda: ellipsoid_label_loss(*ball(many, device), target),
-        lambda: rasterize_parts(vertices.expand(many, -1, -1), mesh, size),
-        lambda: label_loss(vertices.expand(many, -1, -1), mesh, target),
+        lambda: draw_mesh(vertices.expand(many, -1, -1), mesh, size),
+        lambda: mesh_label_loss(vertices.expand(many, -1, -1), mesh, target),
     ]
     for call in calls:
         with pytest.raises(ValueError, match=f"image_size: {many} pictures of"):
@@ -588,7 +588,7 @@ def test_other_types_of_vertices_give_what_float32_gives(device, dtype):
     found = []
     for kind in (dtype, torch.float32):
         leaf = vertices.to(dtype).to(kind).requires_grad_()
-        loss, image = label_loss(leaf, mesh, target)
+        loss, image = mesh_label_loss(leaf, mesh, target)
         found.append((image.labels, *torch.autograd.grad(loss.sum(), leaf)))
     for have, want in zip(*found, strict=True):
         torch.testing.assert_close(have, want.to(have.dtype))
@@ -624,12 +624,12 @@ def test_vertices_and_weights_that_are_no_numbers_are_named(device, value):
     vertices, mesh = triangle(device)
     target = torch.zeros(1, 8, 8, dtype=torch.uint8, device=device)
     with pytest.raises(ValueError, match="vertices: "):
-        rasterize_parts(spoiled(vertices, value), mesh, (8, 8))
+        draw_mesh(spoiled(vertices, value), mesh, (8, 8))
     with pytest.raises(ValueError, match="vertices: "):
-        label_loss(spoiled(vertices, value), mesh, target)
+        mesh_label_loss(spoiled(vertices, value), mesh, target)
     weights = torch.tensor([1.0, value], dtype=torch.float64)
     with pytest.raises(ValueError, match="label_weights: "):
-        label_loss(vertices, mesh, target, label_weights=weights)
+        mesh_label_loss(vertices, mesh, target, label_weights=weights)
     with pytest.raises(ValueError, match="label_weights: "):
         ellipsoid_label_loss(*ball(device=device), target, label_weights=weights)
 
@@ -646,7 +646,7 @@ def test_a_near_plane_that_is_no_number_is_named(device):
     with pytest.raises(ValueError, match="near: nan"):
         draw_ellipsoids(*ball(device=device), (8, 8), near=math.nan)
     with pytest.raises(ValueError, match="near: nan"):
-        rasterize_parts(*triangle(device), (8, 8), near=math.nan)
+        draw_mesh(*triangle(device), (8, 8), near=math.nan)
 
 
 def test_nothing_behind_a_perspective_camera_is_drawn(device):
@@ -658,7 +658,7 @@ def test_nothing_behind_a_perspective_camera_is_drawn(device):
     vertices, mesh = triangle(device)
     for depth in (-1.0, 0.0, 1e-40):
         moved = torch.cat([vertices[..., :2], torch.full_like(vertices[..., 2:], depth)], -1)
-        assert (rasterize_parts(moved, mesh, (8, 8), perspective=True, near=-10.0).labels == 0).all()
+        assert (draw_mesh(moved, mesh, (8, 8), perspective=True, near=-10.0).labels == 0).all()
 
 
 BAD_CAMERAS = {
@@ -672,13 +672,13 @@ BAD_CAMERAS = {
     "left: nan": lambda: Crop(math.nan, 0.0, 1.0, (8, 8)),
     "zoom: 0.0": lambda: Crop(0.0, 0.0, 0.0, (8, 8)),
     "zoom: inf": lambda: Crop(0.0, 0.0, math.inf, (8, 8)),
-    "image_size: int": lambda: rasterize_parts(*triangle(), 8),
+    "image_size: int": lambda: draw_mesh(*triangle(), 8),
     "image_size: NoneType": lambda: draw_ellipsoids(*ball(), None),
-    "vertices: torch.sparse_coo": lambda: rasterize_parts(triangle()[0].to_sparse(), triangle()[1], (8, 8)),
-    "vertices: list": lambda: label_loss([[1.0]], triangle()[1], torch.zeros(1, 8, 8, dtype=torch.uint8)),
-    "vertices: shape": lambda: label_loss(torch.ones(()), triangle()[1], torch.zeros(1, 8, 8, dtype=torch.uint8)),
+    "vertices: torch.sparse_coo": lambda: draw_mesh(triangle()[0].to_sparse(), triangle()[1], (8, 8)),
+    "vertices: list": lambda: mesh_label_loss([[1.0]], triangle()[1], torch.zeros(1, 8, 8, dtype=torch.uint8)),
+    "vertices: shape": lambda: mesh_label_loss(torch.ones(()), triangle()[1], torch.zeros(1, 8, 8, dtype=torch.uint8)),
     "global_orient: list": lambda: pose([1.0], *list(body_parameters(0).values())[1:]),
-    "num_maps: 1.5": lambda: rasterize_parts(*triangle(), (8, 8), num_maps=1.5),
+    "num_maps: 1.5": lambda: draw_mesh(*triangle(), (8, 8), num_maps=1.5),
     "num_maps: 'a'": lambda: draw_ellipsoids(*ball(), (8, 8), num_maps="a"),
 }
 

@@ -15,7 +15,7 @@ from warp_partdr.body.posing import pose
 from warp_partdr.body.template import PARENTS, PART_NAMES
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 SIZE = (40, 48)
@@ -32,7 +32,7 @@ def pictured(posed, camera, renderer, size=SIZE):
     if not renderer.startswith("mesh"):
         return draw_ellipsoids(posed, camera, size).labels
     mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
-    return rasterize_parts(camera.project(posed.vertices(LEVEL)), mesh, size, perspective=camera.perspective).labels
+    return draw_mesh(camera.project(posed.vertices(LEVEL)), mesh, size, perspective=camera.perspective).labels
 
 
 def losses(posed, camera, target, renderer, **options):
@@ -42,7 +42,7 @@ def losses(posed, camera, target, renderer, **options):
     mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
     vertices = camera.project(posed.vertices(LEVEL))
     edges = renderer.removeprefix("mesh ")
-    return label_loss(vertices, mesh, target, perspective=camera.perspective, edges=edges, **options)[0]
+    return mesh_label_loss(vertices, mesh, target, perspective=camera.perspective, edges=edges, **options)[0]
 
 
 def fused_and_maps(posed, camera, target, renderer):
@@ -50,7 +50,7 @@ def fused_and_maps(posed, camera, target, renderer):
     wanted = (target[:, None] == torch.arange(1, 21, device=target.device)[:, None, None]).float()
     if renderer.startswith("mesh"):
         mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
-        maps = rasterize_parts(
+        maps = draw_mesh(
             camera.project(posed.vertices(LEVEL)),
             mesh,
             tuple(target.shape[1:]),
@@ -203,7 +203,7 @@ def test_scaling_the_metres_of_a_mesh_changes_nothing(device, edges, seed, persp
     for scale in (1.0, 2.0, 1024.0):
         leaf = (points * torch.tensor([1.0, 1.0, scale], device=device)).requires_grad_()
         mesh = ellipbody_mesh(LEVEL, device=device)
-        loss, image = label_loss(leaf, mesh, target, perspective=perspective, edges=edges, depth_weight=0.0)
+        loss, image = mesh_label_loss(leaf, mesh, target, perspective=perspective, edges=edges, depth_weight=0.0)
         (gradient,) = torch.autograd.grad(loss.sum(), leaf)
         found.append((image.face_index, loss.detach(), gradient))
     for other in found[1:]:
@@ -304,7 +304,7 @@ def test_order_of_faces_changes_indices_alone(device, edges, seed):
     found = []
     for each in (mesh, other):
         leaf = points.clone().requires_grad_()
-        loss, image = label_loss(leaf, each, target, edges=edges)
+        loss, image = mesh_label_loss(leaf, each, target, edges=edges)
         found.append((image.depth, image.labels, loss.detach(), torch.autograd.grad(loss.sum(), leaf)[0]))
     torch.testing.assert_close(found[1][0], found[0][0])
     # Faces of two parts may be equally near, where the lower index shows.

@@ -10,7 +10,7 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import map_gradient, push_xy, push_z, rasterize
-from warp_partdr.render.mesh import label_loss, rasterize_parts
+from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 SIZES = [(21, 34), (30, 17)]
@@ -74,7 +74,7 @@ def test_forward_is_the_reference(device, size, perspective):
     for seed in range(4):
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
-        image = rasterize_parts(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
+        image = draw_mesh(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
         for b in range(len(vertices)):
             want = reference.rasterize(vertices[b].astype(float), faces, labels, size, perspective=perspective)
             have = [t[b].cpu().numpy() for t in (image.labels, image.depth, image.face_index)]
@@ -100,7 +100,7 @@ def test_large_and_thin_faces_lose_no_pixel(device, scale):
     vertices = np.concatenate([corners, rng.uniform(1, 3, (1, 30, 1))], -1).astype(np.float32)
     faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
     mesh = PartMesh.from_faces(faces, labels, device=device)
-    image = rasterize_parts(torch.from_numpy(vertices).to(device), mesh, size)
+    image = draw_mesh(torch.from_numpy(vertices).to(device), mesh, size)
     want = reference.rasterize(vertices[0].astype(float), faces, labels, size)[0]
     assert (want > 0).any()
     assert (image.labels[0].cpu().numpy() != want).sum() <= 1
@@ -114,7 +114,7 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion, 
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
         leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-        image = rasterize_parts(
+        image = draw_mesh(
             leaf,
             mesh,
             size,
@@ -157,9 +157,9 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges
     faces, labels = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy()
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     perspective = camera == "perspective"
-    target = noisy_target(rasterize_parts(leaf, mesh, size, perspective=perspective).labels, 20, 0)
+    target = noisy_target(draw_mesh(leaf, mesh, size, perspective=perspective).labels, 20, 0)
     weights = torch.linspace(0.5, 1.5, 21)
-    loss, image = label_loss(
+    loss, image = mesh_label_loss(
         leaf, mesh, target, perspective=perspective, edges=edges, occlusion=occlusion, label_weights=weights
     )
     loss.sum().backward()
@@ -188,11 +188,11 @@ def test_label_loss_is_the_maps_loss(device):
     size = (48, 40)
     vertices, mesh = body_scene(5, size, device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 1)
+    target = noisy_target(draw_mesh(leaf, mesh, size).labels, 20, 1)
     target[target == 255] = 0
-    loss, _ = label_loss(leaf, mesh, target)
+    loss, _ = mesh_label_loss(leaf, mesh, target)
     (fused,) = torch.autograd.grad(loss.sum(), leaf)
-    maps = rasterize_parts(leaf, mesh, size, num_maps=20).maps
+    maps = draw_mesh(leaf, mesh, size, num_maps=20).maps
     wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
     general_loss = (maps - wanted).square().sum((1, 2, 3))
     (general,) = torch.autograd.grad(general_loss.sum(), leaf)
@@ -203,9 +203,9 @@ def test_label_loss_is_the_maps_loss(device):
 def test_forward_is_deterministic_to_the_bit(device):
     vertices, mesh = body_scene(1, (64, 64), device, subdivisions=2, batch=4)
     vertices = torch.from_numpy(vertices).to(device)
-    first = rasterize_parts(vertices, mesh, (64, 64))
+    first = draw_mesh(vertices, mesh, (64, 64))
     for _ in range(3):
-        again = rasterize_parts(vertices, mesh, (64, 64))
+        again = draw_mesh(vertices, mesh, (64, 64))
         assert torch.equal(first.labels, again.labels)
         assert torch.equal(first.face_index, again.face_index)
         assert torch.equal(first.depth, again.depth)
@@ -214,12 +214,12 @@ def test_forward_is_deterministic_to_the_bit(device):
 def test_batch_equals_its_members(device):
     vertices, mesh = body_scene(2, (40, 56), device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(rasterize_parts(leaf, mesh, (40, 56)).labels, 20, 2)
-    loss, image = label_loss(leaf, mesh, target)
+    target = noisy_target(draw_mesh(leaf, mesh, (40, 56)).labels, 20, 2)
+    loss, image = mesh_label_loss(leaf, mesh, target)
     (whole,) = torch.autograd.grad(loss.sum(), leaf)
     for b in range(3):
         one = leaf.detach()[b : b + 1].requires_grad_()
-        loss_one, image_one = label_loss(one, mesh, target[b : b + 1])
+        loss_one, image_one = mesh_label_loss(one, mesh, target[b : b + 1])
         (gradient,) = torch.autograd.grad(loss_one.sum(), one)
         assert torch.equal(image.labels[b], image_one.labels[0])
         assert loss[b] == loss_one[0]
@@ -230,12 +230,12 @@ def test_batch_equals_its_members(device):
 def test_threads_change_no_bit(threads):
     vertices, mesh = body_scene(2, (40, 56), "cpu", subdivisions=1, batch=14)
     leaf = torch.from_numpy(vertices).requires_grad_()
-    target = noisy_target(rasterize_parts(leaf, mesh, (40, 56)).labels, 20, 2)
+    target = noisy_target(draw_mesh(leaf, mesh, (40, 56)).labels, 20, 2)
 
     def results() -> list[torch.Tensor]:
-        loss, image = label_loss(leaf, mesh, target)
+        loss, image = mesh_label_loss(leaf, mesh, target)
         (fused,) = torch.autograd.grad(loss.sum(), leaf)
-        maps = rasterize_parts(leaf, mesh, (40, 56), num_maps=20).maps
+        maps = draw_mesh(leaf, mesh, (40, 56), num_maps=20).maps
         (general,) = torch.autograd.grad(maps.square().sum(), leaf)
         return [loss, image.labels, image.depth, image.face_index, fused, general]
 
@@ -279,7 +279,7 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     for seed in (1, 2):
         vertices, mesh = body_scene(seed, size, device, subdivisions=1, batch=2)
         points = torch.from_numpy(vertices).to(device)
-        want = rasterize_parts(points, mesh, size)
+        want = draw_mesh(points, mesh, size)
         labels = wp.full((2, *size), 77, dtype=wp.uint8, device=wp_device)
         depth = wp.full((2, *size), -5.0, dtype=wp.float32, device=wp_device)
         rasterize.launch_rasterize(
@@ -346,13 +346,13 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     size = (40, 57)
     vertices, mesh = body_scene(6, size, device, subdivisions=1, batch=5)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(rasterize_parts(leaf, mesh, size).labels, 20, 2)
+    target = noisy_target(draw_mesh(leaf, mesh, size).labels, 20, 2)
 
     def results() -> list[torch.Tensor]:
         other = body_scene(6, size, device, subdivisions=1, batch=5)[1]  # a mesh that no captured graph knows
-        loss, image = label_loss(leaf, other, target)
+        loss, image = mesh_label_loss(leaf, other, target)
         (fused,) = torch.autograd.grad(loss.sum(), leaf)
-        maps = rasterize_parts(leaf, other, size, num_maps=20).maps
+        maps = draw_mesh(leaf, other, size, num_maps=20).maps
         (general,) = torch.autograd.grad((maps * torch.arange(1, 21, device=device)[:, None, None]).sum(), leaf)
         return [image.labels, image.depth, image.face_index, loss, fused, general]
 
@@ -384,7 +384,7 @@ def test_hidden_pixels_serve_again(device):
     size = (40, 56)
     vertices, mesh = body_scene(3, size, device, subdivisions=1, batch=2)
     points = torch.from_numpy(vertices).to(device)
-    image = rasterize_parts(points, mesh, size)
+    image = draw_mesh(points, mesh, size)
     gradient = map_gradient.DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     hidden = push_z.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
@@ -424,7 +424,7 @@ def test_shared_edges_are_drawn_once(device, middle):
     drawn = np.zeros(size, dtype=int)
     for k in range(8):
         mesh = PartMesh.from_faces(faces[k : k + 1], np.array([1]), device=device)
-        drawn += rasterize_parts(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
+        drawn += draw_mesh(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
     assert (drawn[1:15, 1:15] == 1).all()
     assert drawn.max() == 1
 
@@ -433,7 +433,7 @@ def test_equal_depths_go_to_the_lower_face(device):
     triangle = [[1.0, 1.0, 2.0], [14.0, 2.0, 2.0], [5.0, 13.0, 2.0]]
     vertices = torch.tensor([triangle + triangle], device=device)
     mesh = PartMesh.from_faces(np.array([[0, 1, 2], [3, 4, 5]]), np.array([2, 1]), device=device)
-    image = rasterize_parts(vertices, mesh, (16, 16))
+    image = draw_mesh(vertices, mesh, (16, 16))
     assert set(image.labels.unique().tolist()) == {0, 2}
     assert image.depth[image.labels > 0].eq(2.0).all()
 
@@ -441,7 +441,7 @@ def test_equal_depths_go_to_the_lower_face(device):
 def test_target_equal_to_picture_has_exactly_no_gradient(device):
     vertices, mesh = body_scene(4, (40, 40), device, subdivisions=1)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    loss, _ = label_loss(leaf, mesh, rasterize_parts(leaf, mesh, (40, 40)).labels)
+    loss, _ = mesh_label_loss(leaf, mesh, draw_mesh(leaf, mesh, (40, 40)).labels)
     loss.sum().backward()
     assert loss.item() == 0
     assert (leaf.grad == 0).all()
@@ -452,13 +452,13 @@ def test_moving_a_part_toward_its_target_lowers_the_loss(device):
     size = (32, 32)
     base = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
     mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
-    target = rasterize_parts(base, mesh, size).labels
+    target = draw_mesh(base, mesh, size).labels
     for shift in [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]:
         move = torch.tensor([*shift, 0.0], device=device, requires_grad=True)
         optimizer = torch.optim.Adam([move], lr=0.5)
         schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.97)
         for _ in range(120):
-            loss, _ = label_loss(base + move, mesh, target)
+            loss, _ = mesh_label_loss(base + move, mesh, target)
             optimizer.zero_grad()
             loss.sum().backward()
             optimizer.step()
@@ -470,7 +470,7 @@ def test_moving_a_part_toward_its_target_lowers_the_loss(device):
 def test_other_precisions_are_cast(device, dtype):
     vertices, mesh = body_scene(4, (20, 20), device)
     leaf = torch.from_numpy(vertices).to(device, dtype).requires_grad_()
-    loss, _ = label_loss(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
+    loss, _ = mesh_label_loss(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert leaf.grad.dtype == dtype
     assert torch.isfinite(leaf.grad).all()
@@ -481,13 +481,11 @@ def test_non_contiguous_and_empty_batches(device):
     contiguous = torch.from_numpy(vertices).to(device)
     strided = contiguous.transpose(1, 2).contiguous().transpose(1, 2)
     assert not strided.is_contiguous()
-    assert torch.equal(
-        rasterize_parts(strided, mesh, (20, 24)).labels, rasterize_parts(contiguous, mesh, (20, 24)).labels
-    )
+    assert torch.equal(draw_mesh(strided, mesh, (20, 24)).labels, draw_mesh(contiguous, mesh, (20, 24)).labels)
     expanded = contiguous.expand(3, -1, -1)
-    assert rasterize_parts(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
+    assert draw_mesh(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
     leaf = contiguous[:0].requires_grad_()
-    loss, image = label_loss(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
+    loss, image = mesh_label_loss(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert image.labels.shape == (0, 20, 24)
     assert leaf.grad.shape == (0, *vertices.shape[1:])
@@ -513,7 +511,7 @@ def test_degenerate_faces_and_wild_coordinates_stay_finite(device):
     )
     mesh = PartMesh.from_faces(np.arange(9).reshape(3, 3), np.array([1, 2, 3]), device=device)
     target = torch.randint(0, 4, (1, 18, 18), generator=torch.Generator().manual_seed(0)).to(torch.uint8).to(device)
-    loss, image = label_loss(vertices, mesh, target)
+    loss, image = mesh_label_loss(vertices, mesh, target)
     loss.sum().backward()
     assert (image.labels == 3).any()
     assert torch.isfinite(vertices.grad).all()
@@ -523,21 +521,21 @@ def test_faces_at_the_camera_are_left_out(device):
     points = torch.tensor([[[-1.0, -1.0, 0.0], [1.0, -1.0, 2.0], [0.0, 1.0, 2.0]]], device=device)
     camera = Perspective(torch.tensor([[20.0, 20.0]], device=device), torch.tensor([[10.0, 10.0]], device=device))
     mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
-    assert rasterize_parts(camera.project(points), mesh, (20, 20), perspective=True).labels.eq(0).all()
+    assert draw_mesh(camera.project(points), mesh, (20, 20), perspective=True).labels.eq(0).all()
 
 
 BAD_CALLS = {
-    "vertices: shape": lambda v, m: rasterize_parts(v[0], m, (8, 8)),
-    "vertices: torch.int32": lambda v, m: rasterize_parts(v.int(), m, (8, 8)),
-    "vertices: holds NaN": lambda v, m: rasterize_parts(v * float("nan"), m, (8, 8)),
-    "vertices: 2 a body": lambda v, m: rasterize_parts(v[:, :2], m, (8, 8)),
-    "image_size": lambda v, m: rasterize_parts(v, m, (0, 8)),
-    "num_maps": lambda v, m: rasterize_parts(v, m, (8, 8), num_maps=300),
-    "occlusion": lambda v, m: rasterize_parts(v, m, (8, 8), occlusion="none"),
-    "edges": lambda v, m: rasterize_parts(v, m, (8, 8), edges="some"),
-    "target: shape": lambda v, m: label_loss(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
-    "target: torch.int64": lambda v, m: label_loss(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
-    "target: label 9": lambda v, m: label_loss(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
+    "vertices: shape": lambda v, m: draw_mesh(v[0], m, (8, 8)),
+    "vertices: torch.int32": lambda v, m: draw_mesh(v.int(), m, (8, 8)),
+    "vertices: holds NaN": lambda v, m: draw_mesh(v * float("nan"), m, (8, 8)),
+    "vertices: 2 a body": lambda v, m: draw_mesh(v[:, :2], m, (8, 8)),
+    "image_size": lambda v, m: draw_mesh(v, m, (0, 8)),
+    "num_maps": lambda v, m: draw_mesh(v, m, (8, 8), num_maps=300),
+    "occlusion": lambda v, m: draw_mesh(v, m, (8, 8), occlusion="none"),
+    "edges": lambda v, m: draw_mesh(v, m, (8, 8), edges="some"),
+    "target: shape": lambda v, m: mesh_label_loss(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
+    "target: torch.int64": lambda v, m: mesh_label_loss(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
+    "target: label 9": lambda v, m: mesh_label_loss(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
 }
 
 
@@ -570,7 +568,7 @@ def test_parts_in_no_group_cost_nothing_but_still_hide(device):
     vertices = torch.tensor([front + back], device=device, requires_grad=True)
     mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device).relabel({1: 255, 2: 1})
     assert mesh.num_labels == 1
-    loss, image = label_loss(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
+    loss, image = mesh_label_loss(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert set(image.labels.unique().tolist()) == {0, 1, 255}
     assert loss.item() == (image.labels == 1).sum().item()

@@ -27,7 +27,7 @@ from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
-from warp_partdr.render.mesh import rasterize_parts
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results import save as output
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.ellipbody_files import ellipbody_scene
@@ -260,7 +260,7 @@ def test_the_detailed_body_s_files(
     shown = pixels(folder / "detailed.png")
     assert shown.shape == photo.shape
     mesh = detailed_mesh(registered.model)
-    body = rasterize_parts(result.camera.project(registered.detailed.vertices), mesh, photo.shape[:2]).labels[0] > 0
+    body = draw_mesh(result.camera.project(registered.detailed.vertices), mesh, photo.shape[:2]).labels[0] > 0
     changed = (shown != photo).any(-1)
     assert 0.05 < body.float().mean() < 0.5
     assert changed[body.numpy()].mean() > 0.98
@@ -303,7 +303,7 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
         return output.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
 
     points = result.camera.project(registered.detailed.vertices)
-    drawn = rasterize_parts(points, detailed_mesh(registered.model), size).labels[0].numpy()
+    drawn = draw_mesh(points, detailed_mesh(registered.model), size).labels[0].numpy()
     target = labels.part_groups[drawn]
     target[:100] = 255  # somebody else
     report = score(target)

@@ -9,10 +9,13 @@ from typing import Any
 
 import torch
 
-from ..refinement.fused import minimise
+from ..body.parameters import BodyParameters
+from ..refinement.energy import Energy
 from ..refinement.refine import refine
+from ..refinement.stepper import Refinement
+from ..refinement.steps import Refined
 from ..render.ellipsoids import Ellipsoids, ellipsoid_label_loss
-from ..render.mesh import label_loss
+from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import ellipbody_mesh
 from .launches import count_bytes, observe_launches, time_kernels
 from .machine import about, copy_bandwidth
@@ -88,10 +91,17 @@ def _time(plan: Plan, group: str, what: str, name: str, batch: int, size: int) -
         return [row("call", timing, moved, count_bytes(launches))]
     call = _torch_gradient(scene, name)
     if what in (TORCH_REFINEMENT, MINIMISE):
-        run_all = refine if what == TORCH_REFINEMENT else minimise
-        call = partial(run_all, scene.bodies, scene.energies(GRADIENTS[name])[0], iterations=NUM_ITERATIONS)
+        given, energy = scene.bodies, scene.energies(GRADIENTS[name])[0]
+        if what == TORCH_REFINEMENT:
+            call = partial(_refine_by_autograd, given, energy)
+        else:
+            call = partial(refine, given, energy, iterations=NUM_ITERATIONS)
     timing = time_calls(call, plan.device, plan.budget)
     return [row("call", timing, memory=peak_memory(call, plan.device))]
+
+
+def _refine_by_autograd(bodies: BodyParameters, energy: Energy) -> Refined:
+    return Refinement(bodies, energy, iterations=NUM_ITERATIONS).run()
 
 
 def _renderer(scene: Scene, name: str) -> ExactRun | MeshRun:
@@ -116,10 +126,10 @@ def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
         return lambda: torch.autograd.grad(_Nothing.apply(leaf).sum(), leaf)
     level = LEVELS[name]
     mesh = ellipbody_mesh(level, device=targets.device)
-    vertices = camera.project(posed.vertices(level)).detach().requires_grad_()
+    vertices = posed.vertices(level).detach().requires_grad_()
 
     def triangles() -> object:
-        return torch.autograd.grad(label_loss(vertices, mesh, targets, validate=False)[0].sum(), vertices)
+        return torch.autograd.grad(mesh_label_loss(vertices, mesh, camera, targets, validate=False)[0].sum(), vertices)
 
     return triangles
 

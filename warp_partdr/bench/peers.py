@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..render.mesh import label_loss, rasterize_parts
+from ..cameras import WeakPerspective
+from ..render.mesh import draw_mesh, mesh_label_loss
 from ..render.part_mesh import PartMesh
 
 _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
@@ -34,6 +36,11 @@ class MeshView:
     vertices: torch.Tensor
     mesh: PartMesh
     targets: torch.Tensor
+
+    @cached_property
+    def camera(self) -> WeakPerspective:
+        """Of vertices in pixels."""
+        return WeakPerspective.identity(self.vertices.device)
 
     @property
     def faces(self) -> torch.Tensor:
@@ -75,11 +82,13 @@ class Ours:
     def labels(self) -> torch.Tensor:
         """The hard label image."""
         view = self._view
-        return rasterize_parts(view.vertices, view.mesh, view.image_size, validate=False).labels
+        return draw_mesh(view.vertices, view.mesh, view.camera, view.image_size, validate=False).labels
 
     def loss(self, vertices: torch.Tensor) -> torch.Tensor:
         """L_seg."""
-        return label_loss(vertices, self._view.mesh, self._view.targets, validate=False)[0].sum()
+        return mesh_label_loss(vertices, self._view.mesh, self._view.camera, self._view.targets, validate=False)[
+            0
+        ].sum()
 
 
 class Drtk:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..render.ellipsoid_passes import Gradient
+from ..render.options import Gradient
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"

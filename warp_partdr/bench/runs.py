@@ -14,20 +14,24 @@ import torch
 import warp as wp
 
 from ..body.ellipbody import bone_tree
+from ..cameras import WeakPerspective
+from ..interop.arrays import contiguous, warp_array
 from ..kernels import kinematics
 from ..kernels.ellipsoids.picture import launch_draw
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import LabelTarget
-from ..kernels.mesh import map_gradient, push_xy, push_z, rasterize
-from ..kernels.refine.state import Ellipsoids
+from ..kernels.mesh import push_xy, push_z, rasterize
+from ..kernels.mesh.triangles import ImageArrays, MeshArrays
+from ..kernels.refine.state import EllipsoidArrays
 from ..kernels.side_stream import launch_side_by_side
-from ..refinement.fused import FusedRefinement
-from ..refinement.fused_picture import EllipsoidPicture
-from ..refinement.refine import LEARNING_RATE
-from ..render.ellipsoid_passes import Gradient
+from ..refinement.captured import CapturedRefinement
+from ..refinement.steps import LEARNING_RATE
+from ..render.captured import CapturedEllipsoids
 from ..render.ellipsoids import ellipsoid_label_loss
-from ..render.mesh import DEFAULT_DEPTH_WEIGHT, label_loss, weight_table
+from ..render.mesh import mesh_label_loss
+from ..render.options import DEFAULT_DEPTH_WEIGHT, Gradient
 from ..render.part_mesh import ellipbody_mesh
+from ..render.renderers import RendererEllipsoids
 from .scene import LABELS, Scene
 
 _VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}
@@ -42,11 +46,14 @@ class ExactRun:
     def __init__(self, scene: Scene, gradient: Gradient) -> None:
         posed, batch = scene.posed, scene.batch_size
         self._scene, self._gradient = scene, gradient
-        ellipsoids = Ellipsoids()
-        ellipsoids.centres, ellipsoids.axes = _wp(posed.centres, wp.vec3), _wp(posed.axes, wp.mat33)
+        ellipsoids = EllipsoidArrays()
+        ellipsoids.centres, ellipsoids.axes = (
+            warp_array(contiguous(posed.centres), wp.vec3),
+            warp_array(contiguous(posed.axes), wp.mat33),
+        )
         ellipsoids.semi_axes, ellipsoids.camera = (
-            _wp(posed.semi_axes, wp.vec3),
-            _wp(scene.camera.intrinsics, wp.vec4),
+            warp_array(contiguous(posed.semi_axes), wp.vec3),
+            warp_array(contiguous(scene.camera.intrinsics), wp.vec4),
         )
         self._ellipsoids = [getattr(ellipsoids, name) for name in ("centres", "axes", "semi_axes", "camera")]
         where = ellipsoids.centres.device
@@ -57,9 +64,9 @@ class ExactRun:
         self._no_labels = wp.empty((0, 0, 0), dtype=wp.uint8, device=where)
         self._no_depth = wp.empty((0, 0, 0), dtype=float, device=where)
         self._no_losses = wp.empty((0, 0), dtype=float, device=where)
-        energies = scene.energies(gradient)
-        self._picture = EllipsoidPicture(energies, ellipsoids, wp.ones(batch, dtype=int, device=where))
-        self._picture.observe(energies)
+        labels = LABELS.part_groups[1:].tolist()
+        self._picture = CapturedEllipsoids(RendererEllipsoids(gradient), labels, scene.targets, ellipsoids)
+        self._picture.update()
 
     def labels(self) -> None:
         """The hard label image alone: of the 20 parts, so the index of the nearest is its label."""
@@ -113,62 +120,52 @@ class MeshRun:
         self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         shape = (scene.batch_size, scene.size, scene.size)
-        self._vertices = _wp(self._points, wp.vec3)
-        self._geometry = self._vertices, _wp(mesh.faces, wp.vec3i), _wp(mesh.face_labels, wp.uint8)
-        self._edges = _wp(mesh.edges, wp.int32)
+        self._vertices = warp_array(contiguous(self._points), wp.vec3)
+        self._arrays = arrays = MeshArrays()
+        arrays.vertices, arrays.faces = self._vertices, warp_array(mesh.faces, wp.vec3i)
+        arrays.face_labels, arrays.edges = warp_array(mesh.face_labels), warp_array(mesh.edges)
+        arrays.near, arrays.perspective = -math.inf, False
         where = self._vertices.device
         self._zbuffer = rasterize.ZBuffer.make(*shape, where)
         self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
-        self._depth = wp.full(shape, -9.0, dtype=wp.float32, device=where)
-        self._face_index = wp.full(shape, -9, dtype=wp.int32, device=where)
+        self._label_image, self._images = ImageArrays(), ImageArrays()
+        self._label_image.labels = self._images.labels = self._labels
+        self._images.depth = wp.full(shape, -9.0, dtype=wp.float32, device=where)
+        self._images.face_index = wp.full(shape, -9, dtype=wp.int32, device=where)
         lanes = rasterize.pixel_lanes(shape, where.is_cpu)
         self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
-        self._found = push_xy.SilhouetteList.make(scene.batch_size, self._edges.shape[0], where)
+        self._found = push_xy.SilhouetteList.make(scene.batch_size, arrays.edges.shape[0], where)
         self._hidden = push_z.HiddenPixels.make(self._zbuffer.keys)
         self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
-        self._target = target = map_gradient.LabelTarget()
-        target.target = _wp(scene.targets, wp.uint8)
-        target.label_weights = _wp(weight_table(None, device), wp.float32)
+        self._target = target = LabelTarget()
+        target.target = warp_array(contiguous(scene.targets))
         target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
         extents = (scene.batch_size, rasterize.NUM_EXTENTS, mesh.num_labels + 1)
         target.extents = wp.zeros(extents, dtype=wp.vec4i, device=where)
 
     def labels(self) -> None:
         """The hard label image alone."""
-        rasterize.launch_rasterize(*self._geometry, **_VIEW, zbuffer=self._zbuffer, labels=self._labels)
+        rasterize.launch_rasterize(self._arrays, self._label_image, zbuffer=self._zbuffer)
 
     def gradient(self) -> None:
         """Render, L_seg and its gradient."""
-        vertices, faces, face_labels = self._geometry
-        view: dict[str, Any] = {**_VIEW, "labels": self._labels, "face_index": self._face_index}
-        rasterize.launch_rasterize(
-            vertices, faces, face_labels, **view, zbuffer=self._zbuffer, depth=self._depth, background=False
-        )
+        rasterize.launch_rasterize(self._arrays, self._images, zbuffer=self._zbuffer, background=False)
         target = self._target
-        rasterize.launch_compare_labels(
-            self._labels, target.target, target.label_weights, extents=target.extents, losses=self._losses
-        )
+        rasterize.launch_compare_labels(self._labels, target.target, extents=target.extents, losses=self._losses)
         self._grad.zero_()
         push_edges = partial(
             push_xy.launch_push_edges,
-            vertices,
-            face_labels,
-            self._edges,
-            **view,
-            all_edges=False,
-            over_farther=True,
+            self._arrays,
+            self._images,
             max_distance=math.inf,
-            depth=self._depth,
             gradient=target,
             found=self._found,
             grad_vertices=self._grad,
         )
         push_depths = partial(
             push_z.launch_push_depths,
-            vertices,
-            faces,
-            face_labels,
-            **view,
+            self._arrays,
+            self._images,
             depth_weight=DEFAULT_DEPTH_WEIGHT,
             gradient=target,
             hidden=self._hidden,
@@ -177,14 +174,16 @@ class MeshRun:
         launch_side_by_side(push_edges, push_depths)
 
     def check(self) -> None:
-        """Hold the runs against ``label_loss``.
+        """Hold the runs against ``mesh_label_loss``.
 
         Raises:
             AssertionError: If they differ.
         """
         wp.synchronize_device(self._labels.device)
         leaf = self._points.clone().requires_grad_()
-        loss, image = label_loss(leaf, self._mesh, self._scene.targets, validate=False)
+        loss, image = mesh_label_loss(
+            leaf, self._mesh, WeakPerspective.identity(leaf.device), self._scene.targets, validate=False
+        )
         (want,) = torch.autograd.grad(loss.sum(), leaf)
         for run in (self.labels, self.gradient):
             self._labels.fill_(_POISON)
@@ -203,16 +202,16 @@ class KinematicsRun:
         bodies, posed = scene.bodies, scene.posed
         where = wp.device_from_torch(scene.targets.device)
         self._tree = bone_tree(where.alias, wp.float32, _SUBDIVISIONS)
-        rotations = _wp(posed.rotations, wp.mat33)  # any will do as local ones
+        rotations = warp_array(contiguous(posed.rotations), wp.mat33)  # any will do as local ones
         self._parameters = [
-            _wp(bodies.global_orient(), wp.mat33),
+            warp_array(contiguous(bodies.global_orient()), wp.mat33),
             wp.zeros(scene.batch_size, dtype=wp.vec3, device=where),
             rotations,
-            _wp(bodies.lengths, wp.float32),
-            _wp(bodies.thicknesses, wp.float32),
+            warp_array(contiguous(bodies.lengths)),
+            warp_array(contiguous(bodies.thicknesses)),
         ]
-        centres, axes = _wp(posed.centres, wp.vec3), _wp(posed.axes, wp.mat33)
-        like = [_wp(posed.joints, wp.vec3), rotations, centres, axes, centres]
+        centres, axes = warp_array(contiguous(posed.centres), wp.vec3), warp_array(contiguous(posed.axes), wp.mat33)
+        like = [warp_array(contiguous(posed.joints), wp.vec3), rotations, centres, axes, centres]
         self._posed, self._adjoints = ([wp.zeros_like(array) for array in like] for _ in range(2))
         self._gradients = [wp.zeros_like(array) for array in self._parameters]
         shape = (*centres.shape, self._tree.unit_vertices.shape[0])
@@ -239,7 +238,7 @@ class RefinementRun:
     def __init__(self, scene: Scene, gradient: Gradient, learning_rate: float = LEARNING_RATE) -> None:
         self._bodies = scene.bodies
         energies = scene.energies(gradient)
-        self._fused = FusedRefinement(
+        self._fused = CapturedRefinement(
             energies, scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
         )
         self.refine()
@@ -251,7 +250,3 @@ class RefinementRun:
     def iterate(self) -> None:
         """The last iteration once more, with the bodies where ``refine`` left them."""
         self._fused.iterate()
-
-
-def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
-    return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=False)

@@ -15,9 +15,9 @@ from ..body.labels import label_set
 from ..body.parameters import BodyParameters
 from ..body.template import PART_NAMES
 from ..cameras import Crop, WeakPerspective
-from ..render.ellipsoid_passes import Gradient
 from ..render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from ..render.mesh import label_loss
+from ..render.mesh import mesh_label_loss
+from ..render.options import Gradient
 from ..render.part_mesh import PartMesh, ellipbody_mesh
 from .kernels import Progress
 from .scene import Scene
@@ -119,7 +119,7 @@ def _cases(device: str) -> Iterator[_Case]:
 def _body_cases(scene: Scene) -> Iterator[_Case]:
     camera, targets = scene.camera, scene.targets
     posed = Ellipsoids(*[t.detach() for t in (scene.posed.centres, scene.posed.axes, scene.posed.semi_axes)])
-    vertices = camera.project(scene.posed.vertices(1)).detach()
+    vertices = scene.posed.vertices(1).detach()
     loss = partial(_loss_of_ellipsoids, posed, camera, targets)
 
     yield _Case(
@@ -130,8 +130,8 @@ def _body_cases(scene: Scene) -> Iterator[_Case]:
     silhouette = (targets > 0).to(torch.uint8)
     yield _Case(
         "z gradient of one label, mesh E1",
-        ("looked for", partial(_loss_of_mesh, vertices, silhouette, 1.0)),
-        ("left out", partial(_loss_of_mesh, vertices, silhouette, 0.0)),
+        ("looked for", partial(_loss_of_mesh, vertices, camera, silhouette, 1.0)),
+        ("left out", partial(_loss_of_mesh, vertices, camera, silhouette, 0.0)),
     )
     yield _Case(
         "sizes of the body",
@@ -219,10 +219,12 @@ def _loss_of_maps(ellipsoids: Ellipsoids, camera: WeakPerspective, targets: torc
     return _gradient((maps - (targets[:, None] == index[:, None, None]).float()).square(), leaves)
 
 
-def _loss_of_mesh(vertices: torch.Tensor, silhouette: torch.Tensor, depth_weight: float) -> object:
+def _loss_of_mesh(
+    vertices: torch.Tensor, camera: WeakPerspective, silhouette: torch.Tensor, depth_weight: float
+) -> object:
     mesh = _silhouette_mesh(silhouette.device)
     vertices = vertices.requires_grad_()
-    loss = label_loss(vertices, mesh, silhouette, depth_weight=depth_weight, validate=False)[0]
+    loss = mesh_label_loss(vertices, mesh, camera, silhouette, depth_weight=depth_weight, validate=False)[0]
     return torch.autograd.grad(loss.sum(), vertices)
 
 

@@ -15,8 +15,9 @@ from ..body.skeletons import skeleton
 from ..cameras import WeakPerspective
 from ..inputs.observation import Observation
 from ..refinement.energy import Energy
-from ..render.ellipsoid_passes import Gradient
 from ..render.ellipsoids import draw_ellipsoids
+from ..render.options import Gradient
+from ..render.renderers import RendererEllipsoids
 
 LABELS = label_set("ellipbody20")
 _BEND, _MOVE = 0.2, 0.1  # [rad] of each joint: from the rest pose, and from there to the target
@@ -74,6 +75,8 @@ class Scene:
         """The energy of each body."""
         names = skeleton("coco17").landmarks
         seen = Observation(names, self.points[0], torch.ones_like(self.points[0, :, 0]), self.targets[0], LABELS)
-        first = Energy(seen, size=self.size, prior=PosePrior().to(self.points.device), gradient=gradient)
+        first = Energy(
+            seen, size=self.size, prior=PosePrior().to(self.points.device), renderer=RendererEllipsoids(gradient)
+        )
         rest = zip(self.points[1:], self.targets[1:], strict=True)
         return [first, *(replace(first, observation=replace(seen, points=p, labels=t)) for p, t in rest)]

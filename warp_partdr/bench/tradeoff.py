@@ -18,9 +18,11 @@ from ..evaluation.partbench.samples import partbench
 from ..fit.options import FitOptions
 from ..fit.stages import Quality
 from ..refinement.energy import Weights
-from ..refinement.refine import refine
+from ..refinement.stepper import Refinement
+from ..render.renderers import RendererMesh
 from ..synthetic.tradeoff_people import JOINTS, People, make_people
 from .machine import about
+from .plan import LEVELS
 from .tradeoff_fits import own_part_f1, refine_all, score, time_iteration
 from .tradeoff_gradient import gradient_error, true_gradient
 from .tradeoff_plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
@@ -88,8 +90,8 @@ def _fit_jobs(plan: Plan, report: Report, crowds: tuple[People, ...]) -> _Jobs:
 def _fit(report: Report, people: People, setting: Setting, distance: float, seen: str, weights: Weights | None) -> None:
     bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
     own = None
-    if setting.renderer == "mesh" and setting == Setting(setting.name):
-        own = own_part_f1(bodies, people, setting.subdivisions)
+    if isinstance(setting.renderer, RendererMesh) and setting == Setting(setting.name):
+        own = own_part_f1(bodies, people, LEVELS[setting.name])
     report.fits.append(Fit(people.name, seen, setting, distance, score(bodies, people), own, seconds))
 
 
@@ -139,9 +141,8 @@ def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, ki
         seen = people.observation(person)
         energy = setting.energy(replace(seen, points=seen.points.to(kind)), prior)
         body = _cast(start.select(torch.tensor([person], device=start.shift.device)), kind)
-        found.append(
-            refine(body, energy, iterations=setting.iterations, learning_rate=RATE).parameters.tensors().values()
-        )
+        refined = Refinement(body, energy, iterations=setting.iterations, learning_rate=RATE).run()
+        found.append(refined.parameters.tensors().values())
     return BodyParameters(*(torch.cat(column) for column in zip(*found, strict=True)))
 
 

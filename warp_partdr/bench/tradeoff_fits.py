@@ -14,12 +14,15 @@ from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..body.posing import LandmarkGather
 from ..body.template import NUM_PARTS
+from ..cameras import WeakPerspective
 from ..metrics import accuracy, confusion, pa_mpjpe, part_f1
-from ..refinement.energy import Weights
-from ..refinement.fused import FusedRefinement
-from ..refinement.refine import refine
-from ..render.mesh import rasterize_parts
+from ..refinement.captured import CapturedRefinement
+from ..refinement.energy import Energy, Weights
+from ..refinement.stepper import Refinement
+from ..refinement.steps import Refined
+from ..render.mesh import draw_mesh
 from ..render.part_mesh import ellipbody_mesh
+from ..render.renderers import RendererMesh
 from ..synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
 from .timing import Timing, time_calls
 from .tradeoff_plan import RATE, Setting
@@ -53,9 +56,9 @@ def score(bodies: BodyParameters, people: People) -> Scores:
 
 def own_part_f1(bodies: BodyParameters, people: People, subdivisions: int) -> np.ndarray:
     """Part F1, shape (N,), of the bodies' mesh, as the paper draws them."""
-    vertices = bodies.camera(_SCORED).project(bodies.posed().vertices(subdivisions))
-    mesh = ellipbody_mesh(subdivisions, device=vertices.device)
-    drawn = [rasterize_parts(each[None], mesh, (_SCORED, _SCORED)).labels for each in vertices]
+    screen = bodies.camera(_SCORED).project(bodies.posed().vertices(subdivisions))
+    mesh, camera = ellipbody_mesh(subdivisions, device=screen.device), WeakPerspective.identity(screen.device)
+    drawn = [draw_mesh(each[None], mesh, camera, (_SCORED, _SCORED)).labels for each in screen]
     return part_f1(confusion(torch.cat(drawn), _true_labels(people), NUM_PARTS + 1))
 
 
@@ -73,14 +76,14 @@ def refine_all(
         The bodies, and the seconds that an iteration took for one of them.
     """
     prior = PosePrior().to(start.shift.device)
-    if setting.renderer == "mesh":
+    if isinstance(setting.renderer, RendererMesh):
         # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
         energy = setting.energy(people.observation(), prior, weights)
         begin = time.perf_counter()
-        found = refine(start, energy, iterations=setting.iterations, learning_rate=RATE)
+        found = Refinement(start, energy, iterations=setting.iterations, learning_rate=RATE).run()
     else:
         energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
-        fused = FusedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
+        fused = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
         begin = time.perf_counter()
         found = fused.refine(start)
     float(found.energy.sum())  # until the device is done
@@ -99,10 +102,14 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
     for person in range(min(_TIMED_PEOPLE, len(people))):
         energy = setting.energy(people.observation(person), prior)
         body = start.select(torch.tensor([person], device=start.shift.device))
-        if setting.renderer == "mesh":
-            runs.append(partial(refine, body, energy, iterations=setting.iterations))
+        if isinstance(setting.renderer, RendererMesh):
+            runs.append(partial(_refine_by_autograd, body, energy, setting.iterations))
         else:
-            fused = FusedRefinement(energy, 1, iterations=setting.iterations)
+            fused = CapturedRefinement(energy, 1, iterations=setting.iterations)
             runs.append(partial(fused.refine, body))
     fastest = [time_calls(run, device, budget / len(runs)).fastest for run in runs]
     return Timing(tuple(seconds / setting.iterations for seconds in fastest))
+
+
+def _refine_by_autograd(body: BodyParameters, energy: Energy, iterations: int) -> Refined:
+    return Refinement(body, energy, iterations=iterations).run()

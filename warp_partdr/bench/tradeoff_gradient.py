@@ -9,10 +9,7 @@ import torch
 
 from ..body.parameters import BodyParameters
 from ..inputs.observation import REFERENCE_SIZE, resize_nearest
-from ..refinement.refine import SHAPE_RATE
-from ..render.ellipsoids import ellipsoid_label_loss
-from ..render.mesh import label_loss
-from ..render.part_mesh import ellipbody_mesh
+from ..refinement.steps import SHAPE_RATE
 from ..synthetic.tradeoff_people import TRUTH_SIZE, People
 from .plan import COVERAGE
 from .tradeoff_plan import Setting
@@ -57,11 +54,7 @@ def _gradient(setting: Setting, bodies: BodyParameters, labels: torch.Tensor) ->
     """Of L_seg [pixels of a 256 px picture], in the unit of a step of each number, shape (B, P)."""
     leaves = bodies.leaves()
     posed, camera = leaves.posed(), leaves.camera(setting.size)
-    if setting.renderer == "mesh":
-        mesh = ellipbody_mesh(setting.subdivisions, device=labels.device)
-        loss, _ = label_loss(camera.project(posed.vertices(setting.subdivisions)), mesh, labels)
-    else:
-        loss, _ = ellipsoid_label_loss(posed, camera, labels, gradient=setting.gradient)
+    loss, _ = setting.renderer.label_loss(posed, camera, labels)
     scaled = (REFERENCE_SIZE / setting.size) ** 2 * loss.sum()
     names = leaves.tensors()
     grads = torch.autograd.grad(scaled, list(names.values()))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from ..body.pose_prior import PosePrior
 from ..inputs.observation import Observation
-from ..refinement.energy import Energy, Renderer, Weights
-from ..render.ellipsoid_passes import Gradient
+from ..refinement.energy import Energy, Weights
+from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
 from .plan import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
 
 NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the order of tables and legends
@@ -35,29 +35,11 @@ class Setting:
     @property
     def renderer(self) -> Renderer:
         """What draws."""
-        return "mesh" if self.name in LEVELS else "exact"
-
-    @property
-    def subdivisions(self) -> int:
-        """Level of the mesh; of exact ellipsoids one that is not used."""
-        return LEVELS.get(self.name, 0)
-
-    @property
-    def gradient(self) -> Gradient:
-        """Its estimator."""
-        return GRADIENTS.get(self.name, "partdr")
+        return RendererMesh(LEVELS[self.name]) if self.name in LEVELS else RendererEllipsoids(GRADIENTS[self.name])
 
     def energy(self, seen: Observation, prior: PosePrior, weights: Weights | None = None) -> Energy:
         """What the refinement minimises."""
-        return Energy(
-            seen,
-            self.size,
-            weights or Weights(),
-            prior,
-            renderer=self.renderer,
-            subdivisions=self.subdivisions,
-            gradient=self.gradient,
-        )
+        return Energy(seen, self.size, weights or Weights(), prior, self.renderer)
 
 
 @dataclass(frozen=True)

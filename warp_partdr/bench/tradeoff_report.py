@@ -204,7 +204,7 @@ def findings(report: Report) -> list[str]:
                 ("part F1 of the mesh itself", _gain(fine.own_part_f1, coarse.own_part_f1)),
                 ("part F1 of the ellipsoids", _gain(fine.scores.part_f1, coarse.scores.part_f1)),
             ):
-                said.append(f"{truth}: {what}, {coarse.setting.name} to E{fine.setting.subdivisions}: {gain}")
+                said.append(f"{truth}: {what}, {coarse.setting.name} to E{LEVELS[fine.setting.name]}: {gain}")
     return said
 
 

@@ -216,9 +216,12 @@ def fit(
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
+    from ..body.ellipbody import DEFAULT_SUBDIVISIONS
     from ..fit.fitting import fit_body
     from ..fit.options import FitOptions
     from ..kernels.launch import set_num_threads
+    from ..render.renderers import RendererMesh
+    from ..render.subdivisions import DEFAULT_TOLERANCE, Subdivisions
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save import DETAILED_FILES, RESULT_FILES, image_size, save_fit
     from .progress import FitProgress
@@ -246,14 +249,16 @@ def fit(
     options = replace(
         FitOptions.at(quality.value, start.value),
         seed=seed,
-        renderer=renderer.value,
         trust_background=trust_background,
         network=None if network is None else str(network),
     )
-    if subdivisions is SubdivisionsName.auto:
-        options = replace(options, subdivisions="auto", tolerance=tolerance or options.tolerance)
-    elif subdivisions is not None:
-        options = replace(options, subdivisions=int(subdivisions.value))
+    if renderer is Renderer.mesh:
+        level: Subdivisions = DEFAULT_SUBDIVISIONS
+        if subdivisions is not None:
+            level = "auto" if subdivisions is SubdivisionsName.auto else int(subdivisions.value)
+        options = options.drawn_by(
+            lambda old: RendererMesh(level, tolerance or DEFAULT_TOLERANCE, max_distance=old.max_distance)
+        )
     if labels_first:
         options = options.labels_first()
     if not outline:
@@ -292,14 +297,16 @@ def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> Non
     from ..kernels.ellipsoids import picture, silhouette
     from ..kernels.mesh import push_xy, push_z, rasterize
     from ..kernels.refine import state
+    from ..render.renderers import RendererEllipsoids, RendererMesh
 
     modules: list[Any] = [kinematics, rasterize]
     if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
         modules.append(state.MODULE)
-    if with_labels and options.renderer == "mesh":
+    if with_labels and isinstance(options.renderer, RendererMesh):
         modules += [push_xy, push_z]
     elif with_labels and device == "cpu":
-        gradients = sorted({stage.gradient for stage in options.stages if stage.size})
+        drawn = [stage.renderer for stage in options.stages if stage.size]
+        gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})
         modules += [labels, silhouette, picture]
         modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
     for module in modules:

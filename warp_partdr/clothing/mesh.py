@@ -9,7 +9,7 @@ from .model import DetailedModel
 def detailed_mesh(model: DetailedModel) -> PartMesh:
     """A detailed model's mesh with labels 1 to 20, on the model's device; keep it, its edges take a moment to find.
 
-    ``rasterize_parts`` and ``label_loss`` draw it with ``camera.project(detailed.vertices)``, and their gradients
+    ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients
     reach shape and rotations. ``relabel`` shows another set of parts.
     """
     faces, parts = model.faces.cpu().numpy(), model.face_parts.cpu().numpy()

@@ -13,6 +13,7 @@ from ..body.template import PART_NAMES
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
+from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
 from .options import FitOptions, stages_of
 from .stages import Stage
 
@@ -163,18 +164,22 @@ def _parts(parts: PartLabels) -> Iterator[Choice]:
 
 
 def _depth(parts: PartLabels, drawn: list[Stage], options: FitOptions) -> Choice:
-    stages = [stage.name for stage in drawn if stage.gradient == "partdr" or options.renderer == "mesh"]
+    stages = [stage.name for stage in drawn if _has_depth_gradient(stage.renderer)]
     if parts.label_set.num_groups == 1:
         return Choice("z gradient", "", "all of it", "with one label, nothing that shows hides something else")
-    if options.depth_weight == 0 or not stages:
+    if all(stage.renderer.depth_weight == 0 for stage in drawn if stage.name in stages):
         return Choice("z gradient", "", "all of it", "its weight is 0" if stages else "only PartDR's rule has one")
     others = [stage.name for stage in drawn if stage.name not in stages]
     why = "only PartDR's rule has one" if others else "parts of one label can hide those of another"
     return Choice("z gradient", f"stages {_list(stages)}", f"stages {_list(others)}" if others else "", why)
 
 
+def _has_depth_gradient(renderer: Renderer) -> bool:
+    return isinstance(renderer, RendererMesh) or renderer.gradient == "partdr"
+
+
 def _path(parts: PartLabels, options: FitOptions) -> Choice:
-    if parts.maps is None and options.renderer == "exact":
+    if parts.maps is None and isinstance(options.renderer, RendererEllipsoids):
         why = "labels and exact ellipsoids need no more"
         return Choice("an iteration", "one graph of kernels, captured once", "autograd, Python", why)
     why = "against probabilities" if parts.maps is not None else "of a mesh"

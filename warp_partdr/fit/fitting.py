@@ -23,7 +23,6 @@ from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
 from ..network.predict import predict_bodies
 from ..refinement.energy import Energy
-from ..refinement.fused import minimise
 from ..refinement.refine import refine
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import complaints, poor_labels
@@ -56,7 +55,7 @@ def fit_body(
         parts: The picture's part labels; None fits keypoints alone.
         others: Other people's keypoints, which keep their labels apart from the person's.
         quality: "fast", "balanced" or "accurate": stages and picture sizes; docs/accuracy.md has what each gives.
-        options: Stages, weights and renderer of your own, instead of those of ``quality``.
+        options: Stages and weights of your own, instead of those of ``quality``.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
 
@@ -153,12 +152,7 @@ class _Fit:
                 max(stage.size, 1),
                 weights,
                 self.prior,
-                renderer=options.renderer,
-                subdivisions=options.subdivisions,
-                tolerance=options.tolerance,
-                gradient=stage.gradient,
-                max_distance=stage.max_distance,
-                depth_weight=options.depth_weight,
+                renderer=stage.renderer,
                 depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,
             )
 
@@ -172,10 +166,8 @@ class _Fit:
                 "frozen": stage.frozen,
                 "on_iteration": step,
             }
-            if lift is not None and index == 0:
-                refined = refine(bodies, lift(energy), **pace)
-            else:
-                refined = minimise(bodies, energy, **pace)
+            goal = lift(energy) if lift is not None and index == 0 else energy
+            refined = refine(bodies, goal, **pace)
             bodies, energies, terms = refined.parameters, refined.energy, refined.terms
             lineage.append(refined.history.cpu().numpy())
             if len(energies) > 1:
@@ -225,5 +217,4 @@ class _Fit:
             options.weights,
             self.prior,
             renderer=options.renderer,
-            subdivisions=options.subdivisions,
         )

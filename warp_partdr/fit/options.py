@@ -1,17 +1,16 @@
-"""Options of a fit: its stages, weights and renderer."""
+"""Options of a fit: its stages, weights and start."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from ..body.ellipbody import DEFAULT_SUBDIVISIONS
 from ..inputs.part_labels import PartLabels
-from ..refinement.energy import Renderer, Weights
-from ..render.mesh import DEFAULT_DEPTH_WEIGHT
-from ..render.subdivisions import DEFAULT_TOLERANCE, Subdivisions
+from ..refinement.energy import Weights
+from ..render.renderers import Renderer, RendererEllipsoids
 from .stages import OUTLINE, STAGES, Quality, Stage, Start
 
-_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), gradient="coverage")
+_LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEllipsoids("coverage"))
 
 
 @dataclass(frozen=True)
@@ -22,12 +21,7 @@ class FitOptions:
         stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
             them, and stays as it is where there are none.
         weights: Of the energy's terms, where a stage has none of its own.
-        renderer: "exact" ellipsoids, or their "mesh", with PartDR's gradient.
-        subdivisions: Level of the mesh, 0 to 3; "auto": in each stage the coarsest that is within ``tolerance`` of the
-            ellipsoids.
-        tolerance: Of "auto" [px of the drawn crop].
         trust_background: Believe background where confident keypoints say that a limb is; else it is ignored there.
-        depth_weight: The paper's lambda of PartDR's z gradient; 0 leaves it out.
         seed: Of the random choice of hypotheses, where there are too many.
         start: "network": the label network's body; "search": many hypotheses.
         network: File of a label network of `partdr train`; None takes the packaged one.
@@ -37,11 +31,7 @@ class FitOptions:
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
     weights: Weights = field(default_factory=Weights)
-    renderer: Renderer = "exact"
-    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
-    tolerance: float = DEFAULT_TOLERANCE
     trust_background: bool = False
-    depth_weight: float = DEFAULT_DEPTH_WEIGHT
     seed: int = 0
     start: Start = "network"
     network: str | None = None
@@ -63,6 +53,22 @@ class FitOptions:
         if quality not in STAGES[start]:
             raise ValueError(f"quality: {quality!r}; expected {', '.join(STAGES[start])}")
         return cls(stages=STAGES[start][quality], start=start, search=STAGES["search"][quality])
+
+    def drawn_by(self, change: Callable[[Renderer], Renderer]) -> FitOptions:
+        """The same, but each stage, also of the search, draws with what ``change`` makes of its renderer.
+
+        ``options.drawn_by(lambda old: RendererMesh(1, max_distance=old.max_distance))`` draws the paper's mesh.
+        """
+
+        def changed(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
+            return tuple(replace(stage, renderer=change(stage.renderer)) for stage in stages)
+
+        return replace(self, stages=changed(self.stages), search=changed(self.search))
+
+    @property
+    def renderer(self) -> Renderer:
+        """What the last stage draws with; exact ellipsoids where there is none."""
+        return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
     def labels_first(self) -> FitOptions:
         """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.

@@ -13,10 +13,12 @@ from ..cameras import Crop, WeakPerspective
 from ..inputs.evidence import Evidence
 from ..inputs.observation import Observation
 from ..interop.movable import Movable
-from ..render.mesh import PartImage, rasterize_parts
-from ..render.part_mesh import ellipbody_mesh
-from ..render.subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
+from ..render.ellipsoids import EllipsoidImage
+from ..render.mesh import PartImage
+from ..render.renderers import Renderer, RendererMesh
 from .stages import Stage, Start
+
+_FINE_MESH = RendererMesh(3)
 
 
 @dataclass(frozen=True)
@@ -69,23 +71,17 @@ class FitResult(Movable):
         self,
         image_size: tuple[int, int],
         *,
-        subdivisions: Subdivisions = 3,
-        tolerance: float = DEFAULT_TOLERANCE,
+        renderer: Renderer = _FINE_MESH,
         camera: WeakPerspective | None = None,
-    ) -> PartImage:
+    ) -> PartImage | EllipsoidImage:
         """The body's 20 parts in the full picture, or in another camera's.
 
         Args:
             image_size: (H, W) [px].
-            subdivisions: Level of the mesh, 0 to 3, or "auto": the coarsest that keeps the tolerance.
-            tolerance: How far its silhouettes may be from the ellipsoids' [px].
+            renderer: Exact ellipsoids or a mesh, E3 by default.
             camera: Instead of the fit's.
 
         Raises:
-            ValueError: If no level keeps the tolerance.
+            ValueError: If no level keeps the tolerance of a mesh whose level is "auto".
         """
-        camera = camera or self.camera
-        if subdivisions == "auto":
-            subdivisions = coarsest_subdivisions(self.posed, camera, tolerance=tolerance)
-        vertices = camera.project(self.posed.vertices(subdivisions))
-        return rasterize_parts(vertices, ellipbody_mesh(subdivisions, device=vertices.device), image_size)
+        return renderer.draw(self.posed, camera or self.camera, image_size)

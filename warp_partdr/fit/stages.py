@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ..errors import check_whole
 from ..interop.checks import MAX_PICTURE, MAX_PIXELS, check_steps
 from ..refinement.energy import Weights
-from ..render.ellipsoid_passes import Gradient
+from ..render.renderers import Renderer, RendererEllipsoids
 
 Quality = Literal["fast", "balanced", "accurate"]
 Start = Literal["network", "search"]
@@ -27,8 +27,7 @@ class Stage:
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.
         weights: Of the energy's terms in this stage; None takes the fit's. Depth, which one body alone can
             have held, is held to where the stage starts.
-        gradient: Of exact ellipsoids, see ``draw_ellipsoids``.
-        max_distance: How far from an edge a pixel may move it [px of the drawn crop], with PartDR's gradient.
+        renderer: Exact ellipsoids or their mesh, with the options of the gradient.
         frozen: Parameters that stay as they are, names of ``BodyParameters``.
     """
 
@@ -38,8 +37,7 @@ class Stage:
     learning_rate: float
     size: int = 0
     weights: Weights | None = None
-    gradient: Gradient = "partdr"
-    max_distance: float = math.inf
+    renderer: Renderer = field(default_factory=RendererEllipsoids)
     frozen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -58,13 +56,15 @@ class Stage:
 OUTLINE = "outline"
 OUTLINE_WEIGHTS = Weights(proj=3.0, seg=0.5, prior=10.0, length=1e-2, thickness=2e-3)
 
+_EDGES = RendererEllipsoids("edges")
+
 _SEARCH: dict[Quality, tuple[Stage, ...]] = {
     "fast": (
         Stage("lift", 64, 20, 0.15),
         Stage("keypoints", 64, 15, 0.05),
-        Stage("labels, coarse", 8, 25, 0.03, 64, gradient="edges"),
-        Stage("labels, fine", 2, 25, 0.02, 128, gradient="edges"),
-        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, gradient="edges"),
+        Stage("labels, coarse", 8, 25, 0.03, 64, renderer=_EDGES),
+        Stage("labels, fine", 2, 25, 0.02, 128, renderer=_EDGES),
+        Stage(OUTLINE, 1, 50, 0.01, 128, OUTLINE_WEIGHTS, renderer=_EDGES),
     ),
     "balanced": (
         Stage("lift", 256, 30, 0.1),
@@ -72,15 +72,15 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
         Stage("labels, coarse", 40, 25, 0.03, 64),
         Stage("labels, middle", 12, 25, 0.02, 128),
         Stage("labels, fine", 4, 50, 0.01, 256),
-        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, max_distance=2.0),
+        Stage(OUTLINE, 1, 250, 0.01, 256, OUTLINE_WEIGHTS, renderer=RendererEllipsoids(max_distance=2.0)),
     ),
     "accurate": (
         Stage("lift", 256, 30, 0.1),
         Stage("keypoints", 256, 40, 0.04),
-        Stage("labels, coarse", 64, 50, 0.03, 64, gradient="edges"),
-        Stage("labels, middle", 24, 50, 0.02, 128, gradient="edges"),
-        Stage("labels, fine", 8, 100, 0.01, 256, gradient="edges"),
-        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), gradient="edges"),
+        Stage("labels, coarse", 64, 50, 0.03, 64, renderer=_EDGES),
+        Stage("labels, middle", 24, 50, 0.02, 128, renderer=_EDGES),
+        Stage("labels, fine", 8, 100, 0.01, 256, renderer=_EDGES),
+        Stage(OUTLINE, 1, 250, 0.01, 256, replace(OUTLINE_WEIGHTS, seg=0.7), renderer=_EDGES),
     ),
 }
 
@@ -93,14 +93,14 @@ _NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, length=2e-2, thickness=2e-3, depth=1e
 _NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, length=3e-3, depth=1e-2)
 
 _NETWORK: dict[Quality, tuple[Stage, ...]] = {
-    "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, gradient="edges"),),
+    "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, renderer=_EDGES),),
     "balanced": (
-        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
-        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, gradient="edges"),
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
+        Stage(OUTLINE, 1, 300, 0.01, 192, _NEAR_OUTLINE, renderer=_EDGES),
     ),
     "accurate": (
-        Stage("labels", 1, 50, 0.007, 192, _NEAR, gradient="edges"),
-        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, gradient="edges"),
+        Stage("labels", 1, 50, 0.007, 192, _NEAR, renderer=_EDGES),
+        Stage(OUTLINE, 1, 400, 0.01, 192, _NEAR_OUTLINE_FIRST, renderer=_EDGES),
     ),
 }
 STAGES: dict[Start, dict[Quality, tuple[Stage, ...]]] = {"network": _NETWORK, "search": _SEARCH}

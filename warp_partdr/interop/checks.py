@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import SupportsIndex
 
@@ -16,7 +15,6 @@ MAX_PIXELS = 2**31  # of a batch: they are counted in 32 bits
 MAX_PICTURE = 2**28  # [px]; Warp counts the bytes of one picture in 32 bits, and a z-buffer has eight a pixel
 _MAX_RATE = 1e3
 _MAX_ITERATIONS = 10**7  # each has a row in the history
-MIN_NEAR = 1e-6  # [m]; a perspective camera sees nothing nearer
 
 # Of |R^T R - I| (Frobenius): bfloat16 rounds a rotation by up to 7e-3, float16 by 2e-3, products of ten thousand
 # rotations in float32 by less than 1e-3. Beyond it, ellipsoids and bones are visibly sheared or scaled.
@@ -68,12 +66,6 @@ def check_tensor(
         raise ValueError(f"{name}: on meta; expected a device that holds numbers")
 
 
-def contiguous(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as Warp takes it: to torch an empty one is contiguous whatever its strides, to Warp it is not."""
-    tensor = tensor.contiguous()
-    return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
-
-
 def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tuple[int, int]:
     """``image_size`` as two ints: positive integers of any type, of which so many pictures can be counted.
 
@@ -95,19 +87,6 @@ def check_image_size(image_size: Sequence[SupportsIndex], batch: int = 1) -> tup
             f"image_size: {batch} pictures of {(height, width)}; expected fewer than 2**31 pixels, split the batch"
         )
     return height, width
-
-
-def check_near(near: float | None, perspective: bool, default: float) -> float:
-    """The near plane [m]: of a weak-perspective camera none but what is given, of a perspective one never behind it.
-
-    Raises:
-        ValueError: If ``near`` is NaN.
-    """
-    if near is None:
-        return default if perspective else -math.inf
-    if math.isnan(near):
-        raise ValueError(f"near: {near}; expected a depth")
-    return max(float(near), MIN_NEAR) if perspective else float(near)
 
 
 def check_finite(**tensors: torch.Tensor) -> None:

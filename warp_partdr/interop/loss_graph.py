@@ -34,14 +34,12 @@ class Buffers:
     Attributes:
         inputs: What the gradient is with respect to, each of shape (B, ...); a body's numbers are contiguous.
         target: Wanted labels, shape (N, H, W), N = 1 or B, uint8.
-        weights: Of labels, shape (256,).
         losses: Partial sums of L_seg, shape (B, K).
         grads: Gradients, laid out as the inputs; empty where none is wanted.
     """
 
     inputs: tuple[torch.Tensor, ...]
     target: torch.Tensor
-    weights: torch.Tensor
     losses: torch.Tensor
     grads: tuple[torch.Tensor, ...]
 
@@ -50,7 +48,6 @@ class Buffers:
         return Buffers(
             tuple(tensor[part] for tensor in self.inputs),
             self.target if len(self.target) == 1 else self.target[part],
-            self.weights,
             self.losses[part],
             tuple(tensor[part] for tensor in self.grads),
         )
@@ -81,7 +78,7 @@ class Recipe(Protocol):
 
 
 def find_label_loss(
-    recipe: Recipe, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
+    recipe: Recipe, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """L_seg of a batch, and its gradient if one is needed.
 
@@ -89,7 +86,6 @@ def find_label_loss(
         recipe: The renderer's.
         tensors: What the loss depends on, shapes (B, ...), on one device.
         target: Shape (N, H, W), N = 1 or B, uint8.
-        weights: From ``weight_table``.
 
     Returns:
         The loss of each body, differentiable, shape (B,), and ``rows``: ``rows[0]`` is a copy of the tensors for
@@ -99,9 +95,9 @@ def find_label_loss(
     shapes = tuple([tensor.shape for tensor in tensors])
     with torch.no_grad():
         if wanted and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
-            loss, rows = _graph(recipe, shapes, target)(tensors, target, weights)
+            loss, rows = _graph(recipe, shapes, target)(tensors, target)
         else:
-            loss, rows = launch_label_loss(recipe, wanted, tensors, target, weights)
+            loss, rows = launch_label_loss(recipe, wanted, tensors, target)
     if wanted:
         loss = LabelLoss.apply(recipe.name, (loss, rows), *tensors)
     return loss, rows
@@ -160,7 +156,7 @@ def row_length(shapes: Shapes) -> int:
 
 
 def launch_label_loss(
-    recipe: Recipe, wanted: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
+    recipe: Recipe, wanted: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Loss and rows, in fresh buffers and launch by launch; with ``wanted``, ``rows[1]`` is the gradient."""
     shapes = tuple([tensor.shape for tensor in tensors])
@@ -170,7 +166,7 @@ def launch_label_loss(
     grads = split_rows(rows[1], shapes) if wanted else ()
     torch._foreach_copy_(inputs, tensors)
     losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
-    buffers = Buffers(inputs, target.contiguous(), weights, losses, grads)
+    buffers = Buffers(inputs, target.contiguous(), losses, grads)
     if batch > 0:
         with on_torch_stream(device) as where:
             launch_in_slices(
@@ -197,9 +193,8 @@ class LossGraph:
         self._rows = torch.zeros(2, batch, row_length(shapes), device=device)
         self._inputs, grads = (split_rows(rows, shapes) for rows in self._rows)
         self._target = torch.zeros(targets, dtype=torch.uint8, device=device)
-        self._weights, self._copied = torch.zeros(256, device=device), torch.empty(0)
         self._losses = torch.zeros(batch, recipe.num_losses(device, batch, height, width), device=device)
-        buffers = Buffers(self._inputs, self._target, self._weights, self._losses, grads)
+        buffers = Buffers(self._inputs, self._target, self._losses, grads)
         self._device = device
         self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
         self._slices = split_batch(batch, on_cpu=device.type == "cpu")
@@ -208,15 +203,10 @@ class LossGraph:
             self._launches = {part.start: recipe.prepare(buffers.of_bodies(part)) for part in self._slices}
         self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
 
-    def __call__(
-        self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor, weights: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def __call__(self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Loss and rows. Copies, for the next call fills the buffers again."""
         torch._foreach_copy_(self._inputs, tensors)
         self._target.copy_(target)
-        if weights is not self._copied:  # nobody changes a ``weight_table``
-            self._weights.copy_(weights)
-            self._copied = weights
         if self._stream is None:
             with on_torch_stream(self._device):
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)

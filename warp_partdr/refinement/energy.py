@@ -6,32 +6,87 @@ in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import torch
 
-from ..body.ellipbody import DEFAULT_SUBDIVISIONS
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
-from ..cameras import WeakPerspective
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
-from ..render.ellipsoid_passes import Gradient
-from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from ..render.mesh import DEFAULT_DEPTH_WEIGHT, label_loss, rasterize_parts
-from ..render.part_mesh import PartMesh, ellipbody_mesh
-from ..render.subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
-
-Renderer = Literal["exact", "mesh"]
+from ..render.renderers import Renderer, RendererEllipsoids
 
 _MILLIMETRES = 1000.0
 
 
 @dataclass(frozen=True)
+class Term:
+    """One term of the energy: what is beside its weight in a row of ``Weights``.
+
+    Attributes:
+        name: In ``Weights`` and in what an energy returns.
+        column: Of the kernels of ``refine``: its own there (``kernels.refine.rules``).
+        value: Of bodies before the weight, shape (B,), from the energy, the parameters and the posed bodies.
+        applies: Whether an energy has it.
+        factor: Of the weight, by which ``value`` and the kernel come to the term's unit.
+    """
+
+    name: str
+    column: int
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]
+    applies: Callable[[Energy], bool]
+    factor: Callable[[Energy], float]
+
+
+def _term(
+    weight: float,
+    column: int,
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor],
+    applies: Callable[[Energy], bool] = lambda energy: True,
+    factor: Callable[[Energy], float] = lambda energy: 1.0,
+) -> Any:
+    return field(default=weight, metadata={"term": (column, value, applies, factor)})
+
+
+def _misses(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    """L1 distances of the keypoints, weighted with their confidence [half-sides of the crop]."""
+    return energy.misses(parameters, posed)
+
+
+def _segmentation(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    return energy.segmentation(parameters, posed)
+
+
+def _length(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    return ((parameters.lengths - energy.usual_lengths) * _MILLIMETRES).square().sum(1)
+
+
+def _thickness(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    return ((parameters.thicknesses - energy.usual_thicknesses) * _MILLIMETRES).square().sum(1)
+
+
+def _prior(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.prior is not None
+    return energy.prior(parameters.free_rotations(), up_direction(parameters.global_orient()))
+
+
+def _limits(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.prior is not None
+    return energy.prior.joint_limits(parameters.free_rotations())
+
+
+def _depth(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+    assert energy.depths is not None
+    return ((posed.centres[..., 2] - energy.depths) * _MILLIMETRES).square().sum(1)
+
+
+@dataclass(frozen=True)
 class Weights:
-    """Weights of the energy's terms, a unit of each; the first four terms are the paper's.
+    """Weights of the energy's terms, a unit of each: the rows of the table ``TERMS``. The first four are the paper's.
+
+    A new term is a row here with its torch function, and a device function of ``kernels.refine.rules``.
 
     Attributes:
         proj: Of L_proj [1/px of a crop of 256 px].
@@ -43,13 +98,18 @@ class Weights:
         depth: Of the squared distance from ``Energy.depths`` along z [1/mm²]; without those it does nothing.
     """
 
-    proj: float = 1.0
-    seg: float = 3e-2
-    length: float = 1e-3
-    thickness: float = 1e-3
-    prior: float = 3.0
-    limits: float = 20.0
-    depth: float = 0.0
+    proj: float = _term(1.0, 0, _misses, factor=lambda energy: REFERENCE_SIZE / 2)
+    seg: float = _term(
+        3e-2, 1, _segmentation, lambda energy: energy.target is not None, lambda energy: energy.scale_of_labels
+    )
+    length: float = _term(1e-3, 2, _length)
+    thickness: float = _term(1e-3, 3, _thickness)
+    prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
+    limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
+    depth: float = _term(0.0, 6, _depth, lambda energy: energy.depths is not None)
+
+
+TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
 
 
 @dataclass
@@ -61,14 +121,8 @@ class Energy:
         size: Side of the drawn crop [px].
         weights: Of the terms.
         prior: The pose prior.
-        renderer: "exact" ellipsoids, or their "mesh".
-        subdivisions: Level of the drawn mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance`` for the first
-            bodies that are drawn, and the same from then on (``coarsest_subdivisions``).
-        tolerance: Of "auto" [px of the drawn crop].
-        gradient: Of the exact renderer: "partdr", "coverage" or "edges"; the mesh has PartDR's alone.
-        max_distance: PartDR: how far from an edge a pixel may move it [px of the drawn crop], see ``label_loss``.
-        depth_weight: PartDR: the paper's lambda of the z gradient; 0 leaves it out, as a label set of one group does,
-            with which nothing that shows hides something else.
+        renderer: Exact ellipsoids, or their mesh; a level that is "auto" is chosen for the first bodies that are drawn.
+            With a label set of one group no z gradient is looked for: nothing that shows hides something else.
         depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
             labels nor keypoints say so, and a body leans to fit an outline.
 
@@ -83,12 +137,7 @@ class Energy:
     size: int = REFERENCE_SIZE
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
-    renderer: Renderer = "exact"
-    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
-    tolerance: float = DEFAULT_TOLERANCE
-    gradient: Gradient = "partdr"
-    max_distance: float = math.inf
-    depth_weight: float = DEFAULT_DEPTH_WEIGHT
+    renderer: Renderer = field(default_factory=RendererEllipsoids)
     depths: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -102,105 +151,59 @@ class Energy:
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
         self.target: torch.Tensor | None = None
-        self._mesh: tuple[int, PartMesh] | None = None  # its level, and itself
+        self._fixed: Renderer | None = None
         self._part_labels: list[int] = []
         if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:
             self._part_labels = [int(group) for group in seen.label_set.part_groups[1:]]
             if seen.label_set.num_groups == 1:
-                self.depth_weight = 0.0
+                self.renderer = replace(self.renderer, depth_weight=0.0)
             self.target = resize_nearest(seen.labels, self.size)
         self._maps = None if seen.maps is None else resize_nearest(seen.maps, self.size)
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Each weighted term by name, shape (B,)."""
-        weights = self.weights
-        posed = parameters.posed()
-        terms = {"proj": weights.proj * self.reprojection(parameters, posed)}
-        if self.target is not None:
-            terms["seg"] = weights.seg * (REFERENCE_SIZE / self.size) ** 2 * self.segmentation(parameters, posed)
-        deviation = (parameters.lengths - self.usual_lengths) * _MILLIMETRES
-        terms["length"] = weights.length * deviation.square().sum(1)
-        deviation = (parameters.thicknesses - self.usual_thicknesses) * _MILLIMETRES
-        terms["thickness"] = weights.thickness * deviation.square().sum(1)
-        if self.prior is not None:
-            rotations = parameters.free_rotations()
-            terms["prior"] = weights.prior * self.prior(rotations, up_direction(parameters.global_orient()))
-            terms["limits"] = weights.limits * self.prior.joint_limits(rotations)
-        if self.depths is not None:
-            deviation = (posed.centres[..., 2] - self.depths) * _MILLIMETRES
-            terms["depth"] = weights.depth * deviation.square().sum(1)
-        return terms
+        return self.terms(parameters, parameters.posed())
+
+    def terms(
+        self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None
+    ) -> dict[str, torch.Tensor]:
+        """The same, of bodies that are posed already; ``names`` leaves the other terms out."""
+        return {
+            term.name: self.weight(term) * term.value(self, parameters, posed)
+            for term in TERMS
+            if term.applies(self) and (names is None or term.name in names)
+        }
+
+    def weight(self, term: Term) -> float:
+        """By how much a term's value is multiplied."""
+        weight: float = getattr(self.weights, term.name)
+        return weight * term.factor(self)
+
+    @property
+    def scale_of_labels(self) -> float:
+        """Pixels of a 256 px crop in one of the drawn crop's."""
+        return (REFERENCE_SIZE / self.size) ** 2
 
     def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
         assert self.target is not None
-        camera = parameters.camera(self.size)
-        image_size = (self.size, self.size)
-        maps = None
-        if self.renderer == "mesh":
-            level, mesh = self._find_mesh(posed, camera)
-            vertices = camera.project(posed.vertices(level))
-            if self._maps is None:
-                target = self.target.expand(parameters.batch_size, -1, -1)
-                return label_loss(
-                    vertices,
-                    mesh,
-                    target,
-                    max_distance=self.max_distance,
-                    depth_weight=self.depth_weight,
-                    validate=False,
-                )[0]
-            maps = rasterize_parts(
-                vertices,
-                mesh,
-                image_size,
-                num_maps=len(self._maps),
-                max_distance=self.max_distance,
-                depth_weight=self.depth_weight,
-                validate=False,
-            ).maps
-        elif self._maps is None:
-            return ellipsoid_label_loss(
-                posed,
-                camera,
-                self.target[None],
-                part_labels=self._part_labels,
-                gradient=self.gradient,
-                max_distance=self.max_distance,
-                depth_weight=self.depth_weight,
-                validate=False,
-            )[0]
-        else:
-            maps = draw_ellipsoids(
-                posed,
-                camera,
-                image_size,
-                part_labels=self._part_labels,
-                num_maps=len(self._maps),
-                gradient=self.gradient,
-                max_distance=self.max_distance,
-                depth_weight=self.depth_weight,
-                validate=False,
-            ).maps
+        camera, labels = parameters.camera(self.size), self._part_labels
+        if self._fixed is None:
+            self._fixed = self.renderer.fixed(posed, camera)
+        if self._maps is None:
+            return self._fixed.label_loss(posed, camera, self.target[None], part_labels=labels, validate=False)[0]
+        size, count = (self.size, self.size), len(self._maps)
+        maps = self._fixed.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
         assert maps is not None
         assert self._known is not None
         return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
 
-    def _find_mesh(self, posed: Posed, camera: WeakPerspective) -> tuple[int, PartMesh]:
-        """The drawn mesh and its level, which stays: the energy must not jump while it is minimised."""
-        if self._mesh is None:
-            label_set = self.observation.label_set
-            assert label_set is not None
-            level = self.subdivisions
-            if level == "auto":
-                level = coarsest_subdivisions(posed, camera, tolerance=self.tolerance)
-            mesh = ellipbody_mesh(level, device=posed.centres.device).relabel(label_set.part_groups)
-            self._mesh = level, mesh
-        return self._mesh
+    def misses(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
+        """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""
+        image = parameters.camera(2).project(self._gather(posed))[..., :2] - 1
+        return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """L_proj: L1 distance of the keypoints [px of a 256 px crop], weighted with their confidence, shape (B,)."""
-        image = parameters.camera(2).project(self._gather(posed))[..., :2] - 1
-        distance = (image - self.observation.points).abs().sum(-1) * (REFERENCE_SIZE / 2)
-        return (distance * self.votes).sum(1)
+        """L_proj: the same [px of a 256 px crop]."""
+        return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)

@@ -13,7 +13,7 @@ import warp as wp
 from ..body.landmarks import LANDMARKS, landmark_points
 from ..body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
-from ..kernels.refine.state import Bone, Landmark, Landmarks, Mixture, Rules, Skeleton, Touch
+from ..kernels.refine.state import Bone, Landmark, Landmarks, Mixture, Rules, SkeletonArrays, Touch
 
 LANDMARK_NAMES = tuple(LANDMARKS)
 
@@ -39,9 +39,9 @@ def _rows(kind: Any, **columns: Any) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def skeleton(device: str) -> Skeleton:
+def skeleton_arrays(device: str) -> SkeletonArrays:
     """The template on a Warp device."""
-    table = Skeleton()
+    table = SkeletonArrays()
     table.bones = _structs(
         Bone,
         device,
@@ -54,7 +54,7 @@ def skeleton(device: str) -> Skeleton:
     return table
 
 
-def landmarks(device: str, points: wp.array, votes: wp.array) -> Landmarks:
+def landmark_arrays(device: str, points: wp.array, votes: wp.array) -> Landmarks:
     """All ``LANDMARK_NAMES`` on a Warp device; ``points`` and ``votes`` say where which of them are seen."""
     parts, normalised, shares = landmark_points(LANDMARK_NAMES)
     first, second = normalised.swapaxes(0, 1)
@@ -89,7 +89,9 @@ def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
-def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array, depths: wp.array) -> Rules:
+def rule_arrays(
+    device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array, depths: wp.array
+) -> Rules:
     """Sizes (N, 12) and (N, 15) and depths (N, 20) of N people, and the prior's joint limits if there is one."""
     table = Rules()
     table.usual_lengths, table.usual_thicknesses, table.depths = lengths, thicknesses, depths
@@ -105,7 +107,7 @@ def rules(device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: 
 _mixtures: WeakKeyDictionary[PosePrior, dict[str, Mixture]] = WeakKeyDictionary()
 
 
-def mixture(device: str, prior: PosePrior | None) -> Mixture:
+def mixture_arrays(device: str, prior: PosePrior | None) -> Mixture:
     """A prior's Gaussians on a Warp device; none of them without a prior."""
     if prior is None:
         return _mixture(device, np.empty((0, NUM_FEATURES, NUM_FEATURES)), np.empty((0, NUM_FEATURES)), np.empty(0))

@@ -1,7 +1,4 @@
-"""Exact ellipsoids under ``torch.compile``: custom operations, which it does not look into.
-
-Their options are numbers and words one by one, for that is what an operation takes.
-"""
+"""Exact ellipsoids under ``torch.compile``: custom operations, which it does not look into."""
 
 from __future__ import annotations
 
@@ -13,32 +10,23 @@ import torch
 
 from ..interop.derivatives import once, raise_second_derivative
 from ..interop.loss_graph import launch_label_loss, row_length
-from .ellipsoid_passes import Gradient, Options, View, dense_gradient, draw, gradients, loss_recipe
+from .ellipsoid_passes import EllipsoidOptions, View, dense_gradient, draw, ellipsoid_recipe, gradients
+from .options import Gradient, label_maps
 
 _NUM_TENSORS = 4  # centres, axes, semi-axes, camera
 
 
-def numbers_of(view: View, options: Options) -> tuple[Any, ...]:
-    """View and options as the operations take them."""
-    return (
-        view.height,
-        view.width,
-        view.near,
-        view.perspective,
-        list(view.labels),
-        options.gradient,
-        options.over_farther,
-        options.max_distance,
-        options.depth_weight,
-        options.steps_per_pixel,
-        options.halvings,
-    )
+def ellipsoid_numbers(view: View, options: EllipsoidOptions) -> tuple[list[int], bool, str, list[float]]:
+    """View, but for its size, and options as the operations take them."""
+    numbers = [view.near, options.max_distance, options.depth_weight, options.samples_per_pixel]
+    return list(view.labels), view.perspective, options.gradient, numbers
 
 
-def label_maps(labels: torch.Tensor, num_maps: int) -> torch.Tensor:
-    """1 where a label is shown, else 0, for labels 1 to K, shape (B, K, H, W)."""
-    index = torch.arange(1, num_maps + 1, dtype=torch.uint8, device=labels.device)
-    return (labels[:, None] == index[:, None, None]).float()
+def _read(
+    size: Sequence[int], labels: Sequence[int], perspective: bool, gradient: str, numbers: Sequence[float]
+) -> tuple[View, EllipsoidOptions]:
+    (height, width), (near, *rest) = size, numbers
+    return View(height, width, near, perspective, tuple(labels)), EllipsoidOptions(cast(Gradient, gradient), *rest)
 
 
 @torch.library.custom_op("warp_partdr::ellipsoid_maps", mutates_args=())
@@ -47,29 +35,24 @@ def _maps_op(
     axes: torch.Tensor,
     semi_axes: torch.Tensor,
     camera: torch.Tensor,
-    num_maps: int,
-    height: int,
-    width: int,
-    near: float,
-    perspective: bool,
+    shape: Sequence[int],  # K, H, W
     labels: Sequence[int],
+    perspective: bool,
     gradient: str,
-    over_farther: bool,
-    max_distance: float,
-    depth_weight: float,
-    steps_per_pixel: float,
-    halvings: int,
+    numbers: Sequence[float],
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    view = View(height, width, near, perspective, tuple(labels))
+    num_maps, *size = shape
+    view, _ = _read(size, labels, perspective, gradient, numbers)
     picture = draw((centres, axes, semi_axes, camera), view)
     return label_maps(picture.labels, num_maps), picture.labels, picture.depth, picture.parts
 
 
 @_maps_op.register_fake
-def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, num_maps: int, height: int, width: int, *rest: Any) -> Any:
-    shape = (centres.shape[0], height, width)
-    labels, parts = (centres.new_empty(shape, dtype=torch.uint8) for _ in range(2))
-    return centres.new_empty(shape[0], num_maps, height, width), labels, centres.new_empty(shape), parts
+def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, shape: Sequence[int], *rest: Any) -> Any:
+    batch, (num_maps, height, width) = centres.shape[0], shape
+    image = (batch, height, width)
+    labels, parts = (centres.new_empty(image, dtype=torch.uint8) for _ in range(2))
+    return centres.new_empty(batch, num_maps, height, width), labels, centres.new_empty(image), parts
 
 
 @torch.library.custom_op("warp_partdr::ellipsoid_maps_backward", mutates_args=())
@@ -79,20 +62,12 @@ def _maps_backward_op(
     semi_axes: torch.Tensor,
     camera: torch.Tensor,
     grad_maps: torch.Tensor,
-    height: int,
-    width: int,
-    near: float,
-    perspective: bool,
     labels: Sequence[int],
+    perspective: bool,
     gradient: str,
-    over_farther: bool,
-    max_distance: float,
-    depth_weight: float,
-    steps_per_pixel: float,
-    halvings: int,
+    numbers: Sequence[float],
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    view = View(height, width, near, perspective, tuple(labels))
-    options = Options(cast(Gradient, gradient), over_farther, max_distance, depth_weight, steps_per_pixel, halvings)
+    view, options = _read(grad_maps.shape[2:], labels, perspective, gradient, numbers)
     tensors = (centres, axes, semi_axes, camera)
     # Drawn again: what the gradient needs of the picture is no tensor, and drawing is the smaller part.
     found = gradients(tensors, draw(tensors, view), view, options, dense_gradient(grad_maps))
@@ -125,27 +100,18 @@ def _loss_op(
     semi_axes: torch.Tensor,
     camera: torch.Tensor,
     target: torch.Tensor,
-    weights: torch.Tensor,
     wanted: bool,
-    height: int,
-    width: int,
-    near: float,
-    perspective: bool,
     labels: Sequence[int],
+    perspective: bool,
     gradient: str,
-    over_farther: bool,
-    max_distance: float,
-    depth_weight: float,
-    steps_per_pixel: float,
-    halvings: int,
+    numbers: Sequence[float],
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    view = View(height, width, near, perspective, tuple(labels))
-    options = Options(cast(Gradient, gradient), over_farther, max_distance, depth_weight, steps_per_pixel, halvings)
-    return launch_label_loss(loss_recipe(view, options), wanted, (centres, axes, semi_axes, camera), target, weights)
+    view, options = _read(target.shape[1:], labels, perspective, gradient, numbers)
+    return launch_label_loss(ellipsoid_recipe(view, options), wanted, (centres, axes, semi_axes, camera), target)
 
 
 @_loss_op.register_fake
-def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, target: Any, weights: Any, wanted: bool, *rest: Any) -> Any:
+def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, target: Any, wanted: bool, *rest: Any) -> Any:
     batch = centres.shape[0]
     length = row_length(tuple(tensor.shape for tensor in (centres, axes, semi_axes, camera)))
     return centres.new_empty(batch), centres.new_empty(2 if wanted else 1, batch, length)

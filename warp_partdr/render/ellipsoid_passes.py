@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import warp as wp
 
-from ..interop.checks import contiguous
+from ..interop.arrays import contiguous, warp_array
 from ..interop.loss_graph import Buffers
 from ..interop.streams import on_torch_stream
 from ..kernels.ellipsoids import coverage, edges, partdr
@@ -21,9 +22,12 @@ from ..kernels.ellipsoids import silhouette as kernel_ellipsoids
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import DenseGradient, LabelTarget, launch_find_reach
 from ..kernels.launch import launch_in_slices
+from .options import Gradient
 from .part_mesh import MAX_LABEL
 
-Gradient = Literal["edges", "coverage", "partdr"]
+_HALVINGS = 4  # of a step at one sample a pixel, to find where on it the cost changes
+_MORE_HALVINGS = 1.6  # for each doubling of the samples
+
 Launch = Callable[[slice], None]  # the work of some bodies of the batch
 
 
@@ -44,15 +48,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class Options:
+class EllipsoidOptions:
     """How the gradient is estimated."""
 
     gradient: Gradient
-    over_farther: bool
     max_distance: float
     depth_weight: float
-    steps_per_pixel: float
-    halvings: int
+    samples_per_pixel: float
 
     @property
     def estimator(self) -> ModuleType:
@@ -67,12 +69,11 @@ class Options:
         if self.gradient == "coverage":
             return partial(
                 coverage.launch_coverage_forces,
-                steps_per_pixel=self.steps_per_pixel,
-                halvings=self.halvings,
+                steps_per_pixel=self.samples_per_pixel,
+                halvings=_HALVINGS + math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0))),
             )
         return partial(
             partdr.launch_partdr_forces,
-            over_farther=self.over_farther,
             max_distance=self.max_distance,
             depth_weight=self.depth_weight,
         )
@@ -89,18 +90,15 @@ class Picture:
 
 
 @lru_cache(maxsize=64)
-def label_table(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
+def labels_on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
     """On the device once: a copy from the host in every call would wait for it."""
     return torch.tensor(labels, dtype=torch.uint8, device=device)
 
 
-def _wp(tensor: torch.Tensor, kind: Any) -> wp.array:
-    return wp.from_torch(tensor.detach(), dtype=kind, requires_grad=False)
-
-
 def arrays_of(tensors: Sequence[torch.Tensor]) -> list[wp.array]:
     """Centres, axes, semi-axes and camera, or their gradients, as Warp arrays over the same memory."""
-    return [_wp(tensor, kind) for tensor, kind in zip(tensors, (wp.vec3, wp.mat33, wp.vec3, wp.vec4), strict=True)]
+    types = (wp.vec3, wp.mat33, wp.vec3, wp.vec4)
+    return [warp_array(tensor, kind) for tensor, kind in zip(tensors, types, strict=True)]
 
 
 def draw(tensors: Sequence[torch.Tensor], view: View) -> Picture:
@@ -125,17 +123,17 @@ def prepare_picture(
     depth = torch.empty(shape if target is None else none, device=device)
     with on_torch_stream(device) as where:
         seen = Seen.empty(batch, count, where)
-        arrays, table = arrays_of(tensors), _wp(label_table(view.labels, device), wp.uint8)
+        arrays, table = arrays_of(tensors), warp_array(labels_on_device(view.labels, device))
         sums = ellipsoid_picture.num_partial_losses(table.device, batch, view.height, view.width)
         losses = torch.empty((0, 0) if target is None else (batch, sums), device=device)
         outputs = {
             "nearest": wp.empty(shape if device.type == "cpu" else none, dtype=float, device=where),
-            "parts": _wp(parts, wp.uint8),
-            "labels": _wp(labels, wp.uint8),
-            "depth": _wp(depth, wp.float32),
-            "losses": _wp(losses, wp.float32),
+            "parts": warp_array(parts),
+            "labels": warp_array(labels),
+            "depth": warp_array(depth),
+            "losses": warp_array(losses),
         }
-        totals = None if loss is None else _wp(loss, wp.float32)
+        totals = None if loss is None else warp_array(loss)
 
         def launch(part: slice) -> None:
             cut = {name: _cut(array, part) for name, array in outputs.items()}
@@ -151,7 +149,7 @@ def prepare_picture(
 
 
 def gradients(
-    tensors: Sequence[torch.Tensor], picture: Picture, view: View, options: Options, gradient: Any
+    tensors: Sequence[torch.Tensor], picture: Picture, view: View, options: EllipsoidOptions, gradient: Any
 ) -> tuple[torch.Tensor, ...]:
     """With respect to centres, axes, semi-axes and camera."""
     tensors = [contiguous(tensor) for tensor in tensors]
@@ -168,7 +166,7 @@ def prepare_gradients(
     tensors: Sequence[torch.Tensor],
     picture: Picture,
     view: View,
-    options: Options,
+    options: EllipsoidOptions,
     gradient: Any,
     grads: Sequence[torch.Tensor],
 ) -> Launch:
@@ -177,7 +175,7 @@ def prepare_gradients(
     with on_torch_stream(picture.parts.device) as where:
         arrays = arrays_of(tensors)
         forces = surface_forces.make_forces(batch, count, wp.get_device(where))
-        parts = _wp(picture.parts, wp.uint8)
+        parts = warp_array(picture.parts)
         names = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera")
         outputs = dict(zip(names, arrays_of(grads), strict=True))
         launch_forces = options.launcher()
@@ -212,16 +210,16 @@ def dense_gradient(maps: torch.Tensor) -> DenseGradient:
     """A gradient with respect to label maps, shape (B, K, H, W)."""
     with on_torch_stream(maps.device):
         dense = DenseGradient()
-        dense.maps = _wp(contiguous(maps.float()), wp.float32)
+        dense.maps = warp_array(contiguous(maps.float()))
     return dense
 
 
 @dataclass(frozen=True, eq=False)
-class LossRecipe:
-    """L_seg and its gradient, for ``loss_graph``; see ``loss_recipe``."""
+class EllipsoidRecipe:
+    """L_seg and its gradient, for ``loss_graph``; see ``ellipsoid_recipe``."""
 
     view: View
-    options: Options
+    options: EllipsoidOptions
 
     name = "ellipsoid_label_loss"
 
@@ -240,8 +238,7 @@ class LossRecipe:
         target, whole = LabelTarget(), slice(0, len(inputs[0]))
         reaches = options.gradient == "partdr" and len(buffers.grads) > 0
         with on_torch_stream(buffers.target.device) as device:
-            target.target = _wp(buffers.target, wp.uint8)
-            target.label_weights = _wp(buffers.weights, wp.float32)
+            target.target = warp_array(buffers.target)
             reach = (len(buffers.target), 2, view.num_labels + 1, max(view.height, view.width))
             target.reach = wp.empty(reach if reaches else (0, 0, 0, 0), dtype=wp.vec2i, device=device)
         picture, launch_picture = prepare_picture(inputs, view, target, buffers.losses[:, 0])
@@ -259,7 +256,4 @@ class LossRecipe:
         return launch
 
 
-@lru_cache(maxsize=64)
-def loss_recipe(view: View, options: Options) -> LossRecipe:
-    """The same object for the same options."""
-    return LossRecipe(view, options)
+ellipsoid_recipe = lru_cache(maxsize=64)(EllipsoidRecipe)  # the same object for the same options

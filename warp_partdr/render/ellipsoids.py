@@ -1,35 +1,37 @@
-"""Exact ellipsoids on torch tensors: label images in closed form, without triangles, and two gradients of them."""
+"""Exact ellipsoids on torch tensors: label images in closed form, without triangles, and three gradients of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any, TypeVar, get_args
+from functools import partial
+from typing import Any, get_args
 
 import torch
 
 from ..body.posing import Posed
-from ..cameras import Camera
+from ..cameras import Camera, check_camera
 from ..errors import check_type, check_whole
-from ..interop.checks import FLOATS, check_image_size, check_near, check_numbers, check_tensor
+from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import once, refuse_transforms
 from ..interop.later import DrawnLater
 from ..interop.loss_graph import Shapes, find_label_loss, split_rows
 from ..interop.movable import Movable
-from .ellipsoid_ops import label_maps, numbers_of
-from .ellipsoid_passes import Gradient, Options, View, dense_gradient, draw, gradients, loss_recipe
-from .mesh import DEFAULT_DEPTH_WEIGHT, DEFAULT_NEAR, Occlusion, check_gradient_options, weight_table
+from .ellipsoid_ops import ellipsoid_numbers
+from .ellipsoid_passes import EllipsoidOptions, View, dense_gradient, draw, ellipsoid_recipe, gradients
+from .options import (
+    DEFAULT_DEPTH_WEIGHT,
+    Gradient,
+    cached,
+    check_partdr_options,
+    check_target,
+    label_maps,
+)
 from .part_mesh import MAX_LABEL
 
-_T = TypeVar("_T")
-
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
-DEFAULT_STEPS_PER_PIXEL = 1.0
-MAX_STEPS_PER_PIXEL = 64  # the work on creases grows with its square
-DEFAULT_HALVINGS = 4
-MAX_HALVINGS = 20  # finer than float32 tells angles apart
+MAX_SAMPLES = 64  # a pixel; the work on creases grows with their square
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,9 @@ def draw_ellipsoids(
     part_labels: Sequence[int] | None = None,
     num_maps: int = 0,
     gradient: Gradient = "coverage",
-    near: float | None = None,
-    occlusion: Occlusion = "depth",
     max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
-    steps_per_pixel: float = DEFAULT_STEPS_PER_PIXEL,
-    halvings: int = DEFAULT_HALVINGS,
+    samples_per_pixel: float = 1.0,
     validate: bool = True,
 ) -> EllipsoidImage:
     """Draw ellipsoids in closed form; with ``num_maps`` the label maps carry gradients back.
@@ -90,8 +89,9 @@ def draw_ellipsoids(
     Gradients are first ones: a second, as under ``create_graph=True``, is an error, and so is ``torch.func``.
 
     Args:
-        ellipsoids: P of them a body, at most 255; ``Posed`` or ``Ellipsoids``.
-        camera: Weak perspective or perspective, one a body.
+        ellipsoids: P of them a body, at most 255; ``Posed`` or ``Ellipsoids``. One that reaches the camera's near plane
+            is not drawn.
+        camera: Weak perspective or perspective, one a body or one for all.
         image_size: (H, W) [px].
         part_labels: Label that each ellipsoid shows, 1 to 254, or 255: hides what is behind and shows nothing, or 0: is
             left out; P of them. 1 to P by default; ``LabelSet.part_groups[1:]`` draws groups.
@@ -99,14 +99,10 @@ def draw_ellipsoids(
         gradient: "coverage", the derivative of the area that labels cover, which sees borders alone; "edges", the same
             from one crossing of a border between each two pixels that differ: fastest, and blind to what covers no
             pixel's centre; or "partdr", the paper's rule (eq. 10 to 12), with which far pixels pull.
-        near: Ellipsoids that reach this depth [m] are not drawn; default 0.01 for perspective, none for weak
-            perspective.
-        occlusion: "partdr": as in ``rasterize_parts``.
-        max_distance: "partdr": as in ``rasterize_parts`` [px].
-        depth_weight: "partdr": as in ``rasterize_parts``.
-        steps_per_pixel: "coverage": how densely outlines are walked, and, rounded up, on how many rows and columns a
+        max_distance: "partdr": as in ``draw_mesh`` [px].
+        depth_weight: "partdr": as in ``draw_mesh``.
+        samples_per_pixel: "coverage": how densely outlines are walked, and, rounded up, on how many rows and columns a
             pixel creases are looked for; at most 64. Outlines get longer steps where they would take more than 2**22.
-        halvings: "coverage": how often a step is halved to find where on it the cost changes.
         validate: Look for NaN, infinity, axes that are not orthonormal and lengths that are not positive; on CUDA that
             waits for the device.
 
@@ -117,9 +113,8 @@ def draw_ellipsoids(
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
-    halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
-    options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
-    tensors, view = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, near, validate)
+    options = _options(gradient, max_distance, depth_weight, samples_per_pixel)
+    tensors, view = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, validate)
     num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
     if torch.compiler.is_compiling():
         return _draw_compiled(tensors, view, options, num_maps)
@@ -136,14 +131,10 @@ def ellipsoid_label_loss(
     target: torch.Tensor,
     *,
     part_labels: Sequence[int] | None = None,
-    label_weights: torch.Tensor | None = None,
     gradient: Gradient = "coverage",
-    near: float | None = None,
-    occlusion: Occlusion = "depth",
     max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
-    steps_per_pixel: float = DEFAULT_STEPS_PER_PIXEL,
-    halvings: int = DEFAULT_HALVINGS,
+    samples_per_pixel: float = 1.0,
     validate: bool = True,
 ) -> tuple[torch.Tensor, EllipsoidImage]:
     """L_seg (paper, eq. 6) against a label image and its gradient, in one go and without float maps.
@@ -152,17 +143,13 @@ def ellipsoid_label_loss(
 
     Args:
         ellipsoids: As in ``draw_ellipsoids``, like all that is not named here.
-        camera: One a body.
+        camera: One a body, or one for all.
         target: Wanted label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         part_labels: Label that each ellipsoid shows.
-        label_weights: Weight of each label's map, shape (L,), label 0 first and without meaning; 1 by default.
         gradient: "coverage", "edges" or "partdr".
-        near: Near plane [m].
-        occlusion: "depth" or "paper".
         max_distance: Reach of a pixel [px].
         depth_weight: The paper's lambda of the z gradient.
-        steps_per_pixel: How densely borders are sampled.
-        halvings: How often a step is halved.
+        samples_per_pixel: How densely borders are sampled.
         validate: As in ``draw_ellipsoids``.
 
     Returns:
@@ -172,23 +159,18 @@ def ellipsoid_label_loss(
         ValueError: As ``draw_ellipsoids``, or if ``target`` does not fit the batch.
         NotImplementedError: As ``draw_ellipsoids``.
     """
-    refuse_transforms("ellipsoid_label_loss", target, label_weights)
-    halvings = check_whole("halvings", halvings, 0, MAX_HALVINGS)
-    options = _options(gradient, occlusion, max_distance, depth_weight, steps_per_pixel, halvings)
+    refuse_transforms("ellipsoid_label_loss", target)
+    options = _options(gradient, max_distance, depth_weight, samples_per_pixel)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
     size = tuple(target.shape[1:])
-    tensors, view = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, near, validate)
-    if target.device != ellipsoids.centres.device:
-        raise ValueError(f"target: on {target.device}; expected {ellipsoids.centres.device}, as centres")
-    if target.shape[0] not in (1, tensors[0].shape[0]):
-        raise ValueError(f"target: batch {target.shape[0]}; expected {tensors[0].shape[0]} as the ellipsoids, or 1")
-    weights = weight_table(label_weights, target.device, validate)
+    tensors, view = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, validate)
+    check_target(target, ("centres", tensors[0]), tensors[0].shape[0])
     if torch.compiler.is_compiling():
         wanted = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-        numbers = numbers_of(view, options)
-        loss, _ = torch.ops.warp_partdr.ellipsoid_label_loss(*tensors, target.contiguous(), weights, wanted, *numbers)
+        given = (*tensors, target.contiguous(), wanted, *ellipsoid_numbers(view, options))
+        loss, _ = torch.ops.warp_partdr.ellipsoid_label_loss(*given)
         return loss, _draw_compiled(tensors, view, options, 0)
-    loss, rows = find_label_loss(loss_recipe(view, options), tensors, target, weights)
+    loss, rows = find_label_loss(ellipsoid_recipe(view, options), tensors, target)
     return loss, _LaterImage(partial(_draw_rows, rows, tuple([tensor.shape for tensor in tensors]), view))
 
 
@@ -202,32 +184,16 @@ def _draw_rows(rows: torch.Tensor, shapes: Shapes, view: View) -> dict[str, torc
 _Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
-def _cached(function: Callable[..., _T]) -> Callable[..., _T]:
-    """``lru_cache``, but not while ``torch.compile`` traces: it would warn of one."""
-    kept = lru_cache(maxsize=64)(function)
-
-    def call(*arguments: Any) -> _T:
-        return function(*arguments) if torch.compiler.is_compiling() else kept(*arguments)
-
-    return call
-
-
-@_cached
+@cached
 def _options(
-    gradient: Gradient,
-    occlusion: Occlusion,
-    max_distance: float,
-    depth_weight: float,
-    steps_per_pixel: float,
-    halvings: int,
-) -> Options:
+    gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float
+) -> EllipsoidOptions:
     if gradient not in get_args(Gradient):
         raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(Gradient))}")
-    check_gradient_options(occlusion, max_distance, depth_weight)
-    if not 0 < steps_per_pixel <= MAX_STEPS_PER_PIXEL:
-        raise ValueError(f"steps_per_pixel: {steps_per_pixel}; expected a positive number up to {MAX_STEPS_PER_PIXEL}")
-    over_farther = occlusion == "depth"
-    return Options(gradient, over_farther, float(max_distance), float(depth_weight), float(steps_per_pixel), halvings)
+    check_partdr_options(max_distance, depth_weight)
+    if not 0 < samples_per_pixel <= MAX_SAMPLES:
+        raise ValueError(f"samples_per_pixel: {samples_per_pixel}; expected a positive number up to {MAX_SAMPLES}")
+    return EllipsoidOptions(gradient, float(max_distance), float(depth_weight), float(samples_per_pixel))
 
 
 def _check(
@@ -236,23 +202,20 @@ def _check(
     camera: Camera,
     image_size: tuple[int, ...],
     part_labels: Sequence[int] | None,
-    near: float | None,
     validate: bool,
 ) -> tuple[_Tensors, View]:
     """Checks that both entry points share, of which ``name`` is one."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
-    if not hasattr(camera, "intrinsics"):  # any other camera that has them will do
-        check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
-    centres, axes, semi_axes, intrinsics = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, camera.intrinsics
-    refuse_transforms(name, centres, axes, semi_axes, intrinsics)
+    centres, axes, semi_axes = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes
+    refuse_transforms(name, centres, axes, semi_axes)
     check_tensor("centres", centres, (None, None, 3), dtypes=FLOATS)
     batch, count = centres.shape[:2]
     like = ("centres", centres)
     check_tensor("axes", axes, (batch, count, 3, 3), dtypes=FLOATS, like=like)
     check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
-    check_tensor("camera", intrinsics, (batch, 4), dtypes=FLOATS)
-    if intrinsics.device != centres.device:
-        raise ValueError(f"camera: on {intrinsics.device}; expected {centres.device}, as centres")
+    check_camera(camera, batch, like)
+    intrinsics = camera.intrinsics.expand(batch, 4)
+    refuse_transforms(name, intrinsics)
     height, width = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
@@ -260,20 +223,20 @@ def _check(
     if validate and not torch.compiler.is_compiling():
         numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
         check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
-    near = check_near(near, camera.perspective, DEFAULT_NEAR)
-    view = _view(height, width, near, camera.perspective, labels)
+    view = _view(height, width, camera.near_plane, camera.perspective, labels)
     tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
     return tensors, view
 
 
-def _draw_compiled(tensors: _Tensors, view: View, options: Options, num_maps: int) -> EllipsoidImage:
+def _draw_compiled(tensors: _Tensors, view: View, options: EllipsoidOptions, num_maps: int) -> EllipsoidImage:
     """The picture, by an operation that ``torch.compile`` leaves out where nobody looks at it."""
     given = tensors if num_maps else [tensor.detach() for tensor in tensors]
-    maps, labels, depth, parts = torch.ops.warp_partdr.ellipsoid_maps(*given, num_maps, *numbers_of(view, options))
+    shape = [num_maps, view.height, view.width]
+    maps, labels, depth, parts = torch.ops.warp_partdr.ellipsoid_maps(*given, shape, *ellipsoid_numbers(view, options))
     return EllipsoidImage(labels, depth, parts, maps if num_maps else None)
 
 
-_view = _cached(View)
+_view = cached(View)
 
 
 def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:

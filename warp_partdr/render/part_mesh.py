@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import torch
 
 from ..body.ellipbody import DEFAULT_SUBDIVISIONS, ellipbody_faces
 from ..interop.movable import Movable
-
-Edges = Literal["silhouette", "all"]
 
 MAX_LABEL = 254  # 0 is background and 255 means ignore
 
@@ -74,18 +70,6 @@ class PartMesh(Movable):
             edges=torch.from_numpy(_find_edges(faces, face_labels)).to(device),
         )
 
-    @cached_property
-    def every_edge(self) -> torch.Tensor:
-        """Each face's three edges alone, shape (3 F, 6): what NMR's rule (``edges="all"``) walks over."""
-        return _split_edges(self.faces)
-
-    def walked_edges(self, edges: Edges) -> torch.Tensor:
-        """Those whose x, y gradient is looked for: a public function's ``edges`` says which."""
-        if edges == "silhouette":
-            return self.edges
-        # torch.compile can't trace what ``cached_property`` does the first time.
-        return _split_edges(self.faces) if torch.compiler.is_compiling() else self.every_edge
-
     def relabel(self, table: np.ndarray | Mapping[int, int]) -> PartMesh:
         """Show groups of parts: ``table[label]`` is the new label, as ``LabelSet.part_groups`` gives it.
 
@@ -114,14 +98,6 @@ class PartMesh(Movable):
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
     """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""
     return PartMesh.from_faces(*ellipbody_faces(subdivisions), device=device)
-
-
-def _split_edges(faces: torch.Tensor) -> torch.Tensor:
-    face = torch.arange(faces.shape[0], dtype=torch.int32, device=faces.device)
-    none = torch.full_like(face, -1)
-    a, b, c = faces.unbind(1)
-    corners = ((a, b, c), (b, c, a), (c, a, b))
-    return torch.cat([torch.stack([i, j, face, none, k, k], dim=1) for i, j, k in corners])
 
 
 def _find_edges(faces: np.ndarray, labels: np.ndarray) -> np.ndarray:

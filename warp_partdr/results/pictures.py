@@ -14,7 +14,7 @@ from ..cameras import WeakPerspective
 from ..clothing.mesh import detailed_mesh
 from ..clothing.model import Detailed, DetailedModel
 from ..inputs.keypoints import Keypoints2D
-from ..render.mesh import rasterize_parts
+from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh, ellipbody_mesh
 from .palette import PART_COLOURS
 
@@ -52,7 +52,7 @@ def _shade(
     points = vertices.detach().cpu()
     scale, translation = (tensor[:1].detach().cpu() * _SAMPLES for tensor in (camera.scale, camera.translation))
     fine = WeakPerspective(scale, translation)
-    image = rasterize_parts(fine.project(points), mesh, (height * _SAMPLES, width * _SAMPLES))
+    image = draw_mesh(points, mesh, fine, (height * _SAMPLES, width * _SAMPLES))
     corners = points[0].numpy()[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12

@@ -24,10 +24,10 @@ from ..fit.result import FitResult
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..metrics import mpjpe, pa_mpjpe
-from ..refinement.refine import Refined
-from ..render.ellipsoid_passes import Gradient
+from ..refinement.steps import Refined
 from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from ..render.mesh import label_loss
+from ..render.mesh import mesh_label_loss
+from ..render.options import Gradient
 from ..render.part_mesh import ellipbody_mesh
 from .palette import DEPTH_COLOURS, IGNORE_COLOUR, group_colours
 from .pictures import blend, draw_keypoints, panels, shade_body
@@ -169,7 +169,7 @@ def gradient_field(
     else:
         points = posed.vertices(subdivisions).requires_grad_()
         mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
-        loss, _ = label_loss(seen.project(points), mesh, goal, perspective=seen.perspective)
+        loss, _ = mesh_label_loss(points, mesh, seen, goal)
     (slope,) = torch.autograd.grad(loss.sum(), points)
     downhill = -slope[0].cpu().numpy()
     places = seen.project(points.detach())[0, :, :2].cpu().numpy()

@@ -24,7 +24,7 @@ from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
-from ..render.mesh import PartImage, rasterize_parts
+from ..render.mesh import PartImage, draw_mesh
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
 from .palette import group_colours
@@ -152,7 +152,7 @@ def draw_registered(registered: Registered, camera: WeakPerspective, size: tuple
     """The first body's 20 parts in a picture of (H, W) pixels."""
     vertices = registered.detailed.vertices[:1].detach()
     seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
-    return rasterize_parts(seen.project(vertices), detailed_mesh(registered.model), size)
+    return draw_mesh(vertices, detailed_mesh(registered.model), seen, size)
 
 
 def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:

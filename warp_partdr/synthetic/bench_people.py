@@ -15,7 +15,7 @@ from ..cameras import Crop, Perspective, WeakPerspective
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..clothing.mesh import detailed_mesh
 from ..clothing.pose import pose_from_ellipbody
-from ..render.mesh import rasterize_parts
+from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh
 from .bench_poses import POSES, Pose, draw_pose, posed_ellipbody
 
@@ -173,7 +173,7 @@ def draw_anny(
     vertices: torch.Tensor, camera: WeakPerspective | Perspective, image_size: tuple[int, int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Part labels and depth [m] of Anny bodies (B, V, 3) in the camera frame, shape (B, H, W) each."""
-    picture = rasterize_parts(camera.project(vertices), anny_mesh(), image_size, perspective=camera.perspective)
+    picture = draw_mesh(vertices, anny_mesh(), camera, image_size)
     return picture.labels, picture.depth
 
 

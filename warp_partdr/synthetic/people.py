@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..clothing.mesh import detailed_mesh
 from ..clothing.pose import pose_from_ellipbody
 from ..inputs.observation import CROP_MARGIN
 from ..network.landmarks import LANDMARKS
-from ..render.mesh import rasterize_parts
+from ..render.mesh_passes import MeshOptions, draw_images
 from .bench_people import MEAN_STATURE, cover_of
 from .dice import Dice, exact
 from .noise import Noise
@@ -38,6 +39,10 @@ _NEAR = 0.35  # of the person's longer extent
 _OPEN = 100.0  # [m], where a side isn't near
 
 _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
+
+
+# Of vertices that are on the screen already.
+_VIEW = MeshOptions(near=0.01, perspective=True, max_distance=math.inf, depth_weight=0.0)
 
 
 @dataclass(frozen=True)
@@ -192,15 +197,11 @@ class PeopleMaker:
         crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
 
         screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
-        picture = rasterize_parts(
-            torch.cat([screen, vertices[..., 2:]], dim=-1),
-            self.mesh,
-            (self.size, self.size),
-            perspective=True,
-            validate=False,
-        )
+        mesh = self.mesh
+        geometry = torch.cat([screen, vertices[..., 2:]], dim=-1), mesh.faces, mesh.face_labels, mesh.edges
+        labels, depth_map, _ = draw_images(geometry, (self.size, self.size), _VIEW)
         unseen = crop.unseen(self.size)
-        parts = picture.labels.masked_fill(unseen, IGNORE)
+        parts = labels.masked_fill(unseen, IGNORE)
 
         some = dice.integers(vertices.shape[1], count, 6)
         places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
@@ -208,13 +209,13 @@ class PeopleMaker:
         points = crop(noted[..., :2])
         at = ((points + 1) * (self.size / 2)).long().clamp(0, self.size - 1)
         at = at[..., 1] * self.size + at[..., 0]
-        depth = picture.depth.flatten(1).gather(1, at)
+        depth = depth_map.flatten(1).gather(1, at)
         hidden = depth < noted[..., 2] - self._cover * (stature / MEAN_STATURE)[:, None]
         hidden |= fronts.hiding.flatten(1).gather(1, at)
         keypoints = noise.keypoints(points, hidden, detected, stature / crop.half, strength)
         keypoints = keypoints * crop.holds(keypoints[..., :2])[..., None]
 
-        groups = noise.groups(picture.labels, label_sets, strength)
+        groups = noise.groups(labels, label_sets, strength)
         groups = torch.where(fronts.mask, fronts.groups, groups)
         groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
         bones = joints[:, 1:] - joints[:, self._bone_starts]

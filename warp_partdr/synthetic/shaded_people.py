@@ -21,7 +21,7 @@ from ..clothing.pose import pose_from_ellipbody
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
-from ..render.mesh import rasterize_parts
+from ..render.mesh import draw_mesh
 from .bench_people import PHENOTYPES
 from .dice import Dice
 from .poses import PoseBank, PoseSampler, mean_body
@@ -89,7 +89,7 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, dice: Dice, first: int) -
     side = SIZE * _SAMPLES
     mesh = detailed_mesh(model)
     fine = Perspective(camera.focal * _SAMPLES, camera.centre * _SAMPLES)
-    drawn = rasterize_parts(fine.project(vertices), mesh, (side, side), perspective=True)
+    drawn = draw_mesh(vertices, mesh, fine, (side, side))
     corners = vertices[:, mesh.faces.long()]
     normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     light = dice.uniform(count, 3, low=-1) * torch.tensor([1.0, 1.0, 0.5], device=device)

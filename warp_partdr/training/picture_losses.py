@@ -21,8 +21,8 @@ from ..inputs.observation import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
-from ..render.ellipsoid_passes import Gradient
 from ..render.ellipsoids import ellipsoid_label_loss
+from ..render.options import Gradient
 from .picture_data import JOINTS, Examples
 from .posed_landmarks import landmarks
 

@@ -19,8 +19,8 @@ from ..inputs.sample import Sample
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
 from ..network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
-from ..render.ellipsoid_passes import Gradient
 from ..render.ellipsoids import draw_ellipsoids
+from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example

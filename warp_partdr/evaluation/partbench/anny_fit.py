@@ -20,8 +20,9 @@ from ...fit.result import FitResult
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.observation import REFERENCE_SIZE, resize_nearest
 from ...inputs.part_labels import PartLabels
-from ...refinement.refine import rate_share
-from ...render.mesh import PartImage, label_loss, rasterize_parts
+from ...refinement.steps import rate_share
+from ...render.mesh import PartImage, draw_mesh, mesh_label_loss
+from ...render.options import DEFAULT_DEPTH_WEIGHT
 
 _SIZE = 128  # [px], side of the drawn crop
 _ITERATIONS = 60
@@ -63,7 +64,7 @@ class AnnyFit:
     def draw(self, image_size: tuple[int, int]) -> PartImage:
         """The body's 20 parts in the full picture."""
         mesh = detailed_mesh(anny(self.camera.scale.device))
-        return rasterize_parts(self.camera.project(self.body.vertices), mesh, image_size)
+        return draw_mesh(self.body.vertices, mesh, self.camera, image_size)
 
 
 def fit_anny(
@@ -72,6 +73,7 @@ def fit_anny(
     *,
     others: Sequence[Keypoints2D] = (),
     options: FitOptions,
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     device: str = "cpu",
 ) -> AnnyFit:
     """Fit EllipBody as ``fit_body`` does, but for its last stage; instead refine Anny's shape and pose from there.
@@ -98,7 +100,7 @@ def fit_anny(
         {"params": [shape], "lr": _RATE * _SHAPE_RATE},
     ]
     optimizer = torch.optim.Adam(groups)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: rate_share(step, _ITERATIONS, 0.1))
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: rate_share(step, _ITERATIONS))
 
     def pose() -> Detailed:
         turned = rotations.clone()
@@ -113,11 +115,12 @@ def fit_anny(
         places = camera(REFERENCE_SIZE).project(model.landmarks(body, names))[..., :2]
         wanted = (seen.points + 1) * (REFERENCE_SIZE / 2)
         proj = ((places - wanted).abs().sum(-1) * seen.confidence).sum()
-        seg = label_loss(
-            camera(_SIZE).project(body.vertices),
+        seg = mesh_label_loss(
+            body.vertices,
             mesh,
+            camera(_SIZE),
             target,
-            depth_weight=options.depth_weight,
+            depth_weight=depth_weight,
             validate=False,
         )[0].sum()
         held = _SHAPE_WEIGHT * shape.square().sum() + _BEND_WEIGHT * turns[:, 1:].square().sum()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...clothing.registration import RegistrationOptions, RegistrationWeights, r
 from ...errors import InputError
 from ...fit.options import FitOptions
 from ...fit.result import FitResult
+from ...render.renderers import Renderer
 from ..evaluate import METHODS as SUPERVISIONS
 from ..evaluate import Method
 from .anny_fit import fit_anny
@@ -28,6 +30,10 @@ def registered_vertices(result: FitResult) -> np.ndarray:
     return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
 
 
+def _without_depth(renderer: Renderer) -> Renderer:
+    return replace(renderer, depth_weight=0.0)
+
+
 _STARTS = {
     "network": Method(options=FitOptions(stages=(), search=())),
     "network, 50 iterations": Method(options=FitOptions.at("fast")),
@@ -36,10 +42,10 @@ _STARTS = {
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
-    "search, no z gradient": Method(options=replace(_SEARCH, depth_weight=0.0), vertices=registered_vertices),
+    "search, no z gradient": Method(options=_SEARCH.drawn_by(_without_depth), vertices=registered_vertices),
     "parts, Anny's mesh": Method(fit=fit_anny, vertices=attrgetter("vertices")),
     "parts, Anny's mesh, no z gradient": Method(
-        options=FitOptions(depth_weight=0.0), fit=fit_anny, vertices=attrgetter("vertices")
+        fit=partial(fit_anny, depth_weight=0.0), vertices=attrgetter("vertices")
     ),
 }
 QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 import warp as wp
 
 from ..body.parameters import ROW, BodyParameters
 from ..body.template import NUM_PARTS
-from ..errors import check_type, check_whole
-from ..inputs.observation import REFERENCE_SIZE
+from ..errors import check_whole
+from ..interop.arrays import warp_array
 from ..interop.checks import check_steps, check_tensor
 from ..interop.streams import capture_graph, on_torch_stream
 from ..kernels.ellipsoids.forces import NUM_SUMS
@@ -22,48 +22,25 @@ from ..kernels.refine.state import (
     NUM_TERMS,
     Bodies,
     Drawn,
-    Ellipsoids,
     Load,
     Problem,
     Pull,
     State,
     StepRule,
-    Stopping,
     Terms,
-    TermWeights,
     Wrench,
 )
 from ..kernels.refine.step import BETAS
-from .energy import Energy
-from .fused_picture import EllipsoidPicture
-from .refine import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, refine
-from .tables import LANDMARK_NAMES, find_touches, landmarks, mixture, rules, skeleton
-
-TERMS = ("proj", "seg", "length", "thickness", "prior", "limits", "depth")  # the kernels' columns
+from ..render.captured import CapturedEllipsoids
+from ..render.renderers import RendererEllipsoids
+from .energy import TERMS, Energy
+from .steps import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
+from .tables import LANDMARK_NAMES, find_touches, landmark_arrays, mixture_arrays, rule_arrays, skeleton_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
 
-class PartRenderer(Protocol):
-    """Draws posed parts and compares the picture with labels.
-
-    Attributes:
-        drawn: Where it leaves L_seg [px of the drawn crop] and its forces.
-    """
-
-    drawn: Drawn
-
-    def observe(self, energies: Sequence[Energy]) -> None:
-        """Copy targets into fixed buffers."""
-
-    def launch(self) -> None:
-        """Fill ``drawn`` for the ellipsoids the renderer was made with; nothing but launches, for they are captured."""
-
-
-MakeRenderer = Callable[[Sequence[Energy], Ellipsoids, wp.array], PartRenderer]
-
-
-class FusedRefinement:
+class CapturedRefinement:
     """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
 
     One launch beside the renderer's makes an iteration. They are captured once and replayed, and the host waits for
@@ -75,13 +52,7 @@ class FusedRefinement:
         batch_size: B, how many bodies are refined at once.
         iterations: Steps of Adam.
         learning_rate: As in ``refine``.
-        final_rate: As in ``refine``.
-        tolerance: A body rests once its best energy fell by no more than this share over ``patience`` iterations; None
-            lets every body run on, as ``refine`` does.
-        patience: See ``tolerance``.
         frozen: As in ``refine``.
-        renderer: Makes what draws and compares, from the energies, the posed ellipsoids and the flags (B,) of bodies
-            that do not rest; it is asked only where energies compare labels.
 
     Raises:
         ValueError: If the energies differ in more than what they saw, see probabilities, or draw a mesh, or ``frozen``
@@ -95,22 +66,17 @@ class FusedRefinement:
         *,
         iterations: int = 50,
         learning_rate: float = LEARNING_RATE,
-        final_rate: float = 0.1,
-        tolerance: float | None = None,
-        patience: int = 10,
         frozen: Collection[str] = (),
-        renderer: MakeRenderer = EllipsoidPicture,
     ) -> None:
         free = BodyParameters.free(frozen)
         iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
         energies = _as_list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device
-        labels = _compares_labels(energy)
         if energy.observation.maps is not None:
             raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
-        if labels and energy.renderer != "exact":
-            raise ValueError(f"energies: renderer {energy.renderer!r}; expected 'exact', ``refine`` takes others")
+        if not can_capture(energy):
+            raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
 
         def buffer(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
             return torch.zeros(*shape, dtype=dtype, device=self._device)
@@ -118,7 +84,6 @@ class FusedRefinement:
         # What the host reads or writes, in torch's memory.
         rows = batch_size, sum(_WIDTHS)
         self._parameters, self._gradient, self._best = buffer(*rows), buffer(*rows), buffer(*rows)
-        self._active = buffer(batch_size, dtype=torch.int32)
         self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
         self._history = buffer(iterations + 1, batch_size)
         self._points = buffer(len(energies), len(LANDMARK_NAMES), 2)
@@ -127,19 +92,28 @@ class FusedRefinement:
         self._thicknesses = buffer(len(energies), *ROW["thicknesses"])
         self._depths = buffer(len(energies), NUM_PARTS)
         # At rate 0, after the last step, the energy is looked at once more.
-        shares = [rate_share(step, iterations, final_rate) for step in range(iterations)]
+        shares = [rate_share(step, iterations) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
-        stopping = Stopping()
-        stopping.tolerance, stopping.patience = -1.0 if tolerance is None else tolerance, patience
         with on_torch_stream(self._device) as where:
             self._state = self._make_state(where)
-            self._problem = self._make_problem(where, stopping, free)
-            self._renderer = renderer(energies, self._state.ellipsoids, self._state.active) if labels else None
+            self._problem = self._make_problem(where, free)
+            self._renderer = self._make_renderer(len(energies))
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         self.observe(energies)
         if batch_size > 0:
             self._rewind_graph = capture_graph(self._rewind, self._device)
             self._graph = capture_graph(self.iterate, self._device)
+
+    def _make_renderer(self, count: int) -> CapturedEllipsoids | None:
+        """Draws and compares the posed ellipsoids with as many label images; None where none are compared."""
+        energy = self._energy
+        self._targets = torch.zeros(count, energy.size, energy.size, dtype=torch.uint8, device=self._device)
+        label_set = energy.observation.label_set
+        if energy.target is None or label_set is None:
+            return None
+        assert isinstance(energy.renderer, RendererEllipsoids)
+        labels = [int(group) for group in label_set.part_groups[1:]]
+        return CapturedEllipsoids(energy.renderer, labels, self._targets, self._state.ellipsoids)
 
     def _make_state(self, where: str) -> State:
         """What the host reads or writes, and what the kernels alone use."""
@@ -149,21 +123,21 @@ class FusedRefinement:
             return wp.zeros((batch, *shape), dtype=dtype, device=where)
 
         state = State()
-        state.active, state.iteration = _wp(self._active), zeros(dtype=int)
+        state.iteration = zeros(dtype=int)
         state.bodies, state.gradient = _bodies(self._parameters), _bodies(self._gradient)
         rows = state.rows
-        rows.parameters, rows.gradient, rows.best = map(_wp, (self._parameters, self._gradient, self._best))
+        rows.parameters, rows.gradient, rows.best = map(warp_array, (self._parameters, self._gradient, self._best))
         rows.first_moment, rows.second_moment = zeros(sum(_WIDTHS)), zeros(sum(_WIDTHS))
         records = state.records
-        records.better, records.mark, records.mark_iteration = zeros(dtype=int), zeros(), zeros(dtype=int)
-        records.energy, records.terms = _wp(self._best_energy), _wp(self._best_terms, Terms)
-        records.history = _wp(self._history)
+        records.better = zeros(dtype=int)
+        records.energy, records.terms = warp_array(self._best_energy), warp_array(self._best_terms, Terms)
+        records.history = warp_array(self._history)
 
         state.turns, state.orientations = zeros(NUM_PARTS, dtype=wp.mat33), zeros(dtype=wp.mat33)
         ellipsoids = state.ellipsoids
         ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
         ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
-        components, directions = mixture(where, prior).means.shape
+        components, directions = mixture_arrays(where, prior).means.shape
         likelihood = state.likelihood
         likelihood.directions = zeros(directions, dtype=wp.vec3)
         likelihood.slopes = zeros(components, directions, dtype=wp.vec3)
@@ -172,19 +146,21 @@ class FusedRefinement:
         likelihood.log_density = zeros()
         state.pulls = zeros(len(LANDMARK_NAMES), dtype=Pull)
         state.drawn = zeros(NUM_PARTS, NUM_SUMS)
+        state.pushes = zeros(NUM_PARTS, dtype=wp.vec3)
         state.wrenches, state.costs = zeros(NUM_PARTS, dtype=Wrench), zeros(NUM_PARTS, dtype=Terms)
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
         return state
 
-    def _make_problem(self, where: str, stopping: Stopping, free: Collection[str]) -> Problem:
+    def _make_problem(self, where: str, free: Collection[str]) -> Problem:
         """What stays the same, but for what is seen."""
         energy, problem = self._energy, Problem()
-        problem.skeleton, problem.half_size = skeleton(where), energy.size / 2
-        problem.landmarks = landmarks(where, _wp(self._points, wp.vec2), _wp(self._votes))
-        problem.rules = rules(where, energy.prior, _wp(self._lengths), _wp(self._thicknesses), _wp(self._depths))
-        problem.mixture = mixture(where, energy.prior)
+        problem.skeleton, problem.half_size = skeleton_arrays(where), energy.size / 2
+        problem.landmarks = landmark_arrays(where, warp_array(self._points, wp.vec2), warp_array(self._votes))
+        problem.rules = rule_arrays(
+            where, energy.prior, warp_array(self._lengths), warp_array(self._thicknesses), warp_array(self._depths)
+        )
+        problem.mixture = mixture_arrays(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
-        problem.stopping = stopping
         return problem
 
     def observe(self, energies: Energy | Sequence[Energy]) -> None:
@@ -197,11 +173,14 @@ class FusedRefinement:
         if len(energies) != len(self._points):
             raise ValueError(f"energies: {len(energies)}; expected {len(self._points)}, as at first")
         for energy in energies:
-            for name in ("size", "weights", "prior", "renderer", "gradient", "max_distance", "depth_weight"):
+            for name in ("size", "weights", "prior", "renderer"):
                 if getattr(energy, name) != getattr(self._energy, name):
                     raise ValueError(f"energies: {name} differs; expected {getattr(self._energy, name)}, as at first")
-            if _compares_labels(energy) != (self._renderer is not None):
+            if (energy.target is None) != (self._renderer is None):
                 raise ValueError("energies: some with labels, some without; expected the same of all")
+            label_set, expected = energy.observation.label_set, self._energy.observation.label_set
+            if energy.target is not None and expected is not None and label_set != expected:
+                raise ValueError(f"energies: another label set; expected {expected.name!r}")
             if (energy.depths is None) != (self._energy.depths is None):
                 raise ValueError("energies: some with depths, some without; expected the same of all")
         self._votes.zero_()
@@ -212,6 +191,8 @@ class FusedRefinement:
             self._lengths[row], self._thicknesses[row] = energy.usual_lengths, energy.usual_thicknesses
             if energy.depths is not None:
                 self._depths[row] = energy.depths
+            if energy.target is not None:
+                self._targets[row] = energy.target
         table = self._problem.landmarks
         seen = {name for energy in energies for name in energy.observation.landmarks}
         with on_torch_stream(self._device):
@@ -219,7 +200,7 @@ class FusedRefinement:
                 array.assign(rows)
         if self._renderer is not None:
             with on_torch_stream(self._device):
-                self._renderer.observe(energies)
+                self._renderer.update()
 
     def iterate(self) -> None:
         """Launch one iteration on Warp's current stream: draw, compare, step; what ``refine`` replays.
@@ -235,9 +216,7 @@ class FusedRefinement:
         launch_start(self._problem, self._state)
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
-        """What ``refinement.refine`` returns, from B starts.
-
-        A body at rest repeats its last energy in the history.
+        """What ``refine`` returns, from B starts.
 
         Args:
             start: B bodies.
@@ -261,65 +240,36 @@ class FusedRefinement:
                     wp.capture_launch(self._graph)
                     if on_iteration is not None and step + 1 < len(self._rates):
                         on_iteration(step + 1)
-        used = {
-            "proj": True,
-            "seg": self._renderer is not None,
-            "length": True,
-            "thickness": True,
-            "prior": self._energy.prior is not None,
-            "limits": self._energy.prior is not None,
-            "depth": self._energy.depths is not None,
-        }
         terms = self._best_terms.clone()
         return Refined(
             BodyParameters(**{name: tensor.clone() for name, tensor in _split(self._best).items()}),
             self._best_energy.clone(),
-            {name: terms[:, column] for column, name in enumerate(TERMS) if used[name]},
+            {term.name: terms[:, term.column] for term in TERMS if term.applies(self._energy)},
             self._history[:-1].clone(),
         )
 
 
-def _wp(tensor: torch.Tensor, kind: Any = None) -> wp.array:
-    return wp.from_torch(tensor, dtype=kind, requires_grad=False)
+def can_capture(energy: Energy) -> bool:
+    """Whether the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
+    drawn = energy.target is None or isinstance(energy.renderer, RendererEllipsoids)
+    return energy.observation.maps is None and drawn
 
 
-def minimise(
-    start: BodyParameters,
-    energy: Energy,
-    *,
-    iterations: int = 50,
-    learning_rate: float = LEARNING_RATE,
-    frozen: Collection[str] = (),
-    on_iteration: Callable[[int], None] | None = None,
+def refine_captured(
+    start: BodyParameters, energy: Energy, rule: dict[str, Any], on_iteration: Callable[[int], None] | None = None
 ) -> Refined:
-    """Refine by the fast path where it serves, else by ``refine``: against probabilities, or drawing a mesh.
-
-    On the CPU, bodies are shared among threads (``set_num_threads``), with the same result to the bit.
-
-    Raises:
-        TypeError: If ``start`` are no bodies, or ``energy`` is none.
-    """
-    check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
-    check_type("energy", energy, Energy, "of an observation")
-    start.check_finite()
-    if energy.observation.maps is not None or (_compares_labels(energy) and energy.renderer != "exact"):
-        return refine(
-            start, energy, iterations=iterations, learning_rate=learning_rate, frozen=frozen, on_iteration=on_iteration
-        )
+    """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``."""
     device = start.shift.device
-    made: dict[int, tuple[FusedRefinement, BodyParameters]] = {}
+    made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
     done: dict[int, Refined] = {}
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        fused = FusedRefinement(
-            energy, bodies.batch_size, iterations=iterations, learning_rate=learning_rate, frozen=frozen
-        )
-        made[part.start] = fused, bodies
+        made[part.start] = CapturedRefinement(energy, bodies.batch_size, **rule), bodies
 
     def work(part: slice) -> None:
-        fused, bodies = made[part.start]
-        done[part.start] = fused.refine(bodies, on_iteration=on_iteration if part is slices[0] else None)
+        captured, bodies = made[part.start]
+        done[part.start] = captured.refine(bodies, on_iteration=on_iteration if part is slices[0] else None)
 
     run_slices(work, slices)
     return _join([done[part.start] for part in slices])
@@ -342,10 +292,6 @@ def _as_list(energies: Energy | Sequence[Energy]) -> list[Energy]:
     return [energies] if isinstance(energies, Energy) else list(energies)
 
 
-def _compares_labels(energy: Energy) -> bool:
-    return energy.target is not None
-
-
 def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
     """Views of rows by name, shaped as ``BodyParameters`` has them."""
     columns = rows.split(_WIDTHS, dim=1)
@@ -354,20 +300,17 @@ def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:
 
 def _bodies(rows: torch.Tensor) -> Bodies:
     parts, bodies = _split(rows), Bodies()
-    bodies.orientation = _wp(parts["orientation"].unflatten(1, (2, 3)), wp.vec3)
-    bodies.rotations = _wp(parts["rotations"], wp.vec3)
-    bodies.lengths, bodies.thicknesses = _wp(parts["lengths"]), _wp(parts["thicknesses"])
-    bodies.log_scale, bodies.shift = _wp(parts["log_scale"]), _wp(parts["shift"], wp.vec2)
+    bodies.orientation = warp_array(parts["orientation"].unflatten(1, (2, 3)), wp.vec3)
+    bodies.rotations = warp_array(parts["rotations"], wp.vec3)
+    bodies.lengths, bodies.thicknesses = warp_array(parts["lengths"]), warp_array(parts["thicknesses"])
+    bodies.log_scale, bodies.shift = warp_array(parts["log_scale"]), warp_array(parts["shift"], wp.vec2)
     return bodies
 
 
-def _term_weights(energy: Energy) -> TermWeights:
-    given, weights = energy.weights, TermWeights()
-    weights.proj = given.proj * REFERENCE_SIZE / 2
-    weights.seg = given.seg * (REFERENCE_SIZE / energy.size) ** 2
-    weights.length, weights.thickness = given.length, given.thickness
-    weights.prior, weights.limits = given.prior, given.limits
-    weights.depth = 0.0 if energy.depths is None else given.depth
+def _term_weights(energy: Energy) -> Any:
+    weights = Terms()
+    for term in TERMS:
+        weights[term.column] = energy.weight(term) if term.applies(energy) else 0.0
     return weights
 
 
@@ -377,15 +320,14 @@ def _step_rule(rates: Sequence[float], free: Collection[str], device: torch.devi
         columns.fill_((SHAPE_RATE if name in SIZES else 1.0) if name in free else 0.0)
     lower.fill_(-math.inf)
     upper.fill_(math.inf)
-    mean = BodyParameters.mean(1).tensors()
-    for name, (low, high) in SIZES.items():
+    for name in SIZES:
         if name in free:
-            _split(lower)[name].copy_(low * mean[name])
-            _split(upper)[name].copy_(high * mean[name])
+            for row, bound in zip((lower, upper), size_bounds(name, "cpu"), strict=True):
+                _split(row)[name].copy_(bound)
     schedule = [
         (rate / (1 - BETAS[0] ** step), math.sqrt(1 - BETAS[1] ** step)) for step, rate in enumerate(rates, start=1)
     ]
     rule = StepRule()
-    rule.schedule = _wp(torch.tensor(schedule, device=device), wp.vec2)
-    rule.rates, rule.lower, rule.upper = (_wp(row[0].to(device)) for row in (factors, lower, upper))
+    rule.schedule = warp_array(torch.tensor(schedule, device=device), wp.vec2)
+    rule.rates, rule.lower, rule.upper = (warp_array(row[0].to(device)) for row in (factors, lower, upper))
     return rule

@@ -1,0 +1,76 @@
+"""Rules: terms of the energy that need no picture and look at one part at a time.
+
+A new term is a device function here: it returns what part k costs, weighted, and adds its gradient to
+``state.gradient`` or, as a force on the part's centre, to ``state.pushes``. ``Weights`` has its row in the same column.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from .state import Problem, State, has_bit
+
+RULES: list[tuple[int, wp.Function]] = []  # column and device function
+
+_MILLIMETRES = wp.constant(1000.0)
+
+
+def rule(column: int) -> Callable[[Any], Any]:
+    """Decorator of a device function that is the term of a column."""
+
+    def register(function: wp.Function) -> wp.Function:
+        RULES.append((column, function))
+        return function
+
+    return register
+
+
+@rule(column=5)
+@wp.func
+def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
+    """Squared excess over the limits of joint k."""
+    excess = wp.vec3(0.0)
+    if not has_bit(problem.skeleton.locked, k):
+        v = state.bodies.rotations[b, k]
+        lower, upper = problem.rules.lower_limits[k], problem.rules.upper_limits[k]
+        excess = wp.max(v - upper, wp.vec3(0.0)) - wp.max(lower - v, wp.vec3(0.0))
+    state.gradient.rotations[b, k] = state.gradient.rotations[b, k] + 2.0 * weight * excess
+    return weight * wp.dot(excess, excess)
+
+
+@rule(column=2)
+@wp.func
+def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
+    """L_l: squared deviation of length k."""
+    cost = float(0.0)
+    if k < state.bodies.lengths.shape[1]:
+        row = b % problem.rules.usual_lengths.shape[0]
+        deviation = (state.bodies.lengths[b, k] - problem.rules.usual_lengths[row, k]) * _MILLIMETRES
+        cost = weight * deviation * deviation
+        state.gradient.lengths[b, k] = state.gradient.lengths[b, k] + 2.0 * weight * deviation * _MILLIMETRES
+    return cost
+
+
+@rule(column=3)
+@wp.func
+def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int):
+    """L_t: squared deviation of thickness k."""
+    cost = float(0.0)
+    if k < state.bodies.thicknesses.shape[1]:
+        row = b % problem.rules.usual_thicknesses.shape[0]
+        deviation = (state.bodies.thicknesses[b, k] - problem.rules.usual_thicknesses[row, k]) * _MILLIMETRES
+        cost = weight * deviation * deviation
+        state.gradient.thicknesses[b, k] = state.gradient.thicknesses[b, k] + 2.0 * weight * deviation * _MILLIMETRES
+    return cost
+
+
+@rule(column=6)
+@wp.func
+def hold_depth(problem: Problem, state: State, weight: float, b: int, k: int):
+    """Squared distance along z of part k's centre from where it was."""
+    row = b % problem.rules.depths.shape[0]
+    deviation = (state.ellipsoids.centres[b, k][2] - problem.rules.depths[row, k]) * _MILLIMETRES
+    push = 2.0 * weight * deviation * _MILLIMETRES
+    state.pushes[b, k] = state.pushes[b, k] + wp.vec3(0.0, 0.0, push)
+    return weight * deviation * deviation

@@ -1,0 +1,24 @@
+"""Torch tensors as Warp arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import warp as wp
+
+
+def contiguous(tensor: torch.Tensor) -> torch.Tensor:
+    """The tensor as Warp takes it: to torch an empty one is contiguous whatever its strides, to Warp it is not."""
+    tensor = tensor.contiguous()
+    return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
+
+
+def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
+    """A Warp array over a tensor's memory, without gradient.
+
+    Args:
+        tensor: Any strides; of a vector's or a matrix's type the last dimensions are contiguous.
+        dtype: Warp's type; by default the tensor's scalars.
+    """
+    return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)

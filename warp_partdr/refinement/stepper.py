@@ -1,0 +1,91 @@
+"""The paper's second stage one step at a time: Adam on any energy, by autograd (section 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import torch
+
+from ..body.parameters import BodyParameters
+from ..errors import check_type
+from ..interop.checks import check_steps
+from .steps import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
+
+EnergyFunction = Callable[[BodyParameters], dict[str, torch.Tensor]]
+
+
+class Refinement:
+    """Bodies on their way to less energy, side by side; arguments and errors as of ``refine``.
+
+    Attributes:
+        energy: What is minimised.
+        bodies: Where they are now, B of them.
+        best: The best state of each body so far, None before the first step.
+        history: Energy before each step so far, shape (B,) each.
+    """
+
+    def __init__(
+        self,
+        start: BodyParameters,
+        energy: EnergyFunction,
+        *,
+        iterations: int = 50,
+        learning_rate: float = LEARNING_RATE,
+        frozen: Collection[str] = (),
+    ) -> None:
+        self._iterations = iterations = check_steps(iterations, learning_rate)
+        check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
+        start.check_finite()
+        free = BodyParameters.free(frozen)
+        self.energy, self.bodies = energy, start.leaves(frozen)
+        self.best: Refined | None = None
+        self.history: list[torch.Tensor] = []
+        tensors = self.bodies.tensors()
+        rates = {name: learning_rate * (SHAPE_RATE if name in SIZES else 1.0) for name in free}
+        self._adam = torch.optim.Adam([{"params": tensors[name], "lr": rate} for name, rate in rates.items()])
+        self._schedule = torch.optim.lr_scheduler.LambdaLR(self._adam, lambda step: rate_share(step, iterations))
+        device = self.bodies.lengths.device
+        self._bounds = [(tensors[name], *size_bounds(name, device)) for name in SIZES if name in free]
+
+    def step(self) -> None:
+        """One iteration: evaluate, remember the best, move."""
+        total = self._evaluate()
+        self.history.append(total.detach())
+        self._adam.zero_grad(set_to_none=True)
+        total.sum().backward()
+        self._adam.step()
+        self._schedule.step()
+        with torch.no_grad():
+            for sizes, low, high in self._bounds:
+                sizes.clamp_(low, high)
+
+    def run(self, on_iteration: Callable[[int], None] | None = None) -> Refined:
+        """All iterations that are left, and a last look at where they end."""
+        for iteration in range(len(self.history), self._iterations):
+            self.step()
+            if on_iteration is not None:
+                on_iteration(iteration + 1)
+        with torch.no_grad():
+            total = self._evaluate()
+        best = self.best
+        assert best is not None
+        history = torch.stack(self.history) if self.history else total[None][:0]
+        return Refined(best.parameters, best.energy, best.terms, history)
+
+    def _evaluate(self) -> torch.Tensor:
+        """The energy, shape (B,); the best state of each body is remembered."""
+        terms = self.energy(self.bodies)
+        total = torch.stack(list(terms.values())).sum(0)
+        now = total.detach()
+        if self.best is None:
+            first = {name: term.detach() for name, term in terms.items()}
+            self.best = Refined(self.bodies.leaves().detach(), now, first, now[None][:0])
+            return total
+        best = self.best
+        better = now < best.energy
+        for name, old in best.parameters.tensors().items():
+            new = self.bodies.tensors()[name].detach()
+            old.copy_(torch.where(better.view(-1, *[1] * (old.dim() - 1)), new, old))
+        lowest = {name: torch.where(better, terms[name].detach(), old) for name, old in best.terms.items()}
+        self.best = Refined(best.parameters, torch.where(better, now, best.energy), lowest, best.history)
+        return total

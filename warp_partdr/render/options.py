@@ -1,0 +1,55 @@
+"""Options that both renderers share: the reach of PartDR's gradient, the weight of its z part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, Literal, TypeVar
+
+import torch
+
+Gradient = Literal["edges", "coverage", "partdr"]
+
+IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
+DEFAULT_DEPTH_WEIGHT = 1.0  # the paper's lambda in eq. 12, to which it gives no value
+
+_T = TypeVar("_T")
+
+
+def check_partdr_options(max_distance: float, depth_weight: float) -> None:
+    """Raise ValueError unless PartDR's rule can take these, for a mesh or for ellipsoids."""
+    if not max_distance >= 0:
+        raise ValueError(f"max_distance: {max_distance}; expected a number of pixels from 0, or infinity")
+    if not 0 <= depth_weight < math.inf:
+        raise ValueError(f"depth_weight: {depth_weight}; expected a finite number from 0")
+
+
+def check_target(target: torch.Tensor, like: tuple[str, torch.Tensor], batch: int) -> None:
+    """Raise ValueError unless a label image (N, H, W) fits a batch: N is 1 or B, on the same device.
+
+    Args:
+        target: Dtype uint8, three dimensions; that much was checked.
+        like: Name and tensor whose device it must be on.
+        batch: B.
+    """
+    if target.device != like[1].device:
+        raise ValueError(f"target: on {target.device}; expected {like[1].device}, as {like[0]}")
+    if target.shape[0] not in (1, batch):
+        raise ValueError(f"target: batch {target.shape[0]}; expected {batch} as {like[0]}, or 1")
+
+
+def label_maps(labels: torch.Tensor, count: int) -> torch.Tensor:
+    """Part maps A^1 to A^K of label images (paper, eq. 9), shape (B, K, H, W), float32."""
+    index = torch.arange(1, count + 1, dtype=torch.uint8, device=labels.device)
+    return (labels[:, None] == index[:, None, None]).float()
+
+
+def cached(function: Callable[..., _T]) -> Callable[..., _T]:
+    """``lru_cache``, but not while ``torch.compile`` traces: it would warn of one."""
+    kept = lru_cache(maxsize=64)(function)
+
+    def call(*arguments: Any) -> _T:
+        return function(*arguments) if torch.compiler.is_compiling() else kept(*arguments)
+
+    return call

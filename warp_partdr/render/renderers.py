@@ -1,0 +1,139 @@
+"""Renderers of bodies as objects: exact ellipsoids, or their mesh, with the options of the gradient."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from ..body.ellipbody import DEFAULT_SUBDIVISIONS
+from ..body.posing import Posed
+from ..body.template import NUM_PARTS
+from ..cameras import Camera
+from .ellipsoids import EllipsoidImage, draw_ellipsoids, ellipsoid_label_loss
+from .mesh import PartImage, draw_mesh, mesh_label_loss
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient
+from .part_mesh import PartMesh, ellipbody_mesh
+from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
+
+_ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
+
+
+@dataclass(frozen=True)
+class RendererEllipsoids:
+    """Exact ellipsoids.
+
+    Attributes:
+        gradient: "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
+        max_distance: "partdr": how far from an edge a pixel may move it [px].
+        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
+        samples_per_pixel: "coverage": how densely borders are sampled.
+    """
+
+    gradient: Gradient = "partdr"
+    max_distance: float = math.inf
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
+    samples_per_pixel: float = 1.0
+
+    def draw(
+        self,
+        posed: Posed,
+        camera: Camera,
+        image_size: tuple[int, int],
+        *,
+        part_labels: Sequence[int] = _ALL_PARTS,
+        num_maps: int = 0,
+        validate: bool = True,
+    ) -> EllipsoidImage:
+        """Bodies in a picture; arguments and errors as of ``draw_ellipsoids``."""
+        return draw_ellipsoids(
+            posed, camera, image_size, part_labels=part_labels, num_maps=num_maps, validate=validate, **vars(self)
+        )
+
+    def label_loss(
+        self,
+        posed: Posed,
+        camera: Camera,
+        target: torch.Tensor,
+        *,
+        part_labels: Sequence[int] = _ALL_PARTS,
+        validate: bool = True,
+    ) -> tuple[torch.Tensor, EllipsoidImage]:
+        """L_seg of bodies; arguments and errors as of ``ellipsoid_label_loss``."""
+        return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **vars(self))
+
+    def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
+        """The same: nothing in it depends on the bodies."""
+        return self
+
+
+@dataclass(frozen=True)
+class RendererMesh:
+    """EllipBody's mesh, with PartDR's gradient: the paper's renderer.
+
+    Attributes:
+        subdivisions: Level of the mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance``.
+        tolerance: Of "auto": how far silhouettes may be from those of the ellipsoids [px].
+        max_distance: How far from an edge a pixel may move it [px].
+        depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves it out.
+    """
+
+    subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
+    tolerance: float = DEFAULT_TOLERANCE
+    max_distance: float = math.inf
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
+
+    def draw(
+        self,
+        posed: Posed,
+        camera: Camera,
+        image_size: tuple[int, int],
+        *,
+        part_labels: Sequence[int] = _ALL_PARTS,
+        num_maps: int = 0,
+        validate: bool = True,
+    ) -> PartImage:
+        """Bodies in a picture; arguments and errors as of ``draw_mesh`` and ``draw_ellipsoids``."""
+        vertices, mesh = self._mesh(posed, camera, part_labels)
+        rule = {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
+        return draw_mesh(vertices, mesh, camera, image_size, num_maps=num_maps, validate=validate, **rule)
+
+    def label_loss(
+        self,
+        posed: Posed,
+        camera: Camera,
+        target: torch.Tensor,
+        *,
+        part_labels: Sequence[int] = _ALL_PARTS,
+        validate: bool = True,
+    ) -> tuple[torch.Tensor, PartImage]:
+        """L_seg of bodies; arguments and errors as of ``mesh_label_loss`` and ``draw_ellipsoids``."""
+        vertices, mesh = self._mesh(posed, camera, part_labels)
+        rule = {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
+        return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **rule)
+
+    def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
+        """The same with the level that these bodies ask for, so that a loss does not jump while it is minimised."""
+        if self.subdivisions != "auto":
+            return self
+        return replace(self, subdivisions=coarsest_subdivisions(posed, camera, tolerance=self.tolerance))
+
+    def _mesh(self, posed: Posed, camera: Camera, part_labels: Sequence[int]) -> tuple[torch.Tensor, PartMesh]:
+        level = self.fixed(posed, camera).subdivisions
+        assert level != "auto"
+        vertices = posed.vertices(level)
+        return vertices, _labelled_mesh(level, tuple(part_labels), vertices.device)
+
+
+Renderer = RendererEllipsoids | RendererMesh
+
+
+@lru_cache(maxsize=32)
+def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
+    """Kept, for its edges take a moment to find."""
+    mesh = ellipbody_mesh(level, device=device)
+    return mesh if part_labels == _ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))
