@@ -20,7 +20,7 @@ from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.observation import observe
 from warp_partdr.inputs.part_labels import PartLabels, read_label_set
 from warp_partdr.network.predict import predict_bodies
-from warp_partdr.refinement.refine import minimise, refine
+from warp_partdr.refinement.refine import refine
 from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.results.save import save_fit
 
@@ -49,8 +49,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
     (lambda: register(BODY.posed(), warp_partdr.anny(), start=BODY), "start: BodyParameters; expected Registered"),
     (lambda: register(BODY.posed(), warp_partdr.anny(), options=3), "options: int; expected RegistrationOptions"),
     (lambda: refine(BODY.posed(), dict), "start: Posed; expected BodyParameters"),
-    (lambda: minimise(BODY.posed(), dict), "start: Posed; expected BodyParameters"),
-    (lambda: minimise(BODY, dict), "energy: type; expected Energy"),
+    (lambda: refine(BODY, 3), "energy: int; expected an Energy or a function"),
     (lambda: predict_bodies(PERSON, None), "observations: Keypoints2D; expected a sequence of Observation"),
     (lambda: predict_bodies([PERSON], None), r"observations\[0\]: Keypoints2D; expected Observation, of observe"),
     (lambda: predict_bodies([], "network.safetensors"), "network: str; expected LabelNetwork, of load_label_network"),
@@ -61,7 +60,7 @@ CALLS: list[tuple[Callable[[], Any], str]] = [
         "ellipsoids: BodyParameters; expected Ellipsoids or Posed",
     ),
     (
-        lambda: warp_partdr.rasterize_parts(torch.zeros(1, 240, 3), ellipbody_mesh(0).faces, (8, 8)),
+        lambda: warp_partdr.draw_mesh(torch.zeros(1, 240, 3), ellipbody_mesh(0).faces, CAMERA, (8, 8)),
         "mesh: Tensor; expected PartMesh",
     ),
 ]

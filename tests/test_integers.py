@@ -36,7 +36,7 @@ def draw(**options: Any) -> Any:
 
 def rasterize(**options: Any) -> Any:
     size = options.pop("image_size", (8, 8))
-    return draw_mesh(CAMERA.project(BODY.posed().vertices(0)), ellipbody_mesh(0), size, **options)
+    return draw_mesh(BODY.posed().vertices(0), ellipbody_mesh(0), CAMERA, size, **options)
 
 
 ARGUMENTS = {
@@ -45,7 +45,6 @@ ARGUMENTS = {
         BODY.posed(), CAMERA, torch.zeros(1, 8, 8, dtype=torch.uint8), part_labels=[value] * 20
     ),
     "num_maps": lambda value: draw(num_maps=value),
-    "halvings": lambda value: draw(halvings=value),
     "image_size": lambda value: draw(image_size=(value, 8)),
     "image_size of a mesh": lambda value: rasterize(image_size=(8, value)),
     "num_maps of a mesh": lambda value: rasterize(num_maps=value),

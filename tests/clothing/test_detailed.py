@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scenes import draw_on_screen, loss_on_screen
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.landmarks import LANDMARKS, landmark_positions
@@ -27,7 +28,6 @@ from warp_partdr.clothing.mesh import detailed_mesh
 from warp_partdr.clothing.model import DetailedModel
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.smpl import ARRAYS
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -399,8 +399,8 @@ def test_parts_look_like_those_of_ellipbody(device):
         local[:, PART_NAMES.index(name)] = rotation_from_axis_angle(torch.tensor(vector, device=device))
     posed = mean_body(local)
     detailed = model.pose(shape, *pose_from_ellipbody(model, posed, shape))
-    mine = draw_mesh(project(detailed.vertices, 128), detailed_mesh(model), (128, 128)).labels.cpu()
-    other = draw_mesh(project(posed.vertices(2), 128), ellipbody_mesh(2, device=device), (128, 128)).labels.cpu()
+    mine = draw_on_screen(project(detailed.vertices, 128), detailed_mesh(model), (128, 128)).labels.cpu()
+    other = draw_on_screen(project(posed.vertices(2), 128), ellipbody_mesh(2, device=device), (128, 128)).labels.cpu()
     both = (mine > 0) & (other > 0)
     assert both.sum() > 0.75 * ((mine > 0) | (other > 0)).sum()
     groups = torch.from_numpy(label_set("body14").part_groups)
@@ -416,8 +416,8 @@ def test_label_loss_moves_a_detailed_model(device):
     with torch.no_grad():
         bigger = anny_shape(torch.tensor([[0.5, 0.5, 0.5, 0.9, 0.8, 0.5]])).to(device)
         moved = model.pose(bigger, inputs[1], inputs[2] + torch.tensor([0.05, 0.02, 0.0], device=device))
-        target = draw_mesh(project(moved.vertices, 96), mesh, (96, 96)).labels
-    loss, _ = mesh_label_loss(project(model.pose(*inputs).vertices, 96), mesh, target)
+        target = draw_on_screen(project(moved.vertices, 96), mesh, (96, 96)).labels
+    loss, _ = loss_on_screen(project(model.pose(*inputs).vertices, 96), mesh, target)
     loss.sum().backward()
     for tensor in inputs:
         assert torch.isfinite(tensor.grad).all()
@@ -425,7 +425,7 @@ def test_label_loss_moves_a_detailed_model(device):
     assert inputs[2].grad[0, 0] < 0, "the target lies to the right"
     arm = model.joint_names.index("upperarm01.L")
     assert inputs[1].grad[0, arm].abs().max() > 0
-    maps = draw_mesh(project(model.pose(*inputs).vertices, 96), mesh, (96, 96), num_maps=NUM_PARTS).maps
+    maps = draw_on_screen(project(model.pose(*inputs).vertices, 96), mesh, (96, 96), num_maps=NUM_PARTS).maps
     assert maps.shape == (1, NUM_PARTS, 96, 96)
 
 

@@ -25,7 +25,8 @@ from warp_partdr.evaluation.scoring import Pixels, Score
 from warp_partdr.fit.start_search import hypothesize
 from warp_partdr.inputs.observation import observe
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import minimise
+from warp_partdr.refinement.refine import refine
+from warp_partdr.render.renderers import RendererEllipsoids
 from warp_partdr.synthetic.bench_noise import LEVELS, Level, spoil_keypoints, spoil_labels
 from warp_partdr.synthetic.bench_people import COCO, NUM_PEOPLE, draw_anny, make_person, pose_kind
 from warp_partdr.synthetic.bench_poses import POSES, draw_pose
@@ -193,7 +194,11 @@ def test_only_parts_have_a_z_gradient_and_it_can_be_left_out(method: str, device
     seen, _ = observe(sample.keypoints, SUPERVISIONS[method].see(sample.parts), device=device)
     start = hypothesize(seen, 8)[0]
     ends = [
-        minimise(start, Energy(seen, 64, prior=PosePrior().to(device), depth_weight=weight), iterations=5).parameters
+        refine(
+            start,
+            Energy(seen, 64, prior=PosePrior().to(device), renderer=RendererEllipsoids(depth_weight=weight)),
+            iterations=5,
+        ).parameters
         for weight in (1.0, 0.0)
     ]
     same = torch.equal(ends[0].rotations, ends[1].rotations)

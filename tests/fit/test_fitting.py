@@ -57,7 +57,7 @@ def seen_by(body: BodyParameters, fmt: str = "coco17") -> tuple[Keypoints2D, Par
     names = skeleton(fmt).landmarks
     points = camera.project(LandmarkGather(names, device)(posed))[0, :, :2].cpu().numpy()
     mesh = ellipbody_mesh(2, device=device)
-    labels = draw_mesh(camera.project(posed.vertices(2)), mesh, SIZE).labels[0].cpu().numpy()
+    labels = draw_mesh(posed.vertices(2), mesh, camera, SIZE).labels[0].cpu().numpy()
     keypoints = Keypoints2D(fmt, points.astype(np.float32), np.ones(len(points), dtype=np.float32))
     return keypoints, PartLabels(label_set("ellipbody20"), labels)
 
@@ -266,7 +266,7 @@ def test_labels_first_ends_with_the_true_gradient_of_the_outlines():
     usual, first = FitOptions(trust_background=True), FitOptions(trust_background=True).labels_first()
     assert first.stages[:-1] == usual.without_outline().stages
     assert first.stages[-1].name == usual.stages[-1].name
-    assert (first.stages[-1].gradient, first.trust_background) == ("coverage", True)
+    assert (first.stages[-1].renderer.gradient, first.trust_background) == ("coverage", True)
 
 
 def test_labels_first_fills_the_labels_better():

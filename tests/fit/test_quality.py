@@ -30,6 +30,7 @@ from warp_partdr.refinement.energy import Energy
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.renderers import RendererMesh
 from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
 
 LABELS = label_set("ellipbody20")
@@ -76,7 +77,7 @@ def measured_error(parts: Posed | Ellipsoids, camera: Camera, level: int) -> np.
     exact = draw_ellipsoids(parts, fine, size).labels.cpu().numpy() > 0
     posed = Posed(parts.centres, parts.axes, parts.centres, parts.axes, parts.semi_axes)  # vertices ask for three
     mesh = ellipbody_mesh(level, device=parts.centres.device)
-    image = draw_mesh(fine.project(posed.vertices(level)), mesh, size, perspective=camera.perspective)
+    image = draw_mesh(posed.vertices(level), mesh, fine, size)
     drawn = image.labels.cpu().numpy() > 0
     assert not (drawn & ~exact).any()  # the mesh is inscribed
     return np.array([distance_transform_edt(~mine)[true].max() for mine, true in zip(drawn, exact, strict=True)]) / FINE
@@ -107,11 +108,10 @@ def test_silhouette_error_is_what_pictures_show(device: str, kind: str, level: i
         exact = draw_ellipsoids(alone, fine, size).labels.cpu().numpy() > 0
         unit = ellipbody_mesh(level, device=device)
         posed = Posed(alone.centres, alone.axes, alone.centres, alone.axes, alone.semi_axes)
-        vertices = fine.project(posed.vertices(level))
         mesh = replace(
             unit, faces=unit.faces[unit.face_labels == 1], face_labels=unit.face_labels[unit.face_labels == 1]
         )
-        drawn = draw_mesh(vertices, mesh, size, perspective=camera.perspective).labels.cpu().numpy() > 0
+        drawn = draw_mesh(posed.vertices(level), mesh, fine, size).labels.cpu().numpy() > 0
         for body in range(3):
             if exact[body].any() and not exact[body][[0, -1]].any() and not exact[body][:, [0, -1]].any():
                 seen = distance_transform_edt(~drawn[body])[exact[body]].max() / FINE
@@ -166,11 +166,11 @@ def observation(bodies: BodyParameters) -> Observation:
 def test_energy_and_result_take_auto(device: str) -> None:
     bodies = random_bodies(1, device)
     seen = observation(bodies)
-    found = Energy(seen, SIZE, renderer="mesh", subdivisions="auto", tolerance=0.3)(bodies)["seg"]
+    found = Energy(seen, SIZE, renderer=RendererMesh("auto", 0.3))(bodies)["seg"]
     level = coarsest_subdivisions(bodies.posed(), bodies.camera(SIZE), tolerance=0.3)
     assert level > 0
-    assert float(found) == float(Energy(seen, SIZE, renderer="mesh", subdivisions=level)(bodies)["seg"])
-    assert float(found) != float(Energy(seen, SIZE, renderer="mesh", subdivisions=level - 1)(bodies)["seg"])
+    assert float(found) == float(Energy(seen, SIZE, renderer=RendererMesh(level))(bodies)["seg"])
+    assert float(found) != float(Energy(seen, SIZE, renderer=RendererMesh(level - 1))(bodies)["seg"])
 
 
 def person(device: str) -> tuple[Keypoints2D, BodyParameters]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from rich.console import Console
+from scenes import draw_on_screen, loss_on_screen, refine_by_autograd
 
 from warp_partdr import label_set
 from warp_partdr.bench.savings import print_savings, run_savings, save_savings
@@ -28,10 +29,10 @@ from warp_partdr.inputs.observation import Observation
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import minimise, refine
+from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 96
 TIPS = ("left_hand", "right_hand", "left_foot", "right_foot")
@@ -103,22 +104,22 @@ def test_faces_left_out_are_as_if_they_were_not_there(device):
     found = []
     for shape, points in ((few, vertices), (mesh.relabel(table), camera.project(away).detach())):
         points = points.clone().requires_grad_()
-        loss, image = mesh_label_loss(points, shape, target)
+        loss, image = loss_on_screen(points, shape, target)
         loss.sum().backward()
         found.append((loss.detach(), image.labels, points.grad))
     assert torch.equal(found[0][0], found[1][0])
     assert torch.equal(found[0][1], found[1][1])
     torch.testing.assert_close(found[0][2], found[1][2], rtol=1e-5, atol=1e-3)
-    assert draw_mesh(vertices, few, (SIZE, SIZE)).labels.max() <= 16
+    assert draw_on_screen(vertices, few, (SIZE, SIZE)).labels.max() <= 16
 
 
-@pytest.mark.parametrize("renderer", ["exact", "mesh"])
+@pytest.mark.parametrize("renderer", [RendererEllipsoids(), RendererMesh()], ids=["exact", "mesh"])
 def test_a_label_set_without_hands_and_feet_is_fitted(device, renderer):
     body = bodies(device, 1)
     energy = Energy(observation(body, WITHOUT_TIPS), SIZE, prior=PosePrior().to(device), renderer=renderer)
-    assert energy(body)["seg"] < (1e-6 if renderer == "exact" else 20.0)
+    assert energy(body)["seg"] < (1e-6 if isinstance(renderer, RendererEllipsoids) else 20.0)
     moved = replace(body, shift=body.shift + 0.05)
-    assert minimise(moved, energy, iterations=20).energy < energy(moved)["seg"] + energy(moved)["proj"]
+    assert refine(moved, energy, iterations=20).energy < energy(moved)["seg"] + energy(moved)["proj"]
 
 
 @pytest.mark.parametrize(
@@ -136,7 +137,7 @@ def test_label_sets_that_leave_out_wrongly_are_refused(data, message):
         label_set({**whole, **data})
 
 
-@pytest.mark.parametrize("path", [refine, minimise])
+@pytest.mark.parametrize("path", [refine_by_autograd, refine])
 def test_frozen_parameters_stay(device, path):
     body = bodies(device, 1)
     energy = Energy(observation(body, label_set("body14")), SIZE, prior=PosePrior().to(device))
@@ -157,7 +158,9 @@ def test_both_paths_agree_where_sizes_are_frozen(device):
     body = bodies(device, 1)
     energy = Energy(observation(body, label_set("body14")), SIZE, prior=PosePrior().to(device))
     start = replace(body, rotations=0.9 * body.rotations)
-    runs = [path(start, energy, iterations=5, frozen=("thicknesses",)).parameters for path in (refine, minimise)]
+    runs = [
+        path(start, energy, iterations=5, frozen=("thicknesses",)).parameters for path in (refine_by_autograd, refine)
+    ]
     torch.testing.assert_close(runs[0].rotations, runs[1].rotations, rtol=0, atol=2e-3)
 
 
@@ -171,29 +174,34 @@ def test_both_paths_agree_where_sizes_are_frozen(device):
 )
 def test_what_cannot_be_frozen_is_refused(frozen, message):
     energy = Energy(observation(bodies(), label_set("body14")), SIZE)
-    for path in (refine, minimise):
+    for path in (refine_by_autograd, refine):
         with pytest.raises(ValueError, match=message):
             path(bodies(), energy, frozen=frozen)
     with pytest.raises(ValueError, match=message):
         CapturedRefinement(energy, 2, frozen=frozen)
 
 
-@pytest.mark.parametrize("renderer", ["exact", "mesh"])
+@pytest.mark.parametrize("renderer", [RendererEllipsoids(), RendererMesh()], ids=["exact", "mesh"])
 def test_one_label_has_no_z_gradient_and_none_is_looked_for(device, renderer):
     """Leaving it out is no approximation: looked for, it is exactly zero."""
     body = bodies(device, 1)
     energy = Energy(observation(body, label_set("full1")), SIZE, renderer=renderer)
-    assert energy.depth_weight == 0.0
+    assert energy.renderer == replace(renderer, depth_weight=0.0)
     gradients = []
     for weight in (0.0, 1.0):
-        energy.depth_weight = weight
+        energy = Energy(observation(body, label_set("full1")), SIZE)
+        energy.renderer = replace(renderer, depth_weight=weight)
         leaves = replace(body, shift=body.shift + 0.1, rotations=1.3 * body.rotations).leaves()
         energy.segmentation(leaves, leaves.posed()).sum().backward()
         gradients.append(leaves.rotations.grad)
     # The mesh's sums on CUDA are atomic, in no fixed order.
-    tolerance = {"rtol": 0, "atol": 0} if renderer == "exact" or device == "cpu" else {"rtol": 1e-4, "atol": 1e-3}
+    tolerance = (
+        {"rtol": 0, "atol": 0}
+        if isinstance(renderer, RendererEllipsoids) or device == "cpu"
+        else {"rtol": 1e-4, "atol": 1e-3}
+    )
     torch.testing.assert_close(*gradients, **tolerance)
-    assert Energy(observation(body, label_set("body14")), SIZE).depth_weight == 1.0
+    assert Energy(observation(body, label_set("body14")), SIZE).renderer.depth_weight == 1.0
 
 
 # --- What a fit says about it --------------------------------------------------------------------------------------

@@ -8,8 +8,7 @@ import pytest
 import torch
 from conftest import HANG
 from PIL import Image
-
-from warp_partdr.render.mesh import mesh_label_loss
+from scenes import loss_on_screen
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
 sys.path.insert(0, str(DEMOS))
@@ -31,7 +30,7 @@ COUNT = 20
 
 def outline_loss(scenes: Scenes, vertices: torch.Tensor) -> torch.Tensor:
     """Loss of the full silhouette, shape (S,)."""
-    return mesh_label_loss(vertices, scenes.mesh.relabel({1: 1, 2: 1}), scenes.target.clamp(max=1))[0]
+    return loss_on_screen(vertices, scenes.mesh.relabel({1: 1, 2: 1}), scenes.target.clamp(max=1))[0]
 
 
 def test_the_scene_is_what_the_paper_describes(device):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from scenes import draw_on_screen, loss_on_screen
 from test_posing import random_parameters
 from test_registration import ellipbodies
 
@@ -19,7 +20,6 @@ from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import _VertexCosts, vertex_parts
 from warp_partdr.metrics import align_similarity, mpjpe
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 SIZE = (24, 20)
@@ -198,17 +198,17 @@ def drawn(device) -> dict[str, tuple[Callable[[torch.Tensor], torch.Tensor], tor
     body = BodyParameters.mean(2, device=device)
     posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
     vertices = camera.project(posed.vertices(0)).detach()
-    target = draw_mesh(vertices, mesh, SIZE).labels.roll(2, 2)
+    target = draw_on_screen(vertices, mesh, SIZE).labels.roll(2, 2)
 
     def ellipsoids(centres: torch.Tensor) -> Ellipsoids:
         return Ellipsoids(centres, posed.axes, posed.semi_axes)
 
     return {
-        "rasterize_parts": (
-            lambda v: draw_mesh(v, mesh, SIZE, num_maps=20).maps.square().sum(),
+        "draw_mesh": (
+            lambda v: draw_on_screen(v, mesh, SIZE, num_maps=20).maps.square().sum(),
             vertices,
         ),
-        "label_loss": (lambda v: mesh_label_loss(v, mesh, target)[0].sum(), vertices),
+        "mesh_label_loss": (lambda v: loss_on_screen(v, mesh, target)[0].sum(), vertices),
         "draw_ellipsoids": (
             lambda c: draw_ellipsoids(ellipsoids(c), camera, SIZE, num_maps=20).maps.square().sum(),
             posed.centres,
@@ -220,7 +220,7 @@ def drawn(device) -> dict[str, tuple[Callable[[torch.Tensor], torch.Tensor], tor
     }
 
 
-DRAWN = ["rasterize_parts", "label_loss", "draw_ellipsoids", "ellipsoid_label_loss"]
+DRAWN = ["draw_mesh", "mesh_label_loss", "draw_ellipsoids", "ellipsoid_label_loss"]
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -259,8 +259,8 @@ def test_torch_func_on_targets_is_an_error(device, drawn):
     posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
     targets = torch.zeros(3, 1, *SIZE, dtype=torch.uint8, device=device)
     vertices = camera.project(posed.vertices(0))
-    with pytest.raises(NotImplementedError, match=r"^label_loss: called under torch\.func"):
-        torch.func.vmap(lambda target: mesh_label_loss(vertices, mesh, target)[0])(targets)
+    with pytest.raises(NotImplementedError, match=r"^mesh_label_loss: called under torch\.func"):
+        torch.func.vmap(lambda target: loss_on_screen(vertices, mesh, target)[0])(targets)
     with pytest.raises(NotImplementedError, match=r"^ellipsoid_label_loss: called under torch\.func"):
         torch.func.vmap(lambda target: ellipsoid_label_loss(posed, camera, target)[0])(targets)
 
@@ -268,28 +268,32 @@ def test_torch_func_on_targets_is_an_error(device, drawn):
 def test_the_compiled_operations_have_no_second_derivative(device):
     body = BodyParameters.mean(1, device=device)
     posed, camera, mesh = body.posed(), body.camera(SIZE[1]), ellipbody_mesh(0, device=device)
-    ops, weights = torch.ops.warp_partdr, torch.ones(256, device=device)
+    ops = torch.ops.warp_partdr
     target = torch.zeros(1, *SIZE, dtype=torch.uint8, device=device)
     far = float("inf")
-    shown = (*SIZE, -far, False, list(range(1, 21)), "coverage", True, far, 1.0, 1.0, 4)
+    shown = (list(range(1, 21)), False, "coverage", [-far, far, 1.0, 1.0])
     rest = (posed.axes, posed.semi_axes, camera.intrinsics)
     drawing = (mesh.faces, mesh.face_labels, mesh.edges)
-    rules = (-far, False, False, True, far, 1.0)
+    rules = (False, [-far, far, 1.0])
     for name, function, given in (
-        ("draw_ellipsoids", lambda c: ops.ellipsoid_maps(c, *rest, 20, *shown)[0].square().sum(), posed.centres),
         (
-            "ellipsoid_label_loss",
-            lambda c: ops.ellipsoid_label_loss(c, *rest, target, weights, True, *shown)[0].sum(),
+            "draw_ellipsoids",
+            lambda c: ops.ellipsoid_maps(c, *rest, [20, *SIZE], *shown)[0].square().sum(),
             posed.centres,
         ),
         (
-            "rasterize_parts",
-            lambda v: ops.part_maps(v, *drawing, 20, *SIZE, *rules)[0].square().sum(),
+            "ellipsoid_label_loss",
+            lambda c: ops.ellipsoid_label_loss(c, *rest, target, True, *shown)[0].sum(),
+            posed.centres,
+        ),
+        (
+            "draw_mesh",
+            lambda v: ops.mesh_maps(v, *drawing, [20, *SIZE], *rules)[0].square().sum(),
             camera.project(posed.vertices(0)),
         ),
         (
-            "label_loss",
-            lambda v: ops.label_loss(v, *drawing, target, weights, 20, *rules)[0].sum(),
+            "mesh_label_loss",
+            lambda v: ops.mesh_label_loss(v, *drawing, target, True, 20, *rules)[0].sum(),
             camera.project(posed.vertices(0)),
         ),
     ):

@@ -118,9 +118,7 @@ def test_mirrored_axes_are_the_same_ellipsoid(gradient: Any, device: str) -> Non
     found = []
     for each in (ellipsoids, mirrored):
         leaves = [value.clone().requires_grad_() for value in vars(each).values()]
-        loss, image = ellipsoid_label_loss(
-            Ellipsoids(*leaves), camera, target, gradient=gradient, steps_per_pixel=32, halvings=12
-        )
+        loss, image = ellipsoid_label_loss(Ellipsoids(*leaves), camera, target, gradient=gradient, samples_per_pixel=32)
         loss.sum().backward()
         found.append([loss.detach(), image.labels, image.depth, *(leaf.grad for leaf in leaves)])
     found[1][4] = found[1][4] @ MIRROR.to(device)

@@ -18,7 +18,7 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.observation import observe
 from warp_partdr.interop.streams import capture_graph, on_torch_stream
 from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import minimise
+from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 
 
@@ -120,11 +120,11 @@ def test_two_threads_capture_at_once_again_and_again(device):
     keypoints, parts = seen_by(walker(device))
     seen, _ = observe(keypoints, parts, device=device)
     energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=device)
-    want = minimise(start, energy, iterations=2).energy
+    want = refine(start, energy, iterations=2).energy
 
     def capture(_):
         with torch.cuda.stream(torch.cuda.Stream()):
-            return all(torch.equal(minimise(start, energy, iterations=2).energy, want) for _ in range(40))
+            return all(torch.equal(refine(start, energy, iterations=2).energy, want) for _ in range(40))
 
     with ThreadPoolExecutor(2) as pool:
         assert all(pool.map(capture, range(2)))

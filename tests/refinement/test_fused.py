@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from scenes import refine_by_autograd
 from test_fitting import walker
 
 from warp_partdr.body.labels import label_set
@@ -20,9 +21,9 @@ from warp_partdr.kernels.ellipsoids.forces import Forces
 from warp_partdr.kernels.refine.state import Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.refine import refine
 from warp_partdr.refinement.steps import SIZES
 from warp_partdr.render.ellipsoids import draw_ellipsoids
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 64
 LABELS = label_set("surreal14")
@@ -61,9 +62,9 @@ def energy_of(body: BodyParameters, *, labels: bool = False, **options) -> Energ
     return Energy(observation(body, labels=labels), size=SIZE, prior=prior, **options)
 
 
-def gradient_at(energy: Energy, bodies: BodyParameters, **options) -> tuple[dict, dict]:
+def gradient_at(energy: Energy, bodies: BodyParameters) -> tuple[dict, dict]:
     """Terms and gradient of the fused path."""
-    fused = CapturedRefinement(energy, bodies.batch_size, iterations=0, **options)
+    fused = CapturedRefinement(energy, bodies.batch_size, iterations=0)
     return fused.refine(bodies).terms, _split(fused._gradient)
 
 
@@ -87,8 +88,8 @@ def assert_same(have: dict, want: dict, tolerance: float) -> None:
 class FixedForces:
     """A renderer whose forces are given: the loss is linear in what they act on."""
 
-    def __init__(self, energies, ellipsoids, active, *, seed: int) -> None:
-        rng = np.random.default_rng(seed)
+    def __init__(self, renderer, part_labels, targets, ellipsoids) -> None:
+        rng = np.random.default_rng(3)
         shape, device = ellipsoids.centres.shape, ellipsoids.centres.device
         self.force, self.moment, self.camera = (
             rng.standard_normal((*shape, *size)).astype(np.float32) for size in ((3,), (3, 3), (4,))
@@ -102,7 +103,7 @@ class FixedForces:
         forces.values = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
         self.drawn.forces = forces
 
-    def observe(self, energies) -> None:
+    def update(self) -> None:
         pass
 
     def launch(self) -> None:
@@ -149,7 +150,7 @@ def test_every_format_of_keypoints(device, fmt):
     assert_same(gradient, want, 1e-5)
 
 
-def test_given_forces_reach_every_parameter(device):
+def test_given_forces_reach_every_parameter(device, monkeypatch):
     """Forces in any direction, moments and camera forces, as a renderer may send them."""
     body = walker(device)
     energy = energy_of(
@@ -158,11 +159,12 @@ def test_given_forces_reach_every_parameter(device):
     bodies = moved(body, 4, amount=0.5)
     made = []
 
-    def renderer(*arguments):
-        made.append(FixedForces(*arguments, seed=3))
+    def make(*arguments):
+        made.append(FixedForces(*arguments))
         return made[0]
 
-    terms, gradient = gradient_at(energy, bodies, renderer=renderer)
+    monkeypatch.setattr("warp_partdr.refinement.captured.CapturedEllipsoids", make)
+    terms, gradient = gradient_at(energy, bodies)
     force, moment, camera = (torch.from_numpy(a).to(device) for a in (made[0].force, made[0].moment, made[0].camera))
 
     def linear(leaves):
@@ -179,7 +181,7 @@ def test_given_forces_reach_every_parameter(device):
 @pytest.mark.parametrize("gradient", ["coverage", "partdr"])
 def test_labels_cost_and_pull_as_in_torch(device, gradient):
     body = walker(device)
-    energy = energy_of(body, labels=True, weights=Weights(seg=0.5), max_distance=9.0, gradient=gradient)
+    energy = energy_of(body, labels=True, weights=Weights(seg=0.5), renderer=RendererEllipsoids(gradient, 9.0))
     bodies = moved(body, 3)
     have, have_gradient = gradient_at(energy, bodies)
     want, want_gradient = autograd_at(energy, bodies)
@@ -227,7 +229,7 @@ def test_a_run_ends_where_the_flexible_one_does(device, iterations):
     """
     body = walker(device)
     energy, start = energy_of(body), moved(body, 8)
-    want = refine(start, energy, iterations=iterations, learning_rate=0.02)
+    want = refine_by_autograd(start, energy, iterations=iterations, learning_rate=0.02)
     steps: list[int] = []
     fused = CapturedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
     have = fused.refine(start, on_iteration=steps.append)
@@ -245,10 +247,10 @@ def test_a_run_ends_where_the_flexible_one_does(device, iterations):
 
 def test_labels_bring_a_moved_body_back(device):
     body = walker(device)
-    energy = energy_of(body, labels=True, weights=Weights(seg=0.3), gradient="coverage")
+    energy = energy_of(body, labels=True, weights=Weights(seg=0.3), renderer=RendererEllipsoids("coverage"))
     start = moved(body, 3, amount=0.08)
     have = CapturedRefinement(energy, 3, learning_rate=0.02).refine(start)
-    want = refine(start, energy, learning_rate=0.02)
+    want = refine_by_autograd(start, energy, learning_rate=0.02)
     assert (have.terms["seg"] < 0.4 * gradient_at(energy, start)[0]["seg"]).all()
     torch.testing.assert_close(have.energy, want.energy, rtol=0.05, atol=0.5)
     assert list(have.terms) == ["proj", "seg", "length", "thickness", "prior", "limits"]
@@ -352,42 +354,6 @@ def test_keypoints_that_are_gone_pull_no_more(device):
     )
 
 
-def last_iteration(energies: np.ndarray, tolerance: float, patience: int) -> int:
-    """Where a body comes to rest that would have these energies if it ran on."""
-    best = np.minimum.accumulate(energies)
-    mark = 0
-    for i in range(1, len(best)):
-        if best[mark] - best[i] > tolerance * abs(best[mark]):
-            mark = i
-        elif i - mark >= patience:
-            return i
-    return len(best) - 1
-
-
-def test_a_body_rests_when_it_gains_no_more(device):
-    body = walker(device)
-    energy, start = energy_of(body), moved(body, 3)
-    start = BodyParameters(**{n: torch.cat([t, body.tensors()[n]]) for n, t in start.tensors().items()})
-    options = {"iterations": 80, "learning_rate": 0.02}
-    free = CapturedRefinement(energy, 4, **options).refine(start)
-    resting = CapturedRefinement(energy, 4, **options, tolerance=0.1, patience=5)
-    have = resting.refine(start)
-    lasts = [last_iteration(free.history[:, b].cpu().numpy(), 0.1, 5) for b in range(4)]
-    assert 5 <= min(lasts) < max(lasts) < 79
-    for b, last in enumerate(lasts):
-        # until then it is the same run, and what comes back is its best state
-        assert torch.equal(have.history[: last + 1, b], free.history[: last + 1, b])
-        assert (have.history[last:, b] == have.history[last, b]).all()
-        assert have.energy[b] == have.history[:, b].min()
-    assert not resting._active.any()
-    stayed = BodyParameters(**_split(resting._parameters))
-    torch.testing.assert_close(sum(energy(stayed).values()), have.history[-1], rtol=1e-4, atol=1e-3)
-    again = sum(energy(have.parameters).values())
-    torch.testing.assert_close(again, have.energy, rtol=1e-4, atol=1e-3)
-    patient = CapturedRefinement(energy, 4, **options, tolerance=0.0, patience=80).refine(start)
-    assert torch.equal(patient.history, free.history)
-
-
 def test_empty_batch(device):
     have = CapturedRefinement(energy_of(walker(device)), 0).refine(BodyParameters.mean(0, device=device))
     assert have.energy.shape == (0,)
@@ -408,8 +374,8 @@ def test_bad_calls_name_the_argument(device):
         fused.observe([energy, energy])
     with pytest.raises(ValueError, match="labels"):
         fused.observe(replace(energy, observation=observation(body, labels=True)))
-    with pytest.raises(ValueError, match="renderer 'mesh'"):
-        CapturedRefinement(energy_of(body, labels=True, renderer="mesh"), 1)
+    with pytest.raises(ValueError, match=r"RendererMesh.*expected exact ellipsoids"):
+        CapturedRefinement(energy_of(body, labels=True, renderer=RendererMesh()), 1)
     soft = replace(observation(body, labels=True), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE))
     with pytest.raises(ValueError, match="probabilities"):
         CapturedRefinement(Energy(soft), 1)

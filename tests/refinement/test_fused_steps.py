@@ -12,7 +12,7 @@ from test_fused import observation
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.steps import SHAPE_RATE, rate_share
+from warp_partdr.refinement.steps import FINAL_RATE, SHAPE_RATE, rate_share
 
 
 def springs(weight: float, body: BodyParameters) -> Energy:
@@ -33,7 +33,7 @@ def test_a_step_is_adams(device, weight, steps):
     for name in ("lengths", "thicknesses"):
         usual, moved = body.tensors()[name].double(), start.tensors()[name].double().requires_grad_()
         adam = torch.optim.Adam([moved], lr=SHAPE_RATE * rate)
-        falling = torch.optim.lr_scheduler.LambdaLR(adam, lambda step: rate_share(step, steps, 0.1))
+        falling = torch.optim.lr_scheduler.LambdaLR(adam, lambda step: rate_share(step, steps))
         for _ in range(steps):
             adam.zero_grad()
             (weight * (1000 * (moved - usual)).square()).sum().backward()
@@ -45,13 +45,13 @@ def test_a_step_is_adams(device, weight, steps):
             torch.testing.assert_close(way, torch.full_like(way, SHAPE_RATE * rate), rtol=2e-3, atol=0)
 
 
-@pytest.mark.parametrize("final", [0.0, 0.1, 1.0])
-def test_the_rate_falls_along_half_a_cosine(final):
-    shares = np.array([rate_share(step, 20, final) for step in range(21)])
-    assert shares[[0, 10, 20]] == pytest.approx([1.0, (1 + final) / 2, final])
-    np.testing.assert_allclose(shares + shares[::-1], 1 + final)
+def test_the_rate_falls_along_half_a_cosine():
+    shares = np.array([rate_share(step, 20) for step in range(21)])
+    assert shares[[0, 10, 20]] == pytest.approx([1.0, (1 + FINAL_RATE) / 2, FINAL_RATE])
+    np.testing.assert_allclose(shares + shares[::-1], 1 + FINAL_RATE)
     assert (np.diff(shares) <= 0).all()
-    assert rate_share(0, 0, final) == 1.0
+    assert rate_share(0, 0) == 1.0
+    assert rate_share(30, 20) == FINAL_RATE
 
 
 @pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4, 1e-5])

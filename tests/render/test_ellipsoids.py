@@ -9,6 +9,7 @@ import ellipsoid_reference as reference
 import numpy as np
 import pytest
 import torch
+from scenes import draw_on_screen, loss_on_screen
 from scipy.spatial.transform import Rotation
 
 from warp_partdr import label_set
@@ -16,7 +17,6 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
 CAMERAS = [False, True]  # perspective?
@@ -100,6 +100,11 @@ class Intrinsics:
 
     intrinsics: torch.Tensor
     perspective: bool
+    near: float | None = None
+
+    @property
+    def near_plane(self) -> float:
+        return self.near if self.near is not None else 0.01 if self.perspective else -math.inf
 
 
 @dataclass(frozen=True)
@@ -210,7 +215,7 @@ def test_meshes_approach_the_picture(device, perspective):
     for level in range(4):
         points = camera.project(posed.vertices(level))
         mesh = ellipbody_mesh(level, device=device)
-        labels = draw_mesh(points, mesh, size, perspective=perspective).labels
+        labels = draw_on_screen(points, mesh, size, perspective=perspective).labels
         agreement.append((labels == exact)[body | (labels > 0)].float().mean().item())
     assert agreement == sorted(agreement)
     assert agreement[0] < 0.9
@@ -227,7 +232,7 @@ def test_equal_depths_go_to_the_lower_index(device):
 
 # --- The gradient of covered area --------------------------------------------------------------------------------
 
-FINE = {"steps_per_pixel": 32.0, "halvings": 12}
+FINE = {"samples_per_pixel": 32.0}
 
 
 def coverage_errors(scene, maps, device, lines=16, **options):
@@ -323,7 +328,7 @@ def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
         return found
 
     assert max(errors(**FINE).values()) < 0.01
-    assert max(errors(steps_per_pixel=4.0, halvings=8).values()) < 0.025
+    assert max(errors(samples_per_pixel=4.0).values()) < 0.025
     assert max(errors().values()) < 0.1
 
 
@@ -373,9 +378,9 @@ def check_forces(leaves, want, b=0):
         assert relative_error(have[name], getattr(want, name)) < 1e-4, name
 
 
-@pytest.mark.parametrize(("occlusion", "max_distance"), [("depth", np.inf), ("paper", np.inf), ("depth", 2.5)])
+@pytest.mark.parametrize("max_distance", [np.inf, 2.5])
 @pytest.mark.parametrize("perspective", CAMERAS)
-def test_partdr_gradient_of_maps_is_the_reference(device, perspective, occlusion, max_distance):
+def test_partdr_gradient_of_maps_is_the_reference(device, perspective, max_distance):
     for seed, size in enumerate(SMALL):
         scenes = [random_scene(10 * seed + k, size, perspective, labels=GROUPS) for k in range(2)]
         leaves = Leaves.of(*scenes, device=device)
@@ -387,7 +392,6 @@ def test_partdr_gradient_of_maps_is_the_reference(device, perspective, occlusion
             part_labels=GROUPS,
             num_maps=4,
             gradient="partdr",
-            occlusion=occlusion,
             **options,
         )
         g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
@@ -397,35 +401,31 @@ def test_partdr_gradient_of_maps_is_the_reference(device, perspective, occlusion
                 scene,
                 image.parts[b].cpu().numpy(),
                 g[b].cpu().numpy().astype(float),
-                over_farther=occlusion == "depth",
+                over_farther=True,
                 **options,
             )
             check_forces(leaves, want, b)
 
 
-@pytest.mark.parametrize("occlusion", ["depth", "paper"])
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("labels", [None, LSP6], ids=["parts", "groups"])
-def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, labels, perspective, occlusion):
+def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, labels, perspective):
     size = (40, 32)
     scene = body_scene(3, size, perspective, device, labels)
     count = int(scene.labels.max())
     target = noisy_target(reference.draw(scene, size)[0], count, 0)
-    weights = np.linspace(0.5, 1.5, count + 1)
     leaves = Leaves.of(scene, device=device)
     loss, image = ellipsoid_label_loss(
         leaves.ellipsoids,
         leaves.camera,
         torch.from_numpy(target).to(device)[None],
         part_labels=labels,
-        label_weights=torch.from_numpy(weights),
         gradient="partdr",
-        occlusion=occlusion,
     )
     loss.sum().backward()
-    g = reference.label_gradient(image.labels[0].cpu().numpy(), target, count, weights)
+    g = reference.label_gradient(image.labels[0].cpu().numpy(), target, count, np.ones(count + 1))
     parts = image.parts[0].cpu().numpy()
-    check_forces(leaves, reference.partdr_gradient(scene, parts, g, over_farther=occlusion == "depth"))
+    check_forces(leaves, reference.partdr_gradient(scene, parts, g, over_farther=True))
     assert loss.item() == pytest.approx(np.abs(g).sum() / 2, rel=1e-5)
 
 
@@ -460,7 +460,8 @@ def test_gradients_reach_every_parameter(device, gradient, perspective):
     size = (64, 48)
     leaves = {name: value.requires_grad_() for name, value in body_parameters(1, device).items()}
     camera = body_camera(size, perspective, device=device)
-    numbers = {"focal": camera.focal, "centre": camera.centre} if perspective else vars(camera)
+    names = ("focal", "centre") if perspective else ("scale", "translation")
+    numbers = {name: getattr(camera, name) for name in names}
     for value in numbers.values():
         value.requires_grad_()
     target = draw_ellipsoids(pose(**body_parameters(2, device)), camera, size).labels
@@ -723,9 +724,9 @@ def test_ellipsoids_at_the_camera_are_left_out(device, depth, gradient):
 def test_near_plane(device, perspective):
     size = (20, 20)
     bodies = one_ellipsoid((0.0, 0.0, 1.0), (0.3, 0.3, 0.3), device)
-    camera = body_camera(size, perspective, device=device)
-    assert (draw_ellipsoids(bodies, camera, size, near=0.69).labels == 1).any()
-    assert (draw_ellipsoids(bodies, camera, size, near=0.71).labels == 0).all()
+    intrinsics = body_camera(size, perspective, device=device).intrinsics
+    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.69), size).labels == 1).any()
+    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.71), size).labels == 0).all()
 
 
 def test_unchecked_nonsense_is_not_drawn(device):
@@ -779,7 +780,7 @@ BAD_CALLS = {
     "semi_axes: holds NaN": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(NAN)), c, (8, 8)),
     "semi_axes: 0.0": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(0.0)), c, (8, 8)),
     "semi_axes: -1.0": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(-1.0)), c, (8, 8)),
-    "camera: shape": lambda e, c: draw_ellipsoids(e, body_camera((8, 8), False, batch=2), (8, 8)),
+    "camera: 2 of them": lambda e, c: draw_ellipsoids(e, body_camera((8, 8), False, batch=2), (8, 8)),
     "camera: torch.int64": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics.long()), (8, 8)),
     "camera: on meta": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics.to("meta")), (8, 8)),
     "camera: holds NaN": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics * NAN), (8, 8)),
@@ -796,24 +797,18 @@ BAD_CALLS = {
     "part_labels: -1; expected an integer": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[-1, 1]),
     "part_labels: 256; expected an integer": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[1, 256]),
     "gradient: 'exact'": lambda e, c: draw_ellipsoids(e, c, (8, 8), gradient="exact"),
-    "occlusion: 'none'": lambda e, c: draw_ellipsoids(e, c, (8, 8), occlusion="none"),
-    "steps_per_pixel: 0": lambda e, c: draw_ellipsoids(e, c, (8, 8), steps_per_pixel=0),
-    "steps_per_pixel: nan": lambda e, c: draw_ellipsoids(e, c, (8, 8), steps_per_pixel=NAN),
-    "steps_per_pixel: 65": lambda e, c: draw_ellipsoids(e, c, (8, 8), steps_per_pixel=65),
+    "samples_per_pixel: 0": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=0),
+    "samples_per_pixel: nan": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=NAN),
+    "samples_per_pixel: 65": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=65),
     "max_distance: -1": lambda e, c: draw_ellipsoids(e, c, (8, 8), max_distance=-1),
     "max_distance: nan": lambda e, c: ellipsoid_label_loss(e, c, TARGET, max_distance=NAN),
     "depth_weight: -0.5": lambda e, c: draw_ellipsoids(e, c, (8, 8), depth_weight=-0.5),
     "depth_weight: nan": lambda e, c: ellipsoid_label_loss(e, c, TARGET, depth_weight=NAN),
     "depth_weight: inf": lambda e, c: ellipsoid_label_loss(e, c, TARGET, depth_weight=math.inf),
-    "halvings: -1": lambda e, c: draw_ellipsoids(e, c, (8, 8), halvings=-1),
-    "halvings: 21": lambda e, c: draw_ellipsoids(e, c, (8, 8), halvings=21),
     "target: shape": lambda e, c: ellipsoid_label_loss(e, c, TARGET[0]),
     "target: batch 2": lambda e, c: ellipsoid_label_loss(e, c, TARGET.expand(2, 8, 8)),
     "target: torch.int64": lambda e, c: ellipsoid_label_loss(e, c, TARGET.long()),
     "target: on meta": lambda e, c: ellipsoid_label_loss(e, c, TARGET.to("meta")),
-    "label_weights: shape": lambda e, c: ellipsoid_label_loss(e, c, TARGET, label_weights=torch.ones(3, 1)),
-    "label_weights: 257": lambda e, c: ellipsoid_label_loss(e, c, TARGET, label_weights=torch.ones(257)),
-    "label_weights: torch.int64": lambda e, c: ellipsoid_label_loss(e, c, TARGET, label_weights=torch.ones(3).long()),
 }
 
 
@@ -833,6 +828,6 @@ def test_the_mesh_renderer_refuses_the_same_options(option):
     mesh = ellipbody_mesh(0)
     vertices = torch.zeros(1, mesh.num_vertices, 3)
     with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        draw_mesh(vertices, mesh, (8, 8), **option)
+        draw_on_screen(vertices, mesh, (8, 8), **option)
     with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        mesh_label_loss(vertices, mesh, TARGET, **option)
+        loss_on_screen(vertices, mesh, TARGET, **option)

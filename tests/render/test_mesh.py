@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from scenes import draw_on_screen
 
-from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
 
@@ -33,7 +33,7 @@ def test_fill_rule_of_borders_on_pixel_centres(device, order):
     mesh = PartMesh.from_faces(np.array([order]), np.array([1]), device=device)
     rows, columns = np.mgrid[:12, :12]
     inside = (columns > 2) & (rows > 2) & (columns + rows <= 10)
-    np.testing.assert_array_equal(draw_mesh(vertices, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
+    np.testing.assert_array_equal(draw_on_screen(vertices, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
     turned = torch.tensor([[[8.5, 8.5, 1.0], [2.5, 8.5, 1.0], [8.5, 2.5, 1.0]]], device=device)
     inside = (columns <= 8) & (rows <= 8) & (columns + rows > 10)
-    np.testing.assert_array_equal(draw_mesh(turned, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
+    np.testing.assert_array_equal(draw_on_screen(turned, mesh, (12, 12)).labels[0].cpu().numpy(), inside)

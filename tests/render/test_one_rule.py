@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import reference
 import torch
+from scenes import draw_on_screen, loss_on_screen
 from scipy.spatial.transform import Rotation
 
 from warp_partdr import label_set
@@ -22,7 +23,7 @@ from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import PartImage, draw_mesh, mesh_label_loss
+from warp_partdr.render.mesh import PartImage
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 CAMERAS = [pytest.param(False, id="weak"), pytest.param(True, id="perspective")]
@@ -79,7 +80,7 @@ class Meshes:
         """One body, on the CPU."""
         mesh = PartMesh.from_faces(self.faces, self.face_labels)
         vertices = torch.from_numpy(self.vertices)[None].float()
-        return draw_mesh(vertices, mesh, SIZE, perspective=self.scene.perspective)
+        return draw_on_screen(vertices, mesh, SIZE, perspective=self.scene.perspective)
 
     def forces(self, grad: np.ndarray) -> ellipsoid_reference.Forces:
         """A gradient of the vertices as one of the ellipsoids."""
@@ -214,7 +215,7 @@ def test_meshes_come_to_the_exact_gradient(device, kind, perspective, shift, lab
     def mesh_loss(body: Posed, level: int) -> torch.Tensor:
         mesh = ellipbody_mesh(level, device=device)
         mesh = mesh if groups is None else mesh.relabel(groups)
-        return mesh_label_loss(camera.project(body.vertices(level)), mesh, target, perspective=perspective)[0]
+        return loss_on_screen(camera.project(body.vertices(level)), mesh, target, perspective=perspective)[0]
 
     want = gradients(posed, exact_loss)
     if kind == "frontal":
@@ -240,13 +241,13 @@ def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
     size = (64, 64)
     camera, mesh = camera_of(64, False, device), ellipbody_mesh(0, device=device)
     leaf = camera.project(bodies("frontal", False, device).vertices(0)).detach().requires_grad_()
-    image = draw_mesh(leaf, mesh, size, num_maps=20, depth_weight=0.0)
+    image = draw_on_screen(leaf, mesh, size, num_maps=20, depth_weight=0.0)
     shown = image.labels[0].cpu().numpy()
     target = np.roll(shown, (2, 5), (0, 1))
     g = reference.label_gradient(shown, target, 20)
     if how == "label_loss":
         target = torch.from_numpy(target)[None].to(device)
-        mesh_label_loss(leaf, mesh, target, depth_weight=0.0)[0].sum().backward()
+        loss_on_screen(leaf, mesh, target, depth_weight=0.0)[0].sum().backward()
     else:
         (image.maps[0] * torch.from_numpy(g).float().to(device)).sum().backward()
     corners = leaf.detach()[0].cpu().double().numpy()
@@ -281,7 +282,7 @@ def test_a_box_seen_head_on_is_pulled_as_one_square(device):
     for vertices, some_faces in ((front, faces[:2]), (torch.cat([front, back]), faces)):
         mesh = PartMesh.from_faces(np.array(some_faces), np.ones(len(some_faces)), device=device)
         leaf = vertices[None].to(device).requires_grad_()
-        mesh_label_loss(leaf, mesh, target)[0].sum().backward()
+        loss_on_screen(leaf, mesh, target)[0].sum().backward()
         pulls.append(leaf.grad[0].sum(0).cpu())
     assert pulls[0][:2].abs().min() > 10
     torch.testing.assert_close(pulls[1], pulls[0])

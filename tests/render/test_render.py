@@ -5,12 +5,15 @@ import pytest
 import reference
 import torch
 import warp as wp
+from scenes import draw_on_screen, loss_on_screen
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.kernels.labels import DenseGradient
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
-from warp_partdr.kernels.mesh import map_gradient, push_xy, push_z, rasterize
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
+from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
+from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 SIZES = [(21, 34), (30, 17)]
@@ -74,7 +77,7 @@ def test_forward_is_the_reference(device, size, perspective):
     for seed in range(4):
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
-        image = draw_mesh(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
+        image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
         for b in range(len(vertices)):
             want = reference.rasterize(vertices[b].astype(float), faces, labels, size, perspective=perspective)
             have = [t[b].cpu().numpy() for t in (image.labels, image.depth, image.face_index)]
@@ -100,28 +103,25 @@ def test_large_and_thin_faces_lose_no_pixel(device, scale):
     vertices = np.concatenate([corners, rng.uniform(1, 3, (1, 30, 1))], -1).astype(np.float32)
     faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
     mesh = PartMesh.from_faces(faces, labels, device=device)
-    image = draw_mesh(torch.from_numpy(vertices).to(device), mesh, size)
+    image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size)
     want = reference.rasterize(vertices[0].astype(float), faces, labels, size)[0]
     assert (want > 0).any()
     assert (image.labels[0].cpu().numpy() != want).sum() <= 1
 
 
-@pytest.mark.parametrize(("occlusion", "max_distance"), [("depth", np.inf), ("paper", np.inf), ("depth", 2.5)])
-@pytest.mark.parametrize("edges", ["silhouette", "all"])
+@pytest.mark.parametrize("max_distance", [np.inf, 2.5])
 @pytest.mark.parametrize("perspective", [False, True])
-def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion, max_distance):
+def test_dense_gradient_is_the_reference(device, perspective, max_distance):
     for seed, size in enumerate(SIZES):
         vertices, faces, labels = random_scene(seed, size)
         mesh = PartMesh.from_faces(faces, labels, device=device)
         leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-        image = draw_mesh(
+        image = draw_on_screen(
             leaf,
             mesh,
             size,
             perspective=perspective,
             num_maps=4,
-            edges=edges,
-            occlusion=occlusion,
             max_distance=max_distance,
             depth_weight=0.7,
             near=0.01,
@@ -137,8 +137,7 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion, 
                 image.face_index[b].cpu().numpy(),
                 g[b].cpu().numpy().astype(float),
                 perspective=perspective,
-                all_edges=edges == "all",
-                over_farther=occlusion == "depth",
+                over_farther=True,
                 depth=image.depth[b].cpu().numpy(),
                 max_distance=max_distance,
                 depth_weight=0.7,
@@ -148,23 +147,18 @@ def test_dense_gradient_is_the_reference(device, edges, perspective, occlusion, 
             assert relative_error(have[:, 2], want[:, 2]) < 1e-4
 
 
-@pytest.mark.parametrize("occlusion", ["depth", "paper"])
 @pytest.mark.parametrize("camera", ["weak", "perspective"])
-@pytest.mark.parametrize("edges", ["silhouette", "all"])
-def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges, occlusion):
+def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera):
     size = (40, 32)
     vertices, mesh = body_scene(3, size, device, camera)
     faces, labels = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy()
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     perspective = camera == "perspective"
-    target = noisy_target(draw_mesh(leaf, mesh, size, perspective=perspective).labels, 20, 0)
-    weights = torch.linspace(0.5, 1.5, 21)
-    loss, image = mesh_label_loss(
-        leaf, mesh, target, perspective=perspective, edges=edges, occlusion=occlusion, label_weights=weights
-    )
+    target = noisy_target(draw_on_screen(leaf, mesh, size, perspective=perspective).labels, 20, 0)
+    loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
     loss.sum().backward()
     shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
-    g = reference.label_gradient(shown, wanted, 20, weights.numpy())
+    g = reference.label_gradient(shown, wanted, 20, np.ones(21))
     want = reference.gradient(
         vertices[0].astype(float),
         faces,
@@ -173,8 +167,7 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera, edges
         image.face_index[0].cpu().numpy(),
         g,
         perspective=perspective,
-        all_edges=edges == "all",
-        over_farther=occlusion == "depth",
+        over_farther=True,
         depth=image.depth[0].cpu().numpy(),
     )
     have = leaf.grad[0].cpu().numpy()
@@ -188,11 +181,11 @@ def test_label_loss_is_the_maps_loss(device):
     size = (48, 40)
     vertices, mesh = body_scene(5, size, device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(draw_mesh(leaf, mesh, size).labels, 20, 1)
+    target = noisy_target(draw_on_screen(leaf, mesh, size).labels, 20, 1)
     target[target == 255] = 0
-    loss, _ = mesh_label_loss(leaf, mesh, target)
+    loss, _ = loss_on_screen(leaf, mesh, target)
     (fused,) = torch.autograd.grad(loss.sum(), leaf)
-    maps = draw_mesh(leaf, mesh, size, num_maps=20).maps
+    maps = draw_on_screen(leaf, mesh, size, num_maps=20).maps
     wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
     general_loss = (maps - wanted).square().sum((1, 2, 3))
     (general,) = torch.autograd.grad(general_loss.sum(), leaf)
@@ -203,9 +196,9 @@ def test_label_loss_is_the_maps_loss(device):
 def test_forward_is_deterministic_to_the_bit(device):
     vertices, mesh = body_scene(1, (64, 64), device, subdivisions=2, batch=4)
     vertices = torch.from_numpy(vertices).to(device)
-    first = draw_mesh(vertices, mesh, (64, 64))
+    first = draw_on_screen(vertices, mesh, (64, 64))
     for _ in range(3):
-        again = draw_mesh(vertices, mesh, (64, 64))
+        again = draw_on_screen(vertices, mesh, (64, 64))
         assert torch.equal(first.labels, again.labels)
         assert torch.equal(first.face_index, again.face_index)
         assert torch.equal(first.depth, again.depth)
@@ -214,12 +207,12 @@ def test_forward_is_deterministic_to_the_bit(device):
 def test_batch_equals_its_members(device):
     vertices, mesh = body_scene(2, (40, 56), device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(draw_mesh(leaf, mesh, (40, 56)).labels, 20, 2)
-    loss, image = mesh_label_loss(leaf, mesh, target)
+    target = noisy_target(draw_on_screen(leaf, mesh, (40, 56)).labels, 20, 2)
+    loss, image = loss_on_screen(leaf, mesh, target)
     (whole,) = torch.autograd.grad(loss.sum(), leaf)
     for b in range(3):
         one = leaf.detach()[b : b + 1].requires_grad_()
-        loss_one, image_one = mesh_label_loss(one, mesh, target[b : b + 1])
+        loss_one, image_one = loss_on_screen(one, mesh, target[b : b + 1])
         (gradient,) = torch.autograd.grad(loss_one.sum(), one)
         assert torch.equal(image.labels[b], image_one.labels[0])
         assert loss[b] == loss_one[0]
@@ -230,12 +223,12 @@ def test_batch_equals_its_members(device):
 def test_threads_change_no_bit(threads):
     vertices, mesh = body_scene(2, (40, 56), "cpu", subdivisions=1, batch=14)
     leaf = torch.from_numpy(vertices).requires_grad_()
-    target = noisy_target(draw_mesh(leaf, mesh, (40, 56)).labels, 20, 2)
+    target = noisy_target(draw_on_screen(leaf, mesh, (40, 56)).labels, 20, 2)
 
     def results() -> list[torch.Tensor]:
-        loss, image = mesh_label_loss(leaf, mesh, target)
+        loss, image = loss_on_screen(leaf, mesh, target)
         (fused,) = torch.autograd.grad(loss.sum(), leaf)
-        maps = draw_mesh(leaf, mesh, (40, 56), num_maps=20).maps
+        maps = draw_on_screen(leaf, mesh, (40, 56), num_maps=20).maps
         (general,) = torch.autograd.grad(maps.square().sum(), leaf)
         return [loss, image.labels, image.depth, image.face_index, fused, general]
 
@@ -271,6 +264,14 @@ def test_slices_cover_the_batch_once():
         set_num_threads(0)
 
 
+def arrays_of(points: torch.Tensor, mesh: PartMesh) -> MeshArrays:
+    arrays = MeshArrays()
+    arrays.vertices, arrays.faces = wp.from_torch(points, dtype=wp.vec3), wp.from_torch(mesh.faces, dtype=wp.vec3i)
+    arrays.face_labels, arrays.edges = wp.from_torch(mesh.face_labels), wp.from_torch(mesh.edges)
+    arrays.near, arrays.perspective = -np.inf, False
+    return arrays
+
+
 def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     """Two pictures through one z-buffer are those through fresh ones, and only what shows is written."""
     size = (40, 56)
@@ -279,18 +280,15 @@ def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     for seed in (1, 2):
         vertices, mesh = body_scene(seed, size, device, subdivisions=1, batch=2)
         points = torch.from_numpy(vertices).to(device)
-        want = draw_mesh(points, mesh, size)
+        want = draw_on_screen(points, mesh, size)
         labels = wp.full((2, *size), 77, dtype=wp.uint8, device=wp_device)
         depth = wp.full((2, *size), -5.0, dtype=wp.float32, device=wp_device)
+        images = ImageArrays()
+        images.labels, images.depth = labels, depth
         rasterize.launch_rasterize(
-            wp.from_torch(points, dtype=wp.vec3),
-            wp.from_torch(mesh.faces, dtype=wp.vec3i),
-            wp.from_torch(mesh.face_labels),
-            near=-np.inf,
-            perspective=False,
+            arrays_of(points, mesh),
+            images,
             zbuffer=zbuffer,
-            labels=labels,
-            depth=depth,
             background=False,
         )
         assert torch.equal(wp.to_torch(labels), want.labels)
@@ -308,7 +306,7 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
     shown = rng.integers(0, labels_end, (2, *size)).astype(np.uint8)
     wanted = np.where(rng.random(shown.shape) < 0.05, rng.integers(0, labels_end, shown.shape), shown)
     wanted = np.where(rng.random(shown.shape) < 0.1, 255, wanted).astype(np.uint8)
-    weights = rng.uniform(0.5, 2.0, 256).astype(np.float32)
+    weights = np.ones(256, dtype=np.float32)
     weights[[0, 255]] = 0.0
 
     def on_device(image: np.ndarray) -> wp.array:
@@ -318,9 +316,7 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
     extents = wp.full((2, rasterize.NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
     lanes = rasterize.pixel_lanes((2, *size), wp.get_device(device).is_cpu)
     losses = wp.full(lanes, np.nan, dtype=wp.float32, device=device)
-    rasterize.launch_compare_labels(
-        on_device(shown), on_device(wanted), wp.array(weights, device=device), extents=extents, losses=losses
-    )
+    rasterize.launch_compare_labels(on_device(shown), on_device(wanted), extents=extents, losses=losses)
     wrong = (shown != wanted) & (wanted != 255)
     costs = (weights[shown] + weights[wanted]) * wrong
     np.testing.assert_allclose(losses.numpy().sum((1, 2)), costs.sum((1, 2)), rtol=1e-5)
@@ -346,13 +342,13 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     size = (40, 57)
     vertices, mesh = body_scene(6, size, device, subdivisions=1, batch=5)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_target(draw_mesh(leaf, mesh, size).labels, 20, 2)
+    target = noisy_target(draw_on_screen(leaf, mesh, size).labels, 20, 2)
 
     def results() -> list[torch.Tensor]:
         other = body_scene(6, size, device, subdivisions=1, batch=5)[1]  # a mesh that no captured graph knows
-        loss, image = mesh_label_loss(leaf, other, target)
+        loss, image = loss_on_screen(leaf, other, target)
         (fused,) = torch.autograd.grad(loss.sum(), leaf)
-        maps = draw_mesh(leaf, other, size, num_maps=20).maps
+        maps = draw_on_screen(leaf, other, size, num_maps=20).maps
         (general,) = torch.autograd.grad((maps * torch.arange(1, 21, device=device)[:, None, None]).sum(), leaf)
         return [image.labels, image.depth, image.face_index, loss, fused, general]
 
@@ -384,23 +380,20 @@ def test_hidden_pixels_serve_again(device):
     size = (40, 56)
     vertices, mesh = body_scene(3, size, device, subdivisions=1, batch=2)
     points = torch.from_numpy(vertices).to(device)
-    image = draw_mesh(points, mesh, size)
-    gradient = map_gradient.DenseGradient()
+    image = draw_on_screen(points, mesh, size)
+    images = ImageArrays()
+    images.labels, images.face_index = wp.from_torch(image.labels), wp.from_torch(image.face_index)
+    gradient = DenseGradient()
     gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
     hidden = push_z.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
     grads = torch.zeros(2, points.shape[1], 3, device=device)
     sums = []
     for label in (4, 7, 4, 7):
-        gradient.wanted = label
+        gradient.label = label
         push_z.launch_push_depths(
-            wp.from_torch(points, dtype=wp.vec3),
-            wp.from_torch(mesh.faces, dtype=wp.vec3i),
-            wp.from_torch(mesh.face_labels),
-            near=-np.inf,
-            perspective=False,
+            arrays_of(points, mesh),
+            images,
             depth_weight=1.0,
-            labels=wp.from_torch(image.labels),
-            face_index=wp.from_torch(image.face_index),
             gradient=gradient,
             hidden=hidden,
             grad_vertices=wp.from_torch(grads),
@@ -424,7 +417,7 @@ def test_shared_edges_are_drawn_once(device, middle):
     drawn = np.zeros(size, dtype=int)
     for k in range(8):
         mesh = PartMesh.from_faces(faces[k : k + 1], np.array([1]), device=device)
-        drawn += draw_mesh(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
+        drawn += draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
     assert (drawn[1:15, 1:15] == 1).all()
     assert drawn.max() == 1
 
@@ -433,7 +426,7 @@ def test_equal_depths_go_to_the_lower_face(device):
     triangle = [[1.0, 1.0, 2.0], [14.0, 2.0, 2.0], [5.0, 13.0, 2.0]]
     vertices = torch.tensor([triangle + triangle], device=device)
     mesh = PartMesh.from_faces(np.array([[0, 1, 2], [3, 4, 5]]), np.array([2, 1]), device=device)
-    image = draw_mesh(vertices, mesh, (16, 16))
+    image = draw_on_screen(vertices, mesh, (16, 16))
     assert set(image.labels.unique().tolist()) == {0, 2}
     assert image.depth[image.labels > 0].eq(2.0).all()
 
@@ -441,7 +434,7 @@ def test_equal_depths_go_to_the_lower_face(device):
 def test_target_equal_to_picture_has_exactly_no_gradient(device):
     vertices, mesh = body_scene(4, (40, 40), device, subdivisions=1)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    loss, _ = mesh_label_loss(leaf, mesh, draw_mesh(leaf, mesh, (40, 40)).labels)
+    loss, _ = loss_on_screen(leaf, mesh, draw_on_screen(leaf, mesh, (40, 40)).labels)
     loss.sum().backward()
     assert loss.item() == 0
     assert (leaf.grad == 0).all()
@@ -452,13 +445,13 @@ def test_moving_a_part_toward_its_target_lowers_the_loss(device):
     size = (32, 32)
     base = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
     mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
-    target = draw_mesh(base, mesh, size).labels
+    target = draw_on_screen(base, mesh, size).labels
     for shift in [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]:
         move = torch.tensor([*shift, 0.0], device=device, requires_grad=True)
         optimizer = torch.optim.Adam([move], lr=0.5)
         schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.97)
         for _ in range(120):
-            loss, _ = mesh_label_loss(base + move, mesh, target)
+            loss, _ = loss_on_screen(base + move, mesh, target)
             optimizer.zero_grad()
             loss.sum().backward()
             optimizer.step()
@@ -470,7 +463,7 @@ def test_moving_a_part_toward_its_target_lowers_the_loss(device):
 def test_other_precisions_are_cast(device, dtype):
     vertices, mesh = body_scene(4, (20, 20), device)
     leaf = torch.from_numpy(vertices).to(device, dtype).requires_grad_()
-    loss, _ = mesh_label_loss(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
+    loss, _ = loss_on_screen(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert leaf.grad.dtype == dtype
     assert torch.isfinite(leaf.grad).all()
@@ -481,11 +474,13 @@ def test_non_contiguous_and_empty_batches(device):
     contiguous = torch.from_numpy(vertices).to(device)
     strided = contiguous.transpose(1, 2).contiguous().transpose(1, 2)
     assert not strided.is_contiguous()
-    assert torch.equal(draw_mesh(strided, mesh, (20, 24)).labels, draw_mesh(contiguous, mesh, (20, 24)).labels)
+    assert torch.equal(
+        draw_on_screen(strided, mesh, (20, 24)).labels, draw_on_screen(contiguous, mesh, (20, 24)).labels
+    )
     expanded = contiguous.expand(3, -1, -1)
-    assert draw_mesh(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
+    assert draw_on_screen(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
     leaf = contiguous[:0].requires_grad_()
-    loss, image = mesh_label_loss(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
+    loss, image = loss_on_screen(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert image.labels.shape == (0, 20, 24)
     assert leaf.grad.shape == (0, *vertices.shape[1:])
@@ -511,7 +506,7 @@ def test_degenerate_faces_and_wild_coordinates_stay_finite(device):
     )
     mesh = PartMesh.from_faces(np.arange(9).reshape(3, 3), np.array([1, 2, 3]), device=device)
     target = torch.randint(0, 4, (1, 18, 18), generator=torch.Generator().manual_seed(0)).to(torch.uint8).to(device)
-    loss, image = mesh_label_loss(vertices, mesh, target)
+    loss, image = loss_on_screen(vertices, mesh, target)
     loss.sum().backward()
     assert (image.labels == 3).any()
     assert torch.isfinite(vertices.grad).all()
@@ -521,21 +516,21 @@ def test_faces_at_the_camera_are_left_out(device):
     points = torch.tensor([[[-1.0, -1.0, 0.0], [1.0, -1.0, 2.0], [0.0, 1.0, 2.0]]], device=device)
     camera = Perspective(torch.tensor([[20.0, 20.0]], device=device), torch.tensor([[10.0, 10.0]], device=device))
     mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
-    assert draw_mesh(camera.project(points), mesh, (20, 20), perspective=True).labels.eq(0).all()
+    assert draw_mesh(points, mesh, camera, (20, 20)).labels.eq(0).all()
 
 
 BAD_CALLS = {
-    "vertices: shape": lambda v, m: draw_mesh(v[0], m, (8, 8)),
-    "vertices: torch.int32": lambda v, m: draw_mesh(v.int(), m, (8, 8)),
-    "vertices: holds NaN": lambda v, m: draw_mesh(v * float("nan"), m, (8, 8)),
-    "vertices: 2 a body": lambda v, m: draw_mesh(v[:, :2], m, (8, 8)),
-    "image_size": lambda v, m: draw_mesh(v, m, (0, 8)),
-    "num_maps": lambda v, m: draw_mesh(v, m, (8, 8), num_maps=300),
-    "occlusion": lambda v, m: draw_mesh(v, m, (8, 8), occlusion="none"),
-    "edges": lambda v, m: draw_mesh(v, m, (8, 8), edges="some"),
-    "target: shape": lambda v, m: mesh_label_loss(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
-    "target: torch.int64": lambda v, m: mesh_label_loss(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
-    "target: label 9": lambda v, m: mesh_label_loss(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
+    "vertices: shape": lambda v, m: draw_on_screen(v[0], m, (8, 8)),
+    "vertices: torch.int32": lambda v, m: draw_on_screen(v.int(), m, (8, 8)),
+    "vertices: holds NaN": lambda v, m: draw_on_screen(v * float("nan"), m, (8, 8)),
+    "vertices: 2 a body": lambda v, m: draw_on_screen(v[:, :2], m, (8, 8)),
+    "image_size": lambda v, m: draw_on_screen(v, m, (0, 8)),
+    "num_maps": lambda v, m: draw_on_screen(v, m, (8, 8), num_maps=300),
+    "target: batch 2": lambda v, m: loss_on_screen(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
+    "target: shape": lambda v, m: loss_on_screen(v, m, torch.zeros(8, 8, dtype=torch.uint8)),
+    "camera: 2 of them": lambda v, m: draw_mesh(v, m, WeakPerspective(torch.ones(2), torch.zeros(2, 2)), (8, 8)),
+    "target: torch.int64": lambda v, m: loss_on_screen(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
+    "target: label 9": lambda v, m: loss_on_screen(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
 }
 
 
@@ -568,7 +563,7 @@ def test_parts_in_no_group_cost_nothing_but_still_hide(device):
     vertices = torch.tensor([front + back], device=device, requires_grad=True)
     mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device).relabel({1: 255, 2: 1})
     assert mesh.num_labels == 1
-    loss, image = mesh_label_loss(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
+    loss, image = loss_on_screen(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
     loss.sum().backward()
     assert set(image.labels.unique().tolist()) == {0, 1, 255}
     assert loss.item() == (image.labels == 1).sum().item()

@@ -12,6 +12,7 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from scenes import draw_on_screen
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
@@ -260,7 +261,7 @@ def test_the_detailed_body_s_files(
     shown = pixels(folder / "detailed.png")
     assert shown.shape == photo.shape
     mesh = detailed_mesh(registered.model)
-    body = draw_mesh(result.camera.project(registered.detailed.vertices), mesh, photo.shape[:2]).labels[0] > 0
+    body = draw_mesh(registered.detailed.vertices, mesh, result.camera, photo.shape[:2]).labels[0] > 0
     changed = (shown != photo).any(-1)
     assert 0.05 < body.float().mean() < 0.5
     assert changed[body.numpy()].mean() > 0.98
@@ -303,7 +304,7 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
         return output.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
 
     points = result.camera.project(registered.detailed.vertices)
-    drawn = draw_mesh(points, detailed_mesh(registered.model), size).labels[0].numpy()
+    drawn = draw_on_screen(points, detailed_mesh(registered.model), size).labels[0].numpy()
     target = labels.part_groups[drawn]
     target[:100] = 255  # somebody else
     report = score(target)

@@ -43,11 +43,13 @@ def refine(
         and 140 % of the mean adult's, thicknesses within 40 and 160 %.
 
     Raises:
-        TypeError: If ``start`` are no bodies.
+        TypeError: If ``start`` are no bodies, or ``energy`` is no function.
         ValueError: If ``frozen`` names what is no parameter, or all of them; if ``iterations`` or ``learning_rate`` is
             out of range, or ``start`` holds NaN or infinity.
     """
     check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
+    if not callable(energy):
+        raise TypeError(f"energy: {type(energy).__name__}; expected an Energy or a function of bodies")
     rule: dict[str, Any] = {"iterations": iterations, "learning_rate": learning_rate, "frozen": frozen}
     if isinstance(energy, Energy) and can_capture(energy):
         start.check_finite()
