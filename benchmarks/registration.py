@@ -41,13 +41,8 @@ from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.mesh import detailed_mesh
 from warp_partdr.clothing.model import Detailed, DetailedModel
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import (
-    Registered,
-    RegistrationOptions,
-    RegistrationWeights,
-    register,
-    skin_vertices,
-)
+from warp_partdr.clothing.registration import Registered, RegistrationOptions, RegistrationWeights, register
+from warp_partdr.clothing.surfaces import skin_vertices
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS

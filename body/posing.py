@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..interop.arrays import contiguous
+from ..interop.arrays import contiguous, warp_array
 from ..interop.checks import check_numbers, check_tensor
 from ..interop.derivatives import is_transformed
 from ..interop.movable import Movable
@@ -132,7 +132,7 @@ def _differentiable(*adjoints: torch.Tensor) -> bool:
 
 
 def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
-    return wp.from_torch(contiguous(tensor.detach()), dtype=kind, requires_grad=False)
+    return warp_array(contiguous(tensor), kind)
 
 
 class _Bones(torch.autograd.Function):

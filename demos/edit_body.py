@@ -33,7 +33,8 @@ from warp_partdr.body.template import (
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import MEASURES, UNGROWN
-from warp_partdr.clothing.registration import Registered, register, vertex_parts
+from warp_partdr.clothing.registration import Registered, register
+from warp_partdr.clothing.surfaces import vertex_parts
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.pictures import blend, shade_body, shade_detailed
 

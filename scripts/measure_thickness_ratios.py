@@ -23,7 +23,7 @@ from registration import PHENOTYPES, measure_shape
 from warp_partdr.body.template import LENGTH_NAMES, THICKNESS_NAMES
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.growth import THICKNESS_RATIOS, Growth
-from warp_partdr.clothing.registration import vertex_parts
+from warp_partdr.clothing.surfaces import vertex_parts
 
 
 def main() -> None:

@@ -28,21 +28,16 @@ from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.growth import MEASURES, UNGROWN, Growth
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import (
-    BAND,
     MATCHED_JOINTS,
     Registered,
     RegistrationOptions,
     RegistrationWeights,
-    _Cells,
     _Loss,
     _Tailor,
-    _VertexCosts,
     register,
     shape_from_lengths,
-    skin_vertices,
-    surface_samples,
-    vertex_parts,
 )
+from warp_partdr.clothing.surfaces import BAND, PartCells, _VertexCosts, skin_vertices, surface_samples, vertex_parts
 from warp_partdr.results.skinned_files import bvh, glb, save_detailed
 
 QUICK = RegistrationOptions(iterations=40)
@@ -273,7 +268,7 @@ def test_closest_points_are_on_the_same_part_of_the_same_body(device: str) -> No
     bodies = model.pose(posed.joints.new_zeros(3, 20), *pose_from_ellipbody(model, posed)).vertices
     samples, weights = surface_samples(posed)
     _, areas = vertex_parts(model)
-    cells = _Cells(model, areas > 0, 3)
+    cells = PartCells(model, areas > 0, 3)
     for _ in range(2):  # the second time refits the mesh
         corners, places, found = cells.closest(bodies, samples, weights, 0.15)
         bodies = bodies + 0.001

@@ -17,7 +17,7 @@ from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angl
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import _VertexCosts, vertex_parts
+from warp_partdr.clothing.surfaces import _VertexCosts, vertex_parts
 from warp_partdr.metrics import align_similarity, mpjpe
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh

@@ -9,34 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
-import warp as wp
 
-from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS
 from ..errors import check_type, check_whole
 from ..interop.checks import check_numbers, check_steps, check_tensor
-from ..interop.derivatives import once
 from ..interop.movable import Movable
-from ..interop.streams import on_torch_stream
 from ..interop.torch_threads import one_torch_thread
-from ..kernels import registration as kernels
 from .growth import MEASURES, UNGROWN, Growth
 from .model import Detailed, DetailedModel
 from .pose import pose_from_ellipbody
+from .surfaces import PartCells, surface_samples, vertex_costs, vertex_parts
 
-# Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
-# from its middle, say how thick a limb is.
-BAND = 0.7
 # Where joints are compared: not at the neck, which in a detailed model is the middle of the shoulders and moves along.
 MATCHED_JOINTS: tuple[str, ...] = tuple(name for name in JOINT_NAMES if name != "neck")
-_SUBDIVISIONS = 2  # of the icosphere whose corners are the samples
-_CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
-_RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
 # Measures within so many standard deviations of natural people's are noise more than growth.
 _NATURAL = 2.0
 # The same after an edit, as a logarithm: what is special about the person is known then.
@@ -268,7 +257,7 @@ class _Loss:
         self.joint_weights = model.landmark_weights[rows]
         self.joints = posed.joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
         self.parts, self.areas = vertex_parts(model)
-        self.cells = _Cells(model, self.areas > 0, len(posed.joints))
+        self.cells = PartCells(model, self.areas > 0, len(posed.joints))
         self.samples, self.sample_weights = surface_samples(posed)
         self.corners = torch.empty(0)
 
@@ -293,7 +282,7 @@ class _Loss:
         squares = ((nearest - self.samples) * self.normals).sum(-1).square()
         to_mesh = (self.icp_weights * squares).sum(-1)
         icp = _CENTIMETRES * weights.icp
-        to_ellipsoids, penetration = _VertexCosts.apply(
+        to_ellipsoids, penetration = vertex_costs(
             detailed.vertices, self.parts, self.areas, self.posed, self.options.scale
         )
         return {
@@ -363,168 +352,3 @@ class _Tailor:
 
     def _kept(self, differences: torch.Tensor) -> torch.Tensor:
         return torch.where(self.outward, differences.clamp(min=0), differences)
-
-
-def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
-    """Part index 0 to 19 of each vertex, shape (V,), int32, and its share of the skin at rest, shape (V,).
-
-    A vertex is of the part that has most of the area around it; one within the body, as in the mouth, has no share.
-    """
-    corners = model.rest_vertices[model.faces.long()]
-    doubled = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1)
-    shares = corners.new_zeros(model.num_vertices, NUM_PARTS)
-    for corner in model.faces.long().unbind(1):
-        shares.index_put_((corner, model.face_parts.long() - 1), doubled, accumulate=True)
-    areas = shares.sum(1) * skin_vertices(model)
-    return shares.argmax(1).int(), areas / areas.sum()
-
-
-def skin_vertices(model: DetailedModel) -> torch.Tensor:
-    """1 for each vertex that can be seen from outside when the model is at rest, else 0, shape (V,)."""
-    vertices = model.rest_vertices.contiguous()
-    directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
-    skin = torch.empty_like(vertices[:, 0])
-    with on_torch_stream(vertices.device):
-        faces = wp.from_torch(model.faces.flatten().contiguous())
-        mesh = wp.Mesh(points=_vectors(vertices), indices=faces)
-        inputs = [mesh.id, _vectors(vertices), _vectors(directions), _RAY_START]
-        wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)])
-    return skin
-
-
-def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
-    """Points on the ellipsoids' middles [m], shape (B, 20 N, 3), and their shares of the area, shape (B, 20 N).
-
-    A sample that another ellipsoid covers has no share.
-    """
-    like = posed.semi_axes
-    sphere = torch.from_numpy(icosphere(_SUBDIVISIONS)[0]).to(like)
-    sphere = sphere[sphere[:, 0].abs() < BAND]
-    offsets = sphere * posed.semi_axes[:, :, None]
-    samples = posed.centres[:, :, None] + offsets @ posed.axes.mT
-    samples = samples.flatten(1, 2).contiguous()
-    # The area that a patch of the sphere becomes.
-    areas = posed.semi_axes.prod(-1)[..., None] * (sphere / posed.semi_axes[:, :, None]).norm(dim=-1)
-    seen = torch.empty(samples.shape[:2], dtype=like.dtype, device=like.device)
-    with on_torch_stream(like.device):
-        wp.launch(
-            kernels.cover_samples,
-            dim=seen.numel(),
-            inputs=[_vectors(samples), *_ellipsoids(posed), NUM_PARTS, len(sphere)],
-            outputs=[_flat(seen)],
-        )
-    weights = seen * areas.flatten(1)
-    return samples, weights / weights.sum(1, keepdim=True).clamp(min=1e-12)
-
-
-class _Cells:
-    """The parts of all bodies' meshes, each in a cell of its own, for closest points on the same part."""
-
-    def __init__(self, model: DetailedModel, skin: torch.Tensor, batch: int) -> None:
-        outside = skin[model.faces.long()].all(1)
-        faces, parts = model.faces[outside].long(), model.face_parts[outside].long() - 1
-        device = faces.device
-        self.corners = faces
-        # A vertex between two parts has a copy in each one's cell.
-        keys, faces = torch.unique(faces * NUM_PARTS + parts[:, None], return_inverse=True)
-        self.vertices, self.parts = (keys // NUM_PARTS).int(), (keys % NUM_PARTS).int()
-        whole = (faces + torch.arange(batch, device=device)[:, None, None] * len(keys)).int().flatten()
-        self.points = torch.zeros(batch * len(keys), 3, device=device)
-        self.faces = whole.contiguous()
-        side = max(round(batch**0.5), 1)
-        body, part = torch.arange(batch, device=device)[:, None], torch.arange(NUM_PARTS, device=device)
-        places = torch.stack(torch.broadcast_tensors(part - NUM_PARTS // 2, body % side, body // side), dim=-1)
-        self.origins = _CELL * places.to(model.rest_vertices)
-        self.mesh: wp.Mesh | None = None
-
-    def closest(
-        self, vertices: torch.Tensor, samples: torch.Tensor, weights: torch.Tensor, reach: float
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Vertices of the closest face to each sample (B, M, 3), barycentric coordinates, and 1 where one is near."""
-        # Relative to the body, so that cells far from the origin cost no digits.
-        middle = vertices.mean(1, keepdim=True)
-        origins = (self.origins - middle).contiguous()
-        found = torch.empty(samples.shape[:2], dtype=torch.int32, device=samples.device)
-        places = torch.empty_like(samples)
-        with on_torch_stream(vertices.device):
-            if not samples.numel():
-                return self.corners[found.long()], places, found
-            wp.launch(
-                kernels.place_cells,
-                dim=len(self.points),
-                inputs=[
-                    _vectors(vertices),
-                    wp.from_torch(self.vertices),
-                    wp.from_torch(self.parts),
-                    _vectors(origins),
-                    vertices.shape[1],
-                    NUM_PARTS,
-                ],
-                outputs=[_vectors(self.points)],
-            )
-            if self.mesh is None:
-                self.mesh = wp.Mesh(points=_vectors(self.points), indices=wp.from_torch(self.faces))
-            else:
-                self.mesh.refit()
-            wp.launch(
-                kernels.closest_on_cells,
-                dim=found.numel(),
-                inputs=[
-                    self.mesh.id,
-                    _vectors(samples),
-                    _flat(weights),
-                    _vectors(origins),
-                    samples.shape[1] // NUM_PARTS,
-                    len(self.corners),
-                    reach,
-                ],
-                outputs=[wp.from_torch(found.view(-1)), _vectors(places)],
-            )
-        return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
-
-
-class _VertexCosts(torch.autograd.Function):
-    """Distance of vertices from their own ellipsoids [m²] and eq. 18 over all, means over the area, shape (B,) each."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, vertices: torch.Tensor, parts: torch.Tensor, areas: torch.Tensor, posed: Posed, scale: float
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
-        gradients = vertices.new_empty(2, *vertices.shape)
-        with on_torch_stream(vertices.device):
-            wp.launch(
-                kernels.vertex_costs,
-                dim=fit.numel(),
-                inputs=[
-                    _vectors(vertices),
-                    wp.from_torch(parts),
-                    wp.from_torch(areas),
-                    *_ellipsoids(posed),
-                    NUM_PARTS,
-                    BAND,
-                    scale,
-                ],
-                outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
-            )
-        ctx.save_for_backward(vertices, gradients)
-        return fit.sum(-1), penetration.sum(-1)
-
-    @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        vertices, gradients = ctx.saved_tensors
-        found = (torch.stack(adjoints)[..., None, None] * gradients).sum(0)
-        return *once("register", (found,), *adjoints, vertices), None, None, None, None
-
-
-def _vectors(tensor: torch.Tensor) -> wp.array:
-    return wp.from_torch(tensor.detach().contiguous().view(-1, 3), dtype=wp.vec3, requires_grad=False)
-
-
-def _flat(tensor: torch.Tensor) -> wp.array:
-    return wp.from_torch(tensor.detach().view(-1), requires_grad=False)
-
-
-def _ellipsoids(posed: Posed) -> list[wp.array]:
-    axes = wp.from_torch(posed.axes.view(-1, 3, 3), dtype=wp.mat33, requires_grad=False)
-    return [_vectors(posed.centres), axes, _vectors(posed.semi_axes)]

@@ -1,0 +1,191 @@
+"""Surfaces of ellipsoids and detailed models: samples, closest points, and what lies inside (paper, eq. 16 to 18)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..body.icosphere import icosphere
+from ..body.posing import Posed
+from ..body.template import NUM_PARTS
+from ..interop.arrays import warp_array
+from ..interop.derivatives import once
+from ..interop.streams import on_torch_stream
+from ..kernels import registration as kernels
+from .model import DetailedModel
+
+# Ellipsoids taper toward the joints, limbs don't: only samples and vertices within this share of a bone's half-length,
+# from its middle, say how thick a limb is.
+BAND = 0.7
+_SUBDIVISIONS = 2  # of the icosphere whose corners are the samples
+_CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
+_RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
+
+
+def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
+    """Part index 0 to 19 of each vertex, shape (V,), int32, and its share of the skin at rest, shape (V,).
+
+    A vertex is of the part that has most of the area around it; one within the body, as in the mouth, has no share.
+    """
+    corners = model.rest_vertices[model.faces.long()]
+    doubled = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1)
+    shares = corners.new_zeros(model.num_vertices, NUM_PARTS)
+    for corner in model.faces.long().unbind(1):
+        shares.index_put_((corner, model.face_parts.long() - 1), doubled, accumulate=True)
+    areas = shares.sum(1) * skin_vertices(model)
+    return shares.argmax(1).int(), areas / areas.sum()
+
+
+def skin_vertices(model: DetailedModel) -> torch.Tensor:
+    """1 for each vertex that can be seen from outside when the model is at rest, else 0, shape (V,)."""
+    vertices = model.rest_vertices.contiguous()
+    directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
+    skin = torch.empty_like(vertices[:, 0])
+    with on_torch_stream(vertices.device):
+        faces = warp_array(model.faces.flatten().contiguous())
+        mesh = wp.Mesh(points=_vectors(vertices), indices=faces)
+        inputs = [mesh.id, _vectors(vertices), _vectors(directions), _RAY_START]
+        wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)])
+    return skin
+
+
+def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points on the ellipsoids' middles [m], shape (B, 20 N, 3), and their shares of the area, shape (B, 20 N).
+
+    A sample that another ellipsoid covers has no share.
+    """
+    like = posed.semi_axes
+    sphere = torch.from_numpy(icosphere(_SUBDIVISIONS)[0]).to(like)
+    sphere = sphere[sphere[:, 0].abs() < BAND]
+    offsets = sphere * posed.semi_axes[:, :, None]
+    samples = posed.centres[:, :, None] + offsets @ posed.axes.mT
+    samples = samples.flatten(1, 2).contiguous()
+    # The area that a patch of the sphere becomes.
+    areas = posed.semi_axes.prod(-1)[..., None] * (sphere / posed.semi_axes[:, :, None]).norm(dim=-1)
+    seen = torch.empty(samples.shape[:2], dtype=like.dtype, device=like.device)
+    with on_torch_stream(like.device):
+        wp.launch(
+            kernels.cover_samples,
+            dim=seen.numel(),
+            inputs=[_vectors(samples), *_ellipsoids(posed), NUM_PARTS, len(sphere)],
+            outputs=[_flat(seen)],
+        )
+    weights = seen * areas.flatten(1)
+    return samples, weights / weights.sum(1, keepdim=True).clamp(min=1e-12)
+
+
+class PartCells:
+    """The parts of all bodies' meshes, each in a cell of its own, for closest points on the same part."""
+
+    def __init__(self, model: DetailedModel, skin: torch.Tensor, batch: int) -> None:
+        outside = skin[model.faces.long()].all(1)
+        faces, parts = model.faces[outside].long(), model.face_parts[outside].long() - 1
+        device = faces.device
+        self.corners = faces
+        # A vertex between two parts has a copy in each one's cell.
+        keys, faces = torch.unique(faces * NUM_PARTS + parts[:, None], return_inverse=True)
+        self.vertices, self.parts = (keys // NUM_PARTS).int(), (keys % NUM_PARTS).int()
+        whole = (faces + torch.arange(batch, device=device)[:, None, None] * len(keys)).int().flatten()
+        self.points = torch.zeros(batch * len(keys), 3, device=device)
+        self.faces = whole.contiguous()
+        side = max(round(batch**0.5), 1)
+        body, part = torch.arange(batch, device=device)[:, None], torch.arange(NUM_PARTS, device=device)
+        places = torch.stack(torch.broadcast_tensors(part - NUM_PARTS // 2, body % side, body // side), dim=-1)
+        self.origins = _CELL * places.to(model.rest_vertices)
+        self.mesh: wp.Mesh | None = None
+
+    def closest(
+        self, vertices: torch.Tensor, samples: torch.Tensor, weights: torch.Tensor, reach: float
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Vertices of the closest face to each sample (B, M, 3), barycentric coordinates, and 1 where one is near."""
+        # Relative to the body, so that cells far from the origin cost no digits.
+        middle = vertices.mean(1, keepdim=True)
+        origins = (self.origins - middle).contiguous()
+        found = torch.empty(samples.shape[:2], dtype=torch.int32, device=samples.device)
+        places = torch.empty_like(samples)
+        with on_torch_stream(vertices.device):
+            if not samples.numel():
+                return self.corners[found.long()], places, found
+            wp.launch(
+                kernels.place_cells,
+                dim=len(self.points),
+                inputs=[
+                    _vectors(vertices),
+                    warp_array(self.vertices),
+                    warp_array(self.parts),
+                    _vectors(origins),
+                    vertices.shape[1],
+                    NUM_PARTS,
+                ],
+                outputs=[_vectors(self.points)],
+            )
+            if self.mesh is None:
+                self.mesh = wp.Mesh(points=_vectors(self.points), indices=warp_array(self.faces))
+            else:
+                self.mesh.refit()
+            wp.launch(
+                kernels.closest_on_cells,
+                dim=found.numel(),
+                inputs=[
+                    self.mesh.id,
+                    _vectors(samples),
+                    _flat(weights),
+                    _vectors(origins),
+                    samples.shape[1] // NUM_PARTS,
+                    len(self.corners),
+                    reach,
+                ],
+                outputs=[_flat(found), _vectors(places)],
+            )
+        return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
+
+
+class _VertexCosts(torch.autograd.Function):
+    """Distance of vertices from their own ellipsoids [m²] and eq. 18 over all, means over the area, shape (B,) each."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, vertices: torch.Tensor, parts: torch.Tensor, areas: torch.Tensor, posed: Posed, scale: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
+        gradients = vertices.new_empty(2, *vertices.shape)
+        with on_torch_stream(vertices.device):
+            wp.launch(
+                kernels.vertex_costs,
+                dim=fit.numel(),
+                inputs=[
+                    _vectors(vertices),
+                    warp_array(parts),
+                    warp_array(areas),
+                    *_ellipsoids(posed),
+                    NUM_PARTS,
+                    BAND,
+                    scale,
+                ],
+                outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
+            )
+        ctx.save_for_backward(vertices, gradients)
+        return fit.sum(-1), penetration.sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        vertices, gradients = ctx.saved_tensors
+        found = (torch.stack(adjoints)[..., None, None] * gradients).sum(0)
+        return *once("register", (found,), *adjoints, vertices), None, None, None, None
+
+
+def _vectors(tensor: torch.Tensor) -> wp.array:
+    return warp_array(tensor.contiguous().view(-1, 3), wp.vec3)
+
+
+def _flat(tensor: torch.Tensor) -> wp.array:
+    return warp_array(tensor.view(-1))
+
+
+def _ellipsoids(posed: Posed) -> list[wp.array]:
+    return [_vectors(posed.centres), warp_array(posed.axes.view(-1, 3, 3), wp.mat33), _vectors(posed.semi_axes)]
+
+
+vertex_costs = _VertexCosts.apply
