@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -30,11 +29,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-import ellipsoid_reference
-import reference
-
+from warp_partdr.reference import ellipsoids as ellipsoid_reference
+from warp_partdr.reference import mesh as reference
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
@@ -90,7 +86,7 @@ def share(have: np.ndarray, want: np.ndarray) -> float:
 # --- Exact ellipsoids -------------------------------------------------------------------------------------------
 
 
-def ellipsoid_scene(setting: Setting, rng: np.random.Generator) -> ellipsoid_reference.Scene:
+def ellipsoid_scene(setting: Setting, rng: np.random.Generator) -> ellipsoid_reference.EllipsoidScene:
     """A thin ellipsoid and a ball behind it."""
     large = min(LARGE, setting.distance / 4)
     depth = setting.distance
@@ -102,10 +98,10 @@ def ellipsoid_scene(setting: Setting, rng: np.random.Generator) -> ellipsoid_ref
     scale = pixels * (depth if setting.perspective else 1.0)
     numbers = centres, Rotation.random(2, rng=rng).as_matrix(), semi_axes, np.array([scale, scale, *middle])
     near = 0.01 if setting.perspective else -np.inf
-    return ellipsoid_reference.Scene(*map(float32, numbers), np.array([1, 2]), setting.perspective, near)
+    return ellipsoid_reference.EllipsoidScene(*map(float32, numbers), np.array([1, 2]), setting.perspective, near)
 
 
-def outline_distance(scene: ellipsoid_reference.Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def outline_distance(scene: ellipsoid_reference.EllipsoidScene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Distance of places from the nearest outline [px], to first order."""
     nearest = np.full(x.shape, np.inf)
     step = 1e-4
@@ -238,7 +234,6 @@ def triangle_errors(setting: Setting, seed: int, device: str) -> dict[str, float
             image.face_index[0].cpu().numpy(),
             g,
             perspective=setting.perspective,
-            over_farther=True,
             depth=image.depth[0].cpu().numpy(),
         )
         errors["gradient"] = share(leaf.grad[0].cpu().numpy().astype(float), forces)

@@ -83,7 +83,7 @@ def pose(
     *,
     validate: bool = True,
 ) -> Posed:
-    """Pose EllipBody (paper, eq. 13 and 14); differentiable any number of times, also by ``torch.func``.
+    """Pose EllipBody (paper, eq. 13 to 15); differentiable any number of times, also by ``torch.func``.
 
     Args:
         global_orient: Rotation of the whole body, shape (B, 3, 3).

@@ -1,6 +1,6 @@
 """Forward kinematics of EllipBody and its adjoint, written by hand: one thread a body, so nothing is added atomically.
 
-``R_k = R_parent r_k``, ``end_k = start_k + l_k R_k O_k`` (paper, eq. 14, with O as a unit direction), the ellipsoid
+``R_k = R_parent r_k``, ``end_k = start_k + l_k R_k O_k`` (paper, eq. 15, with O as a unit direction), the ellipsoid
 sits on the bone's midpoint with axes ``A_k = R_k Q_k`` (bone, first thickness, second thickness). Every kernel exists
 in float32 and float64; the second one is for tests by finite differences and for users who ask for it.
 """
@@ -115,7 +115,7 @@ def place_vertices(
     semi_axes: wp.array2d[Any],  # (B, P) vec3 [m]
     vertices: wp.array3d[Any],  # (B, P, N) vec3 [m]  OUTPUT
 ):
-    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 13)."""
+    """Deform the unit sphere's mesh into each ellipsoid (the paper's E, eq. 14)."""
     b, k, n = wp.tid()
     vertices[b, k, n] = centres[b, k] + axes[b, k] * wp.cw_mul(semi_axes[b, k], unit_vertices[n])
 

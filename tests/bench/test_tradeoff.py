@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ellipsoid_reference import Scene, draw
 from PIL import Image
 from rich.console import Console
 
@@ -27,6 +26,7 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import REFERENCE_SIZE, resize_nearest
+from warp_partdr.reference.ellipsoids import EllipsoidScene, ray_cast
 from warp_partdr.refinement.steps import SHAPE_RATE
 from warp_partdr.synthetic.tradeoff_people import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
 
@@ -54,12 +54,12 @@ def test_true_labels_are_the_float64_reference(crowds: tuple[People, People]) ->
     drawn = draw_truth(people.bodies, size)
     for body in range(len(people)):
         scale, shift = camera.scale[body].item(), camera.translation[body].tolist()
-        scene = Scene(
+        scene = EllipsoidScene(
             *(tensor[body].double().numpy() for tensor in (posed.centres, posed.axes, posed.semi_axes)),
             camera=np.array([scale, scale, *shift]),
             labels=np.arange(1, 21),
         )
-        labels, _, _ = draw(scene, (size, size))
+        labels, _, _ = ray_cast(scene, (size, size))
         assert (labels != drawn[body].numpy()).sum() <= 2  # rays that graze an outline
         assert (labels > 0).sum() > 1000
     assert people.labels.shape == (2, TRUTH_SIZE, TRUTH_SIZE)

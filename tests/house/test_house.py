@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # Folder of the repository: its place in the package.
 SOURCES = {"warp_partdr": "", "kernels": "kernels.", "body": "body.", "demos/viewer": "viewer."}
 LEVELS = (
+    "reference",
     "errors",
     "kernels",
     "interop",

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import ellipsoid_reference as reference
 import numpy as np
 import pytest
 import torch
-from edges_reference import edges_gradient
 from test_ellipsoids import (
     CAMERAS,
     GROUPS,
@@ -22,6 +20,9 @@ from test_ellipsoids import (
 )
 
 from warp_partdr.cameras import WeakPerspective
+from warp_partdr.reference import coverage
+from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.reference.edges import edges_gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 
 
@@ -45,7 +46,7 @@ def test_gradient_of_maps_is_its_definition(device, size, perspective):
             leaves.ellipsoids, leaves.camera, size, part_labels=GROUPS, num_maps=4, gradient="edges"
         )
         (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
-        found += errors(scene, leaves, image, reference.dense_costs(maps))
+        found += errors(scene, leaves, image, coverage.dense_costs(maps))
     # Where a front is steep next to its outline, float32 knows its slope to a few percent.
     assert np.median(found) < 1e-3
     assert max(found) < 3e-2
@@ -55,13 +56,13 @@ def test_gradient_of_maps_is_its_definition(device, size, perspective):
 def test_gradient_of_the_label_loss_is_its_definition(device, perspective):
     size = (48, 40)
     scene = body_scene(3, size, perspective, device)
-    target = noisy_target(reference.draw(scene, size)[0], 20, 0)
+    target = noisy_target(reference.ray_cast(scene, size)[0], 20, 0)
     leaves = Leaves.of(scene, device=device)
     loss, image = ellipsoid_label_loss(
         leaves.ellipsoids, leaves.camera, torch.from_numpy(target).to(device)[None], gradient="edges"
     )
     loss.sum().backward()
-    assert max(errors(scene, leaves, image, reference.target_costs(target, 20))) < 2e-3
+    assert max(errors(scene, leaves, image, coverage.target_costs(target, 20))) < 2e-3
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -84,7 +85,7 @@ def test_gradient_approaches_that_of_area(device, perspective):
                 gradient="edges",
             )
             (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
-            want = reference.coverage_gradient(scene, reference.dense_costs(maps), 16)
+            want = coverage.coverage_gradient(scene, coverage.dense_costs(maps), 16)
             relative = gradient_errors(scene, leaves, want)
             found.append([relative[name] for name in ("centres", "turns", "semi_axes")])
         mean.append(np.mean(found, 0))

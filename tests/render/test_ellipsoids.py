@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import ellipsoid_reference as reference
 import numpy as np
 import pytest
 import torch
@@ -16,6 +15,9 @@ from warp_partdr import label_set
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.reference import coverage
+from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
@@ -43,7 +45,7 @@ def random_scene(seed, size, perspective, count=6, labels=None):
     camera = (*focal, width / 2 + 1.3, height / 2 - 0.7)
     labels = np.arange(1, count + 1) if labels is None else labels
     numbers = (centres, axes, rng.uniform(0.05, 0.3, (count, 3)), camera)
-    return reference.Scene(*map(float32, numbers), labels, perspective, 0.01 if perspective else -np.inf)
+    return reference.EllipsoidScene(*map(float32, numbers), labels, perspective, 0.01 if perspective else -np.inf)
 
 
 def apart(scene):
@@ -91,7 +93,7 @@ def scene_of(posed, camera, labels=None):
     numbers = (posed.centres[0], posed.axes[0], posed.semi_axes[0], camera.intrinsics[0])
     labels = np.arange(1, 21) if labels is None else labels
     numbers = [float32(tensor.detach().cpu()) for tensor in numbers]
-    return reference.Scene(*numbers, labels, camera.perspective, 0.01 if camera.perspective else -np.inf)
+    return reference.EllipsoidScene(*numbers, labels, camera.perspective, 0.01 if camera.perspective else -np.inf)
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ MARGIN, LEAD = 1e-5, 1e-5  # [1], [m]
 
 
 def check_picture(image, scene, size, b=0):
-    labels, parts, depth = reference.draw(scene, size)
+    labels, parts, depth = reference.ray_cast(scene, size)
     margin, lead = reference.doubt(scene, size)
     sure = (margin > MARGIN) & (lead > LEAD)
     assert (~sure).sum() <= 1e-3 * sure.size + 2
@@ -243,7 +245,7 @@ def coverage_errors(scene, maps, device, lines=16, **options):
         leaves.ellipsoids, leaves.camera, size, part_labels=scene.labels, num_maps=len(maps), **options
     )
     (drawn.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
-    return gradient_errors(scene, leaves, reference.coverage_gradient(scene, reference.dense_costs(maps), lines))
+    return gradient_errors(scene, leaves, coverage.coverage_gradient(scene, coverage.dense_costs(maps), lines))
 
 
 def gradient_errors(scene, leaves, want):
@@ -289,7 +291,7 @@ def test_gradient_of_what_the_pictures_border_cuts(device, perspective):
     size = (48, 56)
     scene = random_scene(2, size, perspective)
     scene = replace(scene, camera=scene.camera * (4, 4, 1, 1))
-    labels = reference.draw(scene, size)[0]
+    labels = reference.ray_cast(scene, size)[0]
     assert all(len(set(edge) - {0}) > 1 for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]))
     errors = coverage_errors(scene, smooth_maps(3, 6, size), device, 64, **FINE)
     assert max(errors.values()) < 0.005
@@ -304,8 +306,8 @@ def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
     posed = pose(**leaves)
     camera = Intrinsics(body_camera(size, perspective, device=device).intrinsics.requires_grad_(), perspective)
     scene = scene_of(posed, camera)
-    target = noisy_target(reference.draw(scene, size)[0], 20, seed)
-    wanted = reference.coverage_gradient(scene, reference.target_costs(target, 20), 64)
+    target = noisy_target(reference.ray_cast(scene, size)[0], 20, seed)
+    wanted = coverage.coverage_gradient(scene, coverage.target_costs(target, 20), 64)
     ellipsoids = {"centres": posed.centres, "axes": posed.axes, "semi_axes": posed.semi_axes}
     forces = (wanted["centres"], axes_gradient(scene.axes, wanted["turns"]), wanted["semi_axes"])
     forces = [torch.tensor(force, dtype=torch.float32, device=device)[None] for force in forces]
@@ -337,13 +339,13 @@ def test_coverage_gradient_of_the_label_loss_is_that_of_area(device, perspective
     """Costs that jump from pixel to pixel along a border: looser than with smooth maps."""
     size = (96, 112)
     scene = apart(random_scene(2, size, perspective, labels=GROUPS))
-    target = reference.draw(replace(scene, centres=scene.centres + np.array([0.03, -0.04, 0])), size)[0]
+    target = reference.ray_cast(replace(scene, centres=scene.centres + np.array([0.03, -0.04, 0])), size)[0]
     target[20:30, 40:60] = 255
     leaves = Leaves.of(scene, device=device)
     target_image = torch.from_numpy(target.astype(np.uint8)).to(device)[None]
     loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target_image, part_labels=GROUPS, **FINE)
     loss.sum().backward()
-    want = reference.coverage_gradient(scene, reference.target_costs(target, 4), 32)
+    want = coverage.coverage_gradient(scene, coverage.target_costs(target, 4), 32)
     errors = gradient_errors(scene, leaves, want)
     assert errors.pop("camera") < 0.05
     assert max(errors.values()) < 0.01
@@ -354,18 +356,18 @@ def test_the_reference_is_the_derivative_of_area(perspective):
     """The reference's sum over borders against differences of the area itself, along random directions."""
     size = (48, 56)
     scene = random_scene(1, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
-    costs = reference.dense_costs(np.ones((5, *size)) * np.linspace(-1, 1, 5)[:, None, None])  # no kinks at pixels
-    gradients = reference.coverage_gradient(scene, costs, 64)
+    costs = coverage.dense_costs(np.ones((5, *size)) * np.linspace(-1, 1, 5)[:, None, None])  # no kinks at pixels
+    gradients = coverage.coverage_gradient(scene, costs, 64)
     rng = np.random.default_rng(0)
-    for name in reference.NAMES:
+    for name in coverage.NAMES:
         for _ in range(2):
             way = rng.normal(size=gradients[name].shape) * (0.01 if name != "camera" else 0.3)
             both = []
             for sign in (0.5, -0.5):
                 there = scene
                 for index in np.ndindex(way.shape):
-                    there = reference.moved(there, name, index, sign * way[index])
-                both.append(reference.area_cost(there, costs, 64))
+                    there = coverage.moved(there, name, index, sign * way[index])
+                both.append(coverage.area_cost(there, costs, 64))
             assert both[0] - both[1] == pytest.approx((way * gradients[name]).sum(), rel=0.03, abs=0.05)
 
 
@@ -401,7 +403,6 @@ def test_partdr_gradient_of_maps_is_the_reference(device, perspective, max_dista
                 scene,
                 image.parts[b].cpu().numpy(),
                 g[b].cpu().numpy().astype(float),
-                over_farther=True,
                 **options,
             )
             check_forces(leaves, want, b)
@@ -413,7 +414,7 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
     size = (40, 32)
     scene = body_scene(3, size, perspective, device, labels)
     count = int(scene.labels.max())
-    target = noisy_target(reference.draw(scene, size)[0], count, 0)
+    target = noisy_target(reference.ray_cast(scene, size)[0], count, 0)
     leaves = Leaves.of(scene, device=device)
     loss, image = ellipsoid_label_loss(
         leaves.ellipsoids,
@@ -423,9 +424,9 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
         gradient="partdr",
     )
     loss.sum().backward()
-    g = reference.label_gradient(image.labels[0].cpu().numpy(), target, count, np.ones(count + 1))
+    g = label_gradient(image.labels[0].cpu().numpy(), target, count, np.ones(count + 1))
     parts = image.parts[0].cpu().numpy()
-    check_forces(leaves, reference.partdr_gradient(scene, parts, g, over_farther=True))
+    check_forces(leaves, reference.partdr_gradient(scene, parts, g))
     assert loss.item() == pytest.approx(np.abs(g).sum() / 2, rel=1e-5)
 
 
@@ -528,7 +529,7 @@ def test_batch_equals_its_members(device, gradient):
     """One target for all, a factor for each body's loss, and every body alone: the same."""
     size = (40, 56)
     scenes = [body_scene(seed, size, True, device) for seed in range(3)]
-    target = torch.from_numpy(noisy_target(reference.draw(scenes[0], size)[0], 20, 2)).to(device)[None]
+    target = torch.from_numpy(noisy_target(reference.ray_cast(scenes[0], size)[0], 20, 2)).to(device)[None]
     leaves = Leaves.of(*scenes, device=device)
     loss, image = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient=gradient)
     factors = torch.tensor([2.0, 0.0, -0.5], device=device)
@@ -548,7 +549,7 @@ def test_batch_equals_its_members(device, gradient):
 def test_every_run_is_the_same_to_the_bit(device, gradient):
     size = (96, 80)
     scenes = [body_scene(seed, size, False, device) for seed in range(4)]
-    target = torch.from_numpy(noisy_target(reference.draw(scenes[0], size)[0], 20, 2)).to(device)[None]
+    target = torch.from_numpy(noisy_target(reference.ray_cast(scenes[0], size)[0], 20, 2)).to(device)[None]
     runs = []
     for _ in range(3):
         leaves = Leaves.of(*scenes, device=device)

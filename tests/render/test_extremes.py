@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import ellipsoid_reference
 import numpy as np
 import pytest
-import reference
 import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -35,6 +33,9 @@ from test_ellipsoids import (
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.cameras import Crop, Perspective, WeakPerspective
+from warp_partdr.reference import coverage
+from warp_partdr.reference import ellipsoids as ellipsoid_reference
+from warp_partdr.reference import mesh as reference
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
@@ -72,13 +73,13 @@ def ellipsoid_scenes(draw):
     camera = (scale, scale * rng.uniform(0.8, 1.25), SIZE[1] / 2 + 1.3, SIZE[0] / 2 - 0.7)
     numbers = map(float32, (centres, axes, semi_axes, camera))
     near = 0.01 if perspective else -np.inf
-    return ellipsoid_reference.Scene(*numbers, np.arange(1, count + 1), perspective, near)
+    return ellipsoid_reference.EllipsoidScene(*numbers, np.arange(1, count + 1), perspective, near)
 
 
 def sure_pixels(scene, size):
     """Where the reference's picture stays the same when it is moved by ``PLACE`` any way, and depths by ``LEAD``."""
     with np.errstate(all="ignore"):
-        parts = ellipsoid_reference.draw(scene, size)[1]
+        parts = ellipsoid_reference.ray_cast(scene, size)[1]
         means = ellipsoid_reference.boxes(scene)[ellipsoid_reference.drawable(scene)]
         off = PLACE + PLACE_SHARE * np.abs(means[np.isfinite(means)]).max(initial=0.0)
         depths = np.sort(ellipsoid_reference.fronts(scene, *ellipsoid_reference.pixel_centres(size)), 0)
@@ -88,13 +89,13 @@ def sure_pixels(scene, size):
         for x in (-off, 0, off):
             for y in (-off, 0, off):
                 moved = replace(scene, camera=scene.camera + np.array([0, 0, x, y]))
-                sure &= ellipsoid_reference.draw(moved, size)[1] == parts
+                sure &= ellipsoid_reference.ray_cast(moved, size)[1] == parts
     return sure
 
 
 def check_ellipsoid_picture(image, scene, size):
     with np.errstate(all="ignore"):
-        _, parts, depth = ellipsoid_reference.draw(scene, size)
+        _, parts, depth = ellipsoid_reference.ray_cast(scene, size)
     sure = sure_pixels(scene, size)
     np.testing.assert_array_equal(image.parts[0].cpu().numpy()[sure], parts[sure])
     shown = sure & (parts > 0)
@@ -104,7 +105,7 @@ def check_ellipsoid_picture(image, scene, size):
     steep = np.zeros(size)
     for way in ((0, 0, PLACE, 0), (0, 0, 0, PLACE)):
         with np.errstate(all="ignore"):
-            there = ellipsoid_reference.draw(replace(scene, camera=scene.camera + way), size)[2]
+            there = ellipsoid_reference.ray_cast(replace(scene, camera=scene.camera + way), size)[2]
             steep = np.fmax(steep, np.abs(there - depth))
     allowed = LEAD * (np.abs(depth) + scene.semi_axes.max()) + 2 * steep
     assert (np.abs(have[shown] - depth[shown]) <= allowed[shown]).all()
@@ -159,7 +160,7 @@ def one_scene(centre, semi_axes, perspective, *, turn=(0.0, 0.0, 0.0), focal=20.
     axes = np.stack([Rotation.from_rotvec(turn).as_matrix(), np.eye(3)])
     numbers = centres, axes, np.array([semi_axes, (0.5, 0.5, 0.5)]), (focal, focal, *middle)
     near = 0.01 if perspective else -np.inf
-    return ellipsoid_reference.Scene(*map(float32, numbers), np.array([1, 2]), perspective, near)
+    return ellipsoid_reference.EllipsoidScene(*map(float32, numbers), np.array([1, 2]), perspective, near)
 
 
 EDGE_ON = (0.0, np.pi / 2, 0.0)
@@ -218,7 +219,7 @@ def test_gradients_of_extreme_ellipsoids_are_the_references(device, name, perspe
     forces = ellipsoid_reference.partdr_gradient(scene, image.parts[0].cpu().numpy(), maps)
     for parameter, values in have["partdr"].gradients().items():
         assert relative_error(values, getattr(forces, parameter)) < 2e-3, parameter
-    want = ellipsoid_reference.coverage_gradient(scene, ellipsoid_reference.dense_costs(maps), 64)
+    want = coverage.coverage_gradient(scene, coverage.dense_costs(maps), 64)
     assert max(gradient_errors(scene, have["coverage"], want).values()) < 0.03
 
 
@@ -289,7 +290,6 @@ def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
         g,
         perspective=perspective,
         near=near,
-        over_farther=True,
         depth=depth,
     )
     have = leaf.grad[0].cpu().numpy()

@@ -9,10 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-import ellipsoid_reference
 import numpy as np
 import pytest
-import reference
 import torch
 from scenes import draw_on_screen, loss_on_screen
 from scipy.spatial.transform import Rotation
@@ -22,6 +20,9 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.reference import ellipsoids as ellipsoid_reference
+from warp_partdr.reference import mesh as reference
+from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import PartImage
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
@@ -41,14 +42,14 @@ def compare(have: np.ndarray, want: np.ndarray) -> tuple[float, float]:
 SIZE = (40, 44)
 
 
-def two_ellipsoids(perspective: bool, shift: float = 0.0) -> ellipsoid_reference.Scene:
+def two_ellipsoids(perspective: bool, shift: float = 0.0) -> ellipsoid_reference.EllipsoidScene:
     """One before the other; ``shift`` [m] moves the one behind to the right."""
     centres = np.array([[0.0, 0.1, 2.6], [0.1 + shift, -0.15, 3.0]])
     axes = Rotation.from_rotvec([[0.3, 0.5, 0.2], [-0.4, 0.1, 0.9]]).as_matrix()
     semi_axes = np.array([[0.24, 0.4, 0.3], [0.45, 0.2, 0.3]])
     focal = 74.0 if perspective else 26.0
     camera = np.array([focal, focal, 22.3, 19.8])
-    return ellipsoid_reference.Scene(centres, axes, semi_axes, camera, np.array([1, 2]), perspective)
+    return ellipsoid_reference.EllipsoidScene(centres, axes, semi_axes, camera, np.array([1, 2]), perspective)
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,14 @@ class Meshes:
         vertices: The same as the camera sees them, (u [px], v [px], z [m]).
     """
 
-    scene: ellipsoid_reference.Scene
+    scene: ellipsoid_reference.EllipsoidScene
     points: np.ndarray
     vertices: np.ndarray
     faces: np.ndarray
     face_labels: np.ndarray
 
     @classmethod
-    def of(cls, scene: ellipsoid_reference.Scene, level: int) -> Meshes:
+    def of(cls, scene: ellipsoid_reference.EllipsoidScene, level: int) -> Meshes:
         sphere, faces = icosphere(level)
         points = scene.centres[:, None] + np.einsum("pij,pj,vj->pvi", scene.axes, scene.semi_axes, sphere)
         points = points.reshape(-1, 3)
@@ -82,16 +83,16 @@ class Meshes:
         vertices = torch.from_numpy(self.vertices)[None].float()
         return draw_on_screen(vertices, mesh, SIZE, perspective=self.scene.perspective)
 
-    def forces(self, grad: np.ndarray) -> ellipsoid_reference.Forces:
+    def forces(self, grad: np.ndarray) -> ellipsoid_reference.EllipsoidForces:
         """A gradient of the vertices as one of the ellipsoids."""
-        forces = ellipsoid_reference.Forces(self.scene)
+        forces = ellipsoid_reference.EllipsoidForces(self.scene)
         for k, point, force in zip(np.repeat([0, 1], len(grad) // 2), self.points, grad, strict=True):
             forces.push_image(k, point, force[:2])
             forces.push(k, point, np.array([0.0, 0.0, force[2]]))
         return forces
 
 
-def check_meets(have: ellipsoid_reference.Forces, want: ellipsoid_reference.Forces) -> None:
+def check_meets(have: ellipsoid_reference.EllipsoidForces, want: ellipsoid_reference.EllipsoidForces) -> None:
     for name in NAMES:
         length, cosine = compare(getattr(have, name), getattr(want, name))
         assert length == pytest.approx(1.0, abs=0.03), name
@@ -103,9 +104,9 @@ def check_meets(have: ellipsoid_reference.Forces, want: ellipsoid_reference.Forc
 def test_the_definitions_meet_in_x_and_y(perspective, shift):
     """Icospheres come to the ellipsoids they stand for; two pixels of the finer ones' picture differ from theirs."""
     scene = two_ellipsoids(perspective)
-    labels, parts, _ = ellipsoid_reference.draw(scene, SIZE)
-    target = ellipsoid_reference.draw(two_ellipsoids(perspective, shift), SIZE)[0]
-    g = ellipsoid_reference.label_gradient(labels, target, 2)
+    labels, parts, _ = ellipsoid_reference.ray_cast(scene, SIZE)
+    target = ellipsoid_reference.ray_cast(two_ellipsoids(perspective, shift), SIZE)[0]
+    g = label_gradient(labels, target, 2)
     want = ellipsoid_reference.partdr_gradient(scene, parts, g, depth_weight=0.0)
     errors = []
     for level in (1, 3):
@@ -119,7 +120,6 @@ def test_the_definitions_meet_in_x_and_y(perspective, shift):
             image.face_index[0].numpy(),
             g,
             perspective=perspective,
-            over_farther=True,
             depth=image.depth[0].numpy(),
             depth_weight=0.0,
         )
@@ -133,11 +133,11 @@ def test_the_definitions_meet_in_x_and_y(perspective, shift):
 def test_the_definitions_meet_in_z(perspective):
     """Where part 2 should be seen and is hidden."""
     scene = two_ellipsoids(perspective)
-    labels, parts, _ = ellipsoid_reference.draw(scene, SIZE)
+    labels, parts, _ = ellipsoid_reference.ray_cast(scene, SIZE)
     g = np.zeros((2, *SIZE))
     g[1, 16:23, 20:29] = -2.0
-    want = ellipsoid_reference.Forces(scene)
-    ellipsoid_reference.push_depths(want, labels, parts, g, 1.0)
+    want = ellipsoid_reference.EllipsoidForces(scene)
+    ellipsoid_reference.add_depth_forces(want, labels, parts, g, 1.0)
     meshes = Meshes.of(scene, 3)
     image = meshes.picture()
     shown = np.where(g[1] != 0, image.labels[0].numpy(), 0)  # the slow reference need not look elsewhere
@@ -244,7 +244,7 @@ def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
     image = draw_on_screen(leaf, mesh, size, num_maps=20, depth_weight=0.0)
     shown = image.labels[0].cpu().numpy()
     target = np.roll(shown, (2, 5), (0, 1))
-    g = reference.label_gradient(shown, target, 20)
+    g = label_gradient(shown, target, 20)
     if how == "label_loss":
         target = torch.from_numpy(target)[None].to(device)
         loss_on_screen(leaf, mesh, target, depth_weight=0.0)[0].sum().backward()
@@ -260,7 +260,6 @@ def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
         shown,
         image.face_index[0].cpu().numpy(),
         g,
-        over_farther=True,
         depth=image.depth[0].cpu().numpy(),
         depth_weight=0.0,
     )

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import reference
 import torch
 import warp as wp
 from scenes import draw_on_screen, loss_on_screen
@@ -13,6 +12,8 @@ from warp_partdr.kernels.labels import DenseGradient
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
+from warp_partdr.reference import mesh as reference
+from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
@@ -137,7 +138,6 @@ def test_dense_gradient_is_the_reference(device, perspective, max_distance):
                 image.face_index[b].cpu().numpy(),
                 g[b].cpu().numpy().astype(float),
                 perspective=perspective,
-                over_farther=True,
                 depth=image.depth[b].cpu().numpy(),
                 max_distance=max_distance,
                 depth_weight=0.7,
@@ -158,7 +158,7 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera):
     loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
     loss.sum().backward()
     shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
-    g = reference.label_gradient(shown, wanted, 20, np.ones(21))
+    g = label_gradient(shown, wanted, 20, np.ones(21))
     want = reference.gradient(
         vertices[0].astype(float),
         faces,
@@ -167,7 +167,6 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera):
         image.face_index[0].cpu().numpy(),
         g,
         perspective=perspective,
-        over_farther=True,
         depth=image.depth[0].cpu().numpy(),
     )
     have = leaf.grad[0].cpu().numpy()

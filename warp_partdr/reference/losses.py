@@ -1,0 +1,92 @@
+"""Losses of training and of refinement (paper, eq. 3 to 6 and 19)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+IGNORE = 255  # label of pixels that count nowhere
+
+
+def learning_objective(terms: dict[str, float], weights: dict[str, float]) -> float:
+    """Eq. 3: L = lambda_3D L_3D + lambda_proj L_proj + lambda_seg L_seg.
+
+    Args:
+        terms: L by name. EllipBodyNet's training adds L_l, L_t and cross entropies of its heads to the paper's three.
+        weights: lambda by name, 0 for what a picture has no truth of.
+    """
+    return sum(weights[name] * term for name, term in terms.items())
+
+
+def joint_loss(joints: np.ndarray, wanted: np.ndarray, weights: np.ndarray | None = None) -> float:
+    """Eq. 4: L_3D = sum over joints of |S - S^|^2.
+
+    Args:
+        joints: S, shape (N, 3).
+        wanted: S^, the true ones, shape (N, 3).
+        weights: Of each joint, shape (N,). Training takes the mean over the known joints, in centimetres, of positions
+            from the middle of the hips.
+    """
+    squares = ((joints - wanted) ** 2).sum(1)
+    return float((np.ones(len(joints)) if weights is None else weights) @ squares)
+
+
+def projection_loss(points: np.ndarray, wanted: np.ndarray, votes: np.ndarray | None = None) -> float:
+    """Eq. 5: L_proj = sum over keypoints of |S_2D - S^_2D|_1.
+
+    Args:
+        points: S_2D, projected joints, shape (L, 2), in pixels of a crop of 256 px.
+        wanted: S^_2D, where they are seen, shape (L, 2).
+        votes: Of each, shape (L,): a detector's confidence, of which the landmarks of one part share one; the paper has
+            none.
+    """
+    distances = np.abs(points - wanted).sum(1)
+    return float((np.ones(len(points)) if votes is None else votes) @ distances)
+
+
+def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | None = None) -> float:
+    """Eq. 6: L_seg = sum over parts k and pixels (i, j) of (A^k - A^^k)^2.
+
+    Args:
+        maps: A, shape (K, H, W).
+        wanted: A^, of labels or probabilities, shape (K, H, W).
+        known: 0 at pixels that count nowhere, shape (H, W); the paper knows all.
+    """
+    squares = ((maps - wanted) ** 2).sum(0)
+    return float((squares if known is None else squares * known).sum())
+
+
+def label_gradient(
+    labels: np.ndarray, target: np.ndarray, num_labels: int, weights: np.ndarray | None = None
+) -> np.ndarray:
+    """g = dL_seg/dA, the derivative of eq. 6 for a label image and its target, as maps (K, H, W).
+
+    Args:
+        labels: Shown, shape (H, W).
+        target: Wanted, shape (H, W), 255 = ignore.
+        num_labels: K.
+        weights: Factor of each label's map, shape (K + 1,).
+    """
+    weights = np.ones(num_labels + 1) if weights is None else weights
+    index = np.arange(1, num_labels + 1)[:, None, None]
+    g = 2.0 * weights[1 : num_labels + 1, None, None] * ((labels == index).astype(float) - (target == index))
+    return np.where(target == IGNORE, 0.0, g)
+
+
+def size_loss(sizes: np.ndarray, usual: np.ndarray) -> float:
+    """L_l or L_t of eq. 19: |l - l_mean|^2, in square millimetres of sizes in metres."""
+    return float((((sizes - usual) * 1000) ** 2).sum())
+
+
+def refinement_energy(l_seg: float, l_proj: float, l_l: float, l_t: float, weights: dict[str, float]) -> float:
+    """Eq. 19: E(r, l, t, c) = lambda_seg L_seg + lambda_proj L_proj + lambda_l L_l + lambda_t L_t.
+
+    Args:
+        l_seg: Eq. 6 [px of a crop of 256 px], of whatever size is drawn.
+        l_proj: Eq. 5 [px of the same].
+        l_l: ``size_loss`` of the 12 lengths [mm²].
+        l_t: ``size_loss`` of the 15 thicknesses [mm²].
+        weights: lambda of "seg", "proj", "l" and "t"; the paper has 1e-2, 1, 1e-3 and 1e-3 and names no units.
+
+    A fit adds a pose prior, joint limits and, in its last stage, a hold in depth.
+    """
+    return weights["seg"] * l_seg + weights["proj"] * l_proj + weights["l"] * l_l + weights["t"] * l_t

@@ -1,0 +1,148 @@
+"""Registration of a detailed body on EllipBody (paper, eq. 16 to 18).
+
+The paper names ICP and leaves its distances open. Here they are those of surfaces, both ways, and count ever less from
+``scale`` on (Geman and McClure), so that what has no partner pulls on nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .ellipbody import PosedEllipsoid
+
+BAND = 0.7  # share of a bone's half-length, from its middle, where an ellipsoid is as thick as its limb
+
+
+@dataclass(frozen=True)
+class DetailedSurface:
+    """M^S, the posed mesh of a detailed model.
+
+    Attributes:
+        vertices: v^S [m], shape (V, 3).
+        areas: Share of the skin that is around each vertex, 0 inside the body, shape (V,).
+        parts: Ellipsoid 0 to 19 of each vertex, shape (V,).
+        faces: Shape (F, 3).
+        face_parts: The same of each face, shape (F,).
+    """
+
+    vertices: np.ndarray
+    areas: np.ndarray
+    parts: np.ndarray
+    faces: np.ndarray
+    face_parts: np.ndarray
+
+
+def registration_loss(
+    surface: DetailedSurface,
+    ellipsoids: list[PosedEllipsoid],
+    samples: np.ndarray,
+    sample_areas: np.ndarray,
+    *,
+    scale: float,
+    reach: float,
+    icp_weight: float = 1.0,
+    penetration_weight: float = 1.0,
+) -> float:
+    """Eq. 16, what shape and pose of the detailed body minimise: L_ICP(M^S, M^E) + L_PEN(v^S, M^E).
+
+    Args:
+        surface: M^S.
+        ellipsoids: M^E.
+        samples: Points on M^E that no other ellipsoid covers, as many of each one after another, shape (20 N, 3) [m].
+        sample_areas: Their shares of the area, shape (20 N,).
+        scale: Distance from which on ICP counts less [m].
+        reach: Distance beyond which a sample has no closest point [m].
+        icp_weight: Of L_ICP in square metres.
+        penetration_weight: Of L_PEN.
+
+    ``register`` adds joints, measures and priors of shape and pose.
+    """
+    icp = icp_to_mesh(surface, samples, sample_areas, scale, reach) + icp_to_ellipsoids(surface, ellipsoids, scale)
+    penetration = penetration_loss(surface.vertices, ellipsoids, surface.areas)
+    return icp_weight * icp + penetration_weight * penetration
+
+
+def radial_distance(vertex: np.ndarray, ellipsoid: PosedEllipsoid) -> float:
+    """Eq. 17: e(v, E) = |2 d_x / l, 2 d_y / t1, 2 d_z / t2|, 1 on the ellipsoid and less inside.
+
+    Args:
+        vertex: v [m], shape (3,).
+        ellipsoid: E, with d = R^-1 (v - C).
+    """
+    axes, centre, *sizes = ellipsoid
+    return float(np.linalg.norm(2 * (axes.T @ (vertex - centre)) / np.array(sizes)))
+
+
+def penetration_loss(vertices: np.ndarray, ellipsoids: list[PosedEllipsoid], areas: np.ndarray | None = None) -> float:
+    """Eq. 18: L_PEN = sum over v and E of a (1 - e(v, E))^2, with a = 1 where v is inside E, else 0.
+
+    Args:
+        vertices: v, shape (V, 3) [m].
+        ellipsoids: E.
+        areas: Weight of each vertex, shape (V,); the paper has none, so that fine meshes count for more.
+    """
+    total = 0.0
+    for vertex, area in zip(vertices, np.ones(len(vertices)) if areas is None else areas, strict=True):
+        for ellipsoid in ellipsoids:
+            e = radial_distance(vertex, ellipsoid)
+            a = 1.0 if e <= 1 else 0.0
+            total += area * a * (1 - e) ** 2
+    return total
+
+
+def icp_to_ellipsoids(surface: DetailedSurface, ellipsoids: list[PosedEllipsoid], scale: float) -> float:
+    """L_ICP from the mesh [m²]: squared distances (e - 1) / |e'| of vertices from their ellipsoids, to first order."""
+    total = 0.0
+    for vertex, area, part in zip(surface.vertices, surface.areas, surface.parts, strict=True):
+        axes, centre, *sizes = ellipsoids[part]
+        halves = np.array(sizes) / 2
+        unit = axes.T @ (vertex - centre) / halves
+        e = np.linalg.norm(unit)
+        if abs(unit[0]) < BAND:
+            square = ((e - 1) / np.linalg.norm(unit / halves / e)) ** 2
+            total += area * square / (1 + square / scale**2)
+    return total
+
+
+def icp_to_mesh(
+    surface: DetailedSurface, samples: np.ndarray, sample_areas: np.ndarray, scale: float, reach: float
+) -> float:
+    """L_ICP to the mesh [m²]: squared distances along the normal of the closest face of a sample's own part.
+
+    The weight is the one under which a step of least squares lowers Geman and McClure's cost, 1 / (1 + d² / scale²)².
+    """
+    total = 0.0
+    skin = (surface.areas[surface.faces] > 0).all(1)
+    per_part = len(samples) // 20
+    for i, (sample, area) in enumerate(zip(samples, sample_areas, strict=True)):
+        triangles = surface.vertices[surface.faces[skin & (surface.face_parts == i // per_part)]]
+        points = closest_points(sample, triangles)
+        distances = np.linalg.norm(points - sample, axis=1)
+        nearest = distances.argmin()
+        if area == 0 or distances[nearest] > reach:
+            continue
+        a, b, c = triangles[nearest]
+        normal = np.cross(b - a, c - a)
+        along = (points[nearest] - sample) @ normal / np.linalg.norm(normal)
+        total += area * along**2 / (1 + distances[nearest] ** 2 / scale**2) ** 2
+    return total
+
+
+def closest_points(point: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The point of each triangle (F, 3, 3) that is closest to a point: above its inside, or on one of its sides."""
+    found = np.empty((4, len(triangles), 3))
+    for k in range(3):
+        start, way = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        share = ((point - start) * way).sum(1) / (way**2).sum(1)
+        found[k] = start + np.clip(share, 0, 1)[:, None] * way
+    a = triangles[:, 0]
+    normals = np.cross(triangles[:, 1] - a, triangles[:, 2] - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found[3] = point - ((point - a) * normals).sum(1)[:, None] * normals
+    squares = ((found - point) ** 2).sum(2)
+    for k in range(3):
+        inward = np.cross(normals, triangles[:, (k + 1) % 3] - triangles[:, k])
+        squares[3, ((found[3] - triangles[:, k]) * inward).sum(1) < 0] = np.inf
+    return found[squares.argmin(0), np.arange(len(triangles))]
