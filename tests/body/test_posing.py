@@ -1,4 +1,4 @@
-"""Forward kinematics: a NumPy walk of the tree, finite differences in float64, and the Warp class."""
+"""Forward kinematics: the formula book's walk of the tree, finite differences in float64, and the Warp class."""
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
 from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import JOINT_NAMES, PARENTS, SHAPE_INDICES, template
+from warp_partdr.reference.ellipbody import BodyTree, deform_sphere, ellipsoids_of, place_joints
 
 
 def random_parameters(seed: int, batch: int, device="cpu", dtype=torch.float64):
@@ -24,22 +25,7 @@ def random_parameters(seed: int, batch: int, device="cpu", dtype=torch.float64):
     return [torch.from_numpy(p).to(device, dtype) for p in parameters]
 
 
-def walk(orient, translation, rotations, lengths, thicknesses):
-    """One body, written as the equations read."""
-    constants = template()
-    joints, global_rotations = [translation], []
-    centres, axes, semi_axes = [], [], []
-    for k, parent in enumerate(PARENTS):
-        above = orient if parent < 0 else global_rotations[parent]
-        rotation = above @ rotations[k]
-        length, first, second = SHAPE_INDICES[k]
-        start = joints[parent + 1]
-        joints.append(start + lengths[length] * rotation @ constants.rest_directions[k])
-        global_rotations.append(rotation)
-        centres.append((start + joints[-1]) / 2)
-        axes.append(rotation @ constants.rest_axes[k])
-        semi_axes.append(np.array([lengths[length], thicknesses[first], thicknesses[second]]) / 2)
-    return [np.array(x) for x in (joints, global_rotations, centres, axes, semi_axes)]
+TREE = BodyTree(PARENTS, template().rest_directions, template().rest_axes, SHAPE_INDICES)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -47,9 +33,20 @@ def test_pose_is_the_walk(device, dtype):
     parameters = random_parameters(0, 3, device, dtype)
     posed = pose(*parameters)
     tolerance = 1e-5 if dtype == torch.float32 else 1e-12
+    sphere = icosphere(1)[0]
     for b in range(3):
-        want = walk(*[p[b].cpu().double().numpy() for p in parameters])
-        have = (posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes)
+        *placed, lengths, thicknesses = [p[b].cpu().double().numpy() for p in parameters]
+        joints, turns = place_joints(TREE, *placed, lengths)
+        ellipsoids = ellipsoids_of(TREE, joints, turns, lengths, thicknesses)
+        want = (
+            joints,
+            turns,
+            np.stack([each.centre for each in ellipsoids]),
+            np.stack([each.axes for each in ellipsoids]),
+            np.stack([each[2:] for each in ellipsoids]) / 2,
+            np.concatenate([deform_sphere(each, sphere) for each in ellipsoids]),
+        )
+        have = (posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes, posed.vertices(1))
         for h, w in zip(have, want, strict=True):
             np.testing.assert_allclose(h[b].cpu().numpy(), w, atol=tolerance)
 

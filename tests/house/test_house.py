@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -122,7 +123,7 @@ def _targets(name: str, path: Path, node: ast.AST) -> Iterator[str]:
 
 
 def level(name: str) -> int:
-    return LEVELS.index(name.partition(".")[0])
+    return LEVELS.index(wing(name))
 
 
 def product_files() -> list[Path]:
@@ -143,7 +144,7 @@ def test_few_modules_lie_beside_the_wings():
 
 
 def test_every_wing_has_its_level_and_says_what_it_holds():
-    wings = {name.partition(".")[0] for name in modules()} - {"", "__main__"}
+    wings = {wing(name) for name in modules()} - {"", "__main__"}
     assert wings == set(LEVELS)
     for name, path in modules().items():
         assert ast.get_docstring(tree(path)), f"{name}: no docstring"
@@ -160,9 +161,30 @@ def test_imports_go_down():
     assert sorted(upward) == []
 
 
+def wing(name: str) -> str:
+    return name.partition(".")[0]
+
+
 def test_the_formula_book_is_read_by_tests_alone():
-    readers = [n for n, targets in imports().items() for t in targets if t.partition(".")[0] == "reference" != n[:9]]
-    assert readers == []
+    readers = {name for name, targets in imports().items() if "reference" in map(wing, targets)}
+    assert sorted(name for name in readers if wing(name) != "reference") == []
+    tools = [path for path in product_files() if path.parent.name in ("demos", "scripts")]
+    assert tools
+    assert [short(path) for path in tools if "warp_partdr.reference" in path.read_text(encoding="utf-8")] == []
+
+
+def test_the_formula_book_needs_numpy_alone():
+    foreign = set()
+    for name, path in modules().items():
+        for node in ast.walk(tree(path)) if wing(name) == "reference" else ():
+            if isinstance(node, ast.Import):
+                foreign |= {wing(alias.name) for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                foreign.add(wing(node.module or ""))
+    assert foreign - set(sys.stdlib_module_names) == {"numpy"}
+    assert {wing(target) for name, targets in imports().items() if wing(name) == "reference" for target in targets} == {
+        "reference"
+    }
 
 
 def test_no_circles():

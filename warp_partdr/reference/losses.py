@@ -18,11 +18,11 @@ def learning_objective(terms: dict[str, float], weights: dict[str, float]) -> fl
 
 
 def joint_loss(joints: np.ndarray, wanted: np.ndarray, weights: np.ndarray | None = None) -> float:
-    """Eq. 4: L_3D = sum over joints of |S - S^|^2.
+    """Eq. 4: L_3D = sum over joints of ‖S - Ŝ‖².
 
     Args:
         joints: S, shape (N, 3).
-        wanted: S^, the true ones, shape (N, 3).
+        wanted: Ŝ, the true ones, shape (N, 3).
         weights: Of each joint, shape (N,). Training takes the mean over the known joints, in centimetres, of positions
             from the middle of the hips.
     """
@@ -31,11 +31,11 @@ def joint_loss(joints: np.ndarray, wanted: np.ndarray, weights: np.ndarray | Non
 
 
 def projection_loss(points: np.ndarray, wanted: np.ndarray, votes: np.ndarray | None = None) -> float:
-    """Eq. 5: L_proj = sum over keypoints of |S_2D - S^_2D|_1.
+    """Eq. 5: L_proj = sum over keypoints of ‖S_2D - Ŝ_2D‖_1.
 
     Args:
         points: S_2D, projected joints, shape (L, 2), in pixels of a crop of 256 px.
-        wanted: S^_2D, where they are seen, shape (L, 2).
+        wanted: Ŝ_2D, where they are seen, shape (L, 2).
         votes: Of each, shape (L,): a detector's confidence, of which the landmarks of one part share one; the paper has
             none.
     """
@@ -44,11 +44,11 @@ def projection_loss(points: np.ndarray, wanted: np.ndarray, votes: np.ndarray | 
 
 
 def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | None = None) -> float:
-    """Eq. 6: L_seg = sum over parts k and pixels (i, j) of (A^k - A^^k)^2.
+    """Eq. 6: L_seg = sum over parts k and pixels (i, j) of (A^k - Â^k)².
 
     Args:
         maps: A, shape (K, H, W).
-        wanted: A^, of labels or probabilities, shape (K, H, W).
+        wanted: Â, of labels or probabilities, shape (K, H, W).
         known: 0 at pixels that count nowhere, shape (H, W); the paper knows all.
     """
     squares = ((maps - wanted) ** 2).sum(0)
@@ -73,7 +73,7 @@ def label_gradient(
 
 
 def size_loss(sizes: np.ndarray, usual: np.ndarray) -> float:
-    """L_l or L_t of eq. 19: |l - l_mean|^2, in square millimetres of sizes in metres."""
+    """L_l or L_t of eq. 19: ‖l - l_mean‖², in square millimetres of sizes in metres."""
     return float((((sizes - usual) * 1000) ** 2).sum())
 
 

@@ -64,45 +64,45 @@ def registration_loss(
     return icp_weight * icp + penetration_weight * penetration
 
 
-def radial_distance(vertex: np.ndarray, ellipsoid: PosedEllipsoid) -> float:
-    """Eq. 17: e(v, E) = |2 d_x / l, 2 d_y / t1, 2 d_z / t2|, 1 on the ellipsoid and less inside.
+def radial_distance(vertices: np.ndarray, ellipsoid: PosedEllipsoid) -> np.ndarray:
+    """Eq. 17: e(v, E) = ‖2 d_x / l, 2 d_y / t1, 2 d_z / t2‖, 1 on the ellipsoid and less inside, shape (V,).
 
     Args:
-        vertex: v [m], shape (3,).
+        vertices: v, shape (V, 3) [m].
         ellipsoid: E, with d = R^-1 (v - C).
     """
     axes, centre, *sizes = ellipsoid
-    return float(np.linalg.norm(2 * (axes.T @ (vertex - centre)) / np.array(sizes)))
+    return np.linalg.norm(2 * ((vertices - centre) @ axes) / np.array(sizes), axis=1)
 
 
 def penetration_loss(vertices: np.ndarray, ellipsoids: list[PosedEllipsoid], areas: np.ndarray | None = None) -> float:
-    """Eq. 18: L_PEN = sum over v and E of a (1 - e(v, E))^2, with a = 1 where v is inside E, else 0.
+    """Eq. 18: L_PEN = sum over v and E of a (1 - e(v, E))², with a = 0 where v is outside E, else 1.
 
     Args:
         vertices: v, shape (V, 3) [m].
         ellipsoids: E.
         areas: Weight of each vertex, shape (V,); the paper has none, so that fine meshes count for more.
     """
+    weights = np.ones(len(vertices)) if areas is None else areas
     total = 0.0
-    for vertex, area in zip(vertices, np.ones(len(vertices)) if areas is None else areas, strict=True):
-        for ellipsoid in ellipsoids:
-            e = radial_distance(vertex, ellipsoid)
-            a = 1.0 if e <= 1 else 0.0
-            total += area * a * (1 - e) ** 2
+    for ellipsoid in ellipsoids:
+        e = radial_distance(vertices, ellipsoid)
+        a = np.where(e > 1, 0.0, 1.0)
+        total += weights @ (a * (1 - e) ** 2)
     return total
 
 
 def icp_to_ellipsoids(surface: DetailedSurface, ellipsoids: list[PosedEllipsoid], scale: float) -> float:
     """L_ICP from the mesh [m²]: squared distances (e - 1) / |e'| of vertices from their ellipsoids, to first order."""
     total = 0.0
-    for vertex, area, part in zip(surface.vertices, surface.areas, surface.parts, strict=True):
-        axes, centre, *sizes = ellipsoids[part]
+    for part, ellipsoid in enumerate(ellipsoids):
+        axes, centre, *sizes = ellipsoid
         halves = np.array(sizes) / 2
-        unit = axes.T @ (vertex - centre) / halves
-        e = np.linalg.norm(unit)
-        if abs(unit[0]) < BAND:
-            square = ((e - 1) / np.linalg.norm(unit / halves / e)) ** 2
-            total += area * square / (1 + square / scale**2)
+        unit = (surface.vertices - centre) @ axes / halves
+        e = radial_distance(surface.vertices, ellipsoid)
+        squares = ((e - 1) / np.linalg.norm(unit / halves / e[:, None], axis=1)) ** 2
+        counted = (surface.parts == part) & (np.abs(unit[:, 0]) < BAND)
+        total += (counted * surface.areas) @ (squares / (1 + squares / scale**2))
     return total
 
 
@@ -116,17 +116,18 @@ def icp_to_mesh(
     total = 0.0
     skin = (surface.areas[surface.faces] > 0).all(1)
     per_part = len(samples) // 20
-    for i, (sample, area) in enumerate(zip(samples, sample_areas, strict=True)):
+    for i in np.flatnonzero(sample_areas):
+        sample = samples[i]
         triangles = surface.vertices[surface.faces[skin & (surface.face_parts == i // per_part)]]
         points = closest_points(sample, triangles)
         distances = np.linalg.norm(points - sample, axis=1)
         nearest = distances.argmin()
-        if area == 0 or distances[nearest] > reach:
+        if distances[nearest] > reach:
             continue
         a, b, c = triangles[nearest]
         normal = np.cross(b - a, c - a)
         along = (points[nearest] - sample) @ normal / np.linalg.norm(normal)
-        total += area * along**2 / (1 + distances[nearest] ** 2 / scale**2) ** 2
+        total += sample_areas[i] * along**2 / (1 + distances[nearest] ** 2 / scale**2) ** 2
     return total
 
 

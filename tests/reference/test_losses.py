@@ -1,0 +1,127 @@
+"""What training and refinement minimise, against the formula book (eq. 3 to 6 and 19)."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from test_fitting import walker
+from test_fused import LABELS, SIZE, moved, observation
+
+from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.reference.losses import (
+    IGNORE,
+    joint_loss,
+    label_gradient,
+    learning_objective,
+    projection_loss,
+    refinement_energy,
+    segmentation_loss,
+    size_loss,
+)
+from warp_partdr.reference.mesh import part_maps
+from warp_partdr.refinement.energy import Energy, Weights
+from warp_partdr.refinement.fused import FusedRefinement
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.mesh import label_loss
+from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.training import picture_task
+from warp_partdr.training.picture_data import JOINTS
+from warp_partdr.training.picture_losses import HIPS, body_terms
+from warp_partdr.training.posed_landmarks import landmarks
+
+REFERENCE_SIZE = 256  # [px] of the crop in whose pixels losses count
+
+
+def numpy(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.detach().cpu().double().numpy()
+
+
+def maps_of(labels: np.ndarray, count: int) -> np.ndarray:
+    return part_maps(labels.astype(int) - 1, np.arange(1, 256), count)
+
+
+@pytest.mark.parametrize("path", ["torch", "kernels"])
+def test_energy_is_the_books(device, path):
+    body = walker(device)
+    seen = observation(body, labels=True)
+    seen.labels[:9, :30] = IGNORE
+    weights = {"seg": 1e-2, "proj": 1.0, "l": 1e-3, "t": 2e-3}
+    energy = Energy(seen, size=SIZE, weights=Weights(1.0, 1e-2, 1e-3, 2e-3))
+    bodies = moved(body, 3)
+    terms = energy(bodies) if path == "torch" else FusedRefinement(energy, 3, iterations=0).refine(bodies).terms
+    found = torch.stack([terms[name] for name in ("proj", "seg", "length", "thickness")])
+
+    groups = LABELS.part_groups[1:].astype(int)
+    parts = draw_ellipsoids(bodies.posed(), bodies.camera(SIZE), (SIZE, SIZE), part_labels=groups.tolist()).parts
+    points = bodies.camera(REFERENCE_SIZE).project(LandmarkGather(seen.landmarks, device)(bodies.posed()))[..., :2]
+    target = numpy(seen.labels)
+    for b in range(3):
+        maps = part_maps(parts[b].cpu().numpy().astype(int) - 1, groups, 14)
+        l_seg = segmentation_loss(maps, maps_of(target, 14), target != IGNORE) * (REFERENCE_SIZE / SIZE) ** 2
+        wanted = (numpy(seen.points) + 1) * REFERENCE_SIZE / 2
+        l_proj = projection_loss(numpy(points[b]), wanted, numpy(energy.votes))
+        l_l = size_loss(numpy(bodies.lengths[b]), numpy(energy.usual_lengths))
+        l_t = size_loss(numpy(bodies.thicknesses[b]), numpy(energy.usual_thicknesses))
+        of_each = [weights[name] * term for name, term in zip(weights, (l_seg, l_proj, l_l, l_t), strict=True)]
+        np.testing.assert_allclose(numpy(found[:, b]), np.array(of_each)[[1, 0, 2, 3]], rtol=1e-4)
+        assert min(of_each) > 0.1
+        assert sum(numpy(found[:, b])) == pytest.approx(refinement_energy(l_seg, l_proj, l_l, l_t, weights), rel=1e-4)
+
+
+def test_training_terms_are_the_books(rng):
+    bodies = moved(walker(), 2)
+    joints, has_joints = landmarks(bodies.posed(), JOINTS).flip(0) + 0.1, torch.ones(2, len(JOINTS))
+    has_joints[1, JOINTS.index("neck")] = 0
+    keypoints = torch.from_numpy(rng.random((2, len(LANDMARKS), 3))).float()
+    terms = body_terms(
+        SimpleNamespace(bodies=bodies), SimpleNamespace(joints=joints, has_joints=has_joints, keypoints=keypoints)
+    )
+    l_3d = l_proj = 0.0
+    points = bodies.camera(REFERENCE_SIZE).project(landmarks(bodies.posed(), LANDMARKS))[..., :2]
+    for b in range(2):
+        have, wanted = (100 * numpy(each[b]) for each in (landmarks(bodies.posed(), JOINTS), joints))
+        known = numpy(has_joints[b])
+        l_3d += joint_loss(have - have[HIPS].mean(0), wanted - wanted[HIPS].mean(0), known / known.sum()) / 2
+        pixels = (numpy(keypoints[b, :, :2]) + 1) * REFERENCE_SIZE / 2
+        l_proj += projection_loss(numpy(points[b]), pixels, numpy(keypoints[b, :, 2])) / 2
+    assert terms["joints"].item() == pytest.approx(l_3d, rel=1e-5)
+    assert terms["proj"].item() == pytest.approx(l_proj, rel=1e-5)
+    # In the paper's own words: nothing weighs, and nothing is left out.
+    assert joint_loss(np.eye(3), np.zeros((3, 3))) == 3
+    assert projection_loss(np.array([[3.0, -4.0], [0.0, 1.0]]), np.zeros((2, 2))) == 8
+
+
+@pytest.mark.parametrize("left_out", [set(), {"seg"}])
+def test_training_loss_is_the_books(monkeypatch, left_out):
+    terms, weights = {"joints": 3.0, "proj": 5.0, "seg": 7.0}, {"joints": 1.0, "proj": 0.5, "seg": 1e-2}
+    held = {name: torch.tensor(value) for name, value in terms.items()}
+    monkeypatch.setattr(picture_task, "body_terms", lambda *_: {name: held[name] for name in ("joints", "proj")})
+    monkeypatch.setattr(picture_task, "head_terms", lambda *_: {})
+    monkeypatch.setattr(picture_task, "seg_term", lambda *_, **__: held["seg"])
+    config = SimpleNamespace(weights=weights, data=SimpleNamespace(render_size=8, gradient="partdr"))
+    task = SimpleNamespace(_config=config, _left_out=left_out)
+    loss = picture_task.PictureTask.loss(task, lambda _: None, SimpleNamespace(pictures=None))["total"]
+    weights = {name: 0.0 if name in left_out else weight for name, weight in weights.items()}
+    assert loss.item() == pytest.approx(learning_objective(terms, weights))
+
+
+@pytest.mark.parametrize("renderer", ["mesh", "exact"])
+def test_label_losses_are_the_books(device, rng, renderer):
+    bodies = moved(walker(device), 2)
+    posed, camera = bodies.posed(), bodies.camera(SIZE)
+    target = torch.from_numpy(rng.integers(0, 22, (2, SIZE, SIZE))).to(device, torch.uint8)
+    target[target == 21] = IGNORE
+    if renderer == "mesh":
+        loss, image = label_loss(camera.project(posed.vertices()), ellipbody_mesh(1, device=device), target)
+    else:
+        loss, image = ellipsoid_label_loss(posed, camera, target)
+    for b in range(2):
+        shown, wanted = numpy(image.labels[b]), numpy(target[b])
+        maps, wanted_maps = maps_of(shown, 20), maps_of(wanted, 20)
+        assert loss[b].item() == segmentation_loss(maps, wanted_maps, wanted != IGNORE)
+        # Its slope, of a quadratic by differences.
+        change = rng.normal(size=maps.shape)
+        there, back = (segmentation_loss(maps + s * change, wanted_maps, wanted != IGNORE) for s in (0.5, -0.5))
+        assert there - back == pytest.approx((label_gradient(shown, wanted, 20) * change).sum())
