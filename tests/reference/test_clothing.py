@@ -77,9 +77,9 @@ def test_samples_within_another_ellipsoid_do_not_count(device):
 
 def test_penetration_by_hand():
     """An ellipsoid of 2 × 4 × 6: half way out along each axis, at its surface, and outside."""
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # its length lies along y
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # length along y, first thickness along z, second along x
     ellipsoid = PosedEllipsoid(turn, np.array([1.0, 1, 1]), 2.0, 4.0, 6.0)
-    offsets = np.array([[0, 0.5, 0], [-1, 0, 0], [0, 0, 1.5], [0, 1, 0], [0, 5, 0]])
+    offsets = np.array([[0, 0.5, 0], [0, 0, -1], [1.5, 0, 0], [0, 1, 0], [0, 5, 0]])
     np.testing.assert_allclose(radial_distance(1 + offsets, ellipsoid), [0.5, 0.5, 0.5, 1, 5])
     assert penetration_loss(1 + offsets, [ellipsoid]) == pytest.approx(3 * 0.25)
     assert penetration_loss(1 + offsets, [ellipsoid] * 2, np.array([1.0, 0, 0, 9, 9])) == pytest.approx(2 * 0.25)

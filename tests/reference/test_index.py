@@ -34,7 +34,6 @@ def test_the_papers_equations_but_those_that_only_name_a_function():
 def test_names_lead_somewhere(number):
     equation = EQUATIONS[number]
     assert equation.title
-    assert equation.letters
     assert f"eq. {number}" in resolve_name(f"warp_partdr.reference.{equation.book}").__doc__.lower()
     for name in (*equation.kernels, *equation.torch):
         assert callable(resolve_name(f"warp_partdr.{name}"))

@@ -5,7 +5,7 @@ import pytest
 import torch
 from test_render import SIZES, random_scene
 
-from warp_partdr.reference.mesh import gradient, part_maps, rasterize
+from warp_partdr.reference.mesh import face_index_map, gradient, part_maps, rasterize
 from warp_partdr.reference.partdr import PixelLine, Rule, depth_slope, line_slope, switch_slope
 from warp_partdr.render.mesh import rasterize_parts
 from warp_partdr.render.part_mesh import PartMesh
@@ -33,6 +33,15 @@ def test_part_maps_are_the_books(device):
         assert (maps.sum((1, 2)) > 0).sum() >= 2
         # Labels are these maps as one image, with part 4, which has none here.
         np.testing.assert_array_equal((maps * np.arange(1, 4)[:, None, None]).sum(0), image.labels[b].cpu() % 4)
+
+
+def test_of_equal_depths_the_lower_face_shows():
+    corners = np.array([[0.0, 0, 1], [4, 0, 1], [0, 4, 1]])
+    index, depth = face_index_map(corners, np.array([[0, 1, 2], [0, 1, 2]]), (3, 3))
+    np.testing.assert_array_equal(
+        index, [[0, 0, 0], [0, 0, 0], [0, 0, -1]]
+    )  # two centres lie on the side that goes down
+    np.testing.assert_allclose(depth, np.where(index < 0, np.inf, 1))
 
 
 def test_a_line_of_pixels_by_hand():

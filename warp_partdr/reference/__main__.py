@@ -5,13 +5,9 @@ from __future__ import annotations
 import argparse
 import inspect
 import sys
-import textwrap
-from collections.abc import Callable
 from importlib import import_module
 
-from .index import EQUATIONS, Equation
-
-WIDTH = 100
+from .index import EQUATIONS
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -38,29 +34,20 @@ def table() -> str:
 
 
 def page(number: int) -> str:
-    """One equation: formula, letters, note, and where it is found."""
+    """One equation: formula, the function's docstring, and the names that the index has."""
     each = EQUATIONS[number]
-    function = book_function(each)
-    line = inspect.getsourcelines(function)[1]
+    module, _, name = each.book.partition(".")
+    function = getattr(import_module(f"{__package__}.{module}"), name)
     entries = {
-        "letters": textwrap.wrap(each.letters, WIDTH - 10),
-        "note": textwrap.wrap(each.note, WIDTH - 10),
-        "function": [f"{function.__module__}.{function.__name__}, line {line}"],
+        "function": [f"{function.__module__}.{name}, line {inspect.getsourcelines(function)[1]}"],
         "kernels": [f"warp_partdr.{name}" for name in each.kernels],
         "torch": [f"warp_partdr.{name}" for name in each.torch],
         "tests": each.tests,
     }
-    lines = [f"Equation {number}: {each.title}", "", f"    {each.formula}", ""]
+    lines = [f"Equation {number}: {each.title}", "", f"    {each.formula}", "", inspect.getdoc(function) or "", ""]
     for name, values in entries.items():
         lines += [f"{name if k == 0 else '':<10}{value}" for k, value in enumerate(values)]
     return "\n".join(lines)
-
-
-def book_function(equation: Equation) -> Callable[..., object]:
-    """The function of the book."""
-    module, _, name = equation.book.partition(".")
-    found: Callable[..., object] = getattr(import_module(f"{__package__}.{module}"), name)
-    return found
 
 
 def markdown() -> str:

@@ -41,17 +41,17 @@ class PosedEllipsoid(NamedTuple):
 def place_joints(
     tree: BodyTree, orientation: np.ndarray, root: np.ndarray, rotations: np.ndarray, lengths: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. 15: S_i = R (l_i O_i) + S_parent(i); the joints (21, 3), and the global rotation R of each bone (20, 3, 3).
+    """Eq. 15: S_i = R (l_i O_i) + S_parent(i), and the global rotations R of the bones (20, 3, 3).
 
     Args:
         tree: Parents and O.
         orientation: Rotation of the whole body, shape (3, 3).
         root: S_0, the pelvis, shape (3,).
-        rotations: r, of each bone with respect to its parent, shape (20, 3, 3): R_k = R_parent(k) r_k.
+        rotations: r, of each bone with respect to its parent, R_k = R_parent(k) r_k, (20, 3, 3).
         lengths: l, shape (12,).
 
-    The paper counts joints and writes R_parent(i), the rotation of the joint where the bone starts; here rotations are
-    counted by bones, and it is the bone's own. Joint k + 1 is the end of bone k.
+    The paper writes R_parent(i), the rotation of the joint where the bone starts; here rotations
+    are counted by bones, and it is the bone's own. Joint k + 1 is the end of bone k.
     """
     joints, turns = [root], list[np.ndarray]()
     for k, parent in enumerate(tree.parents):
@@ -73,8 +73,9 @@ def ellipsoids_of(
         lengths: l, shape (12,).
         thicknesses: t, shape (15,).
 
-    C_i is the midpoint of two joints. The paper leaves open how thicknesses lie about the bone: here the ellipsoid's
-    axes turn with the bone from where the template has them.
+    C_i is the midpoint of two joints. The paper leaves open how thicknesses lie about the bone:
+    here the ellipsoid's axes turn with the bone from where the template has them. The pelvis is
+    two of the 20.
     """
     ellipsoids = []
     for k, (length, first, second) in enumerate(tree.sizes):
@@ -85,10 +86,10 @@ def ellipsoids_of(
 
 
 def deform_sphere(ellipsoid: PosedEllipsoid, sphere: np.ndarray) -> np.ndarray:
-    """Eq. 14: E(R_i, C_i, l_i, t1_i, t2_i), the icosahedron's vertices moved onto an ellipsoid, shape (N, 3).
+    """Eq. 14: E(R_i, C_i, l_i, t1_i, t2_i), the icosahedron moved onto an ellipsoid, shape (N, 3).
 
     Args:
-        ellipsoid: R (its axes), C, l, t1 and t2. l and t are full widths, as eq. 17 takes them: semi-axes are half.
+        ellipsoid: R (its axes), C, l, t1 and t2; l and t are full widths, as in eq. 17.
         sphere: Vertices of a (subdivided) icosahedron on the unit sphere, shape (N, 3).
     """
     axes, centre, *sizes = ellipsoid

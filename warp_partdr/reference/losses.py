@@ -11,8 +11,10 @@ def learning_objective(terms: dict[str, float], weights: dict[str, float]) -> fl
     """Eq. 3: L = lambda_3D L_3D + lambda_proj L_proj + lambda_seg L_seg.
 
     Args:
-        terms: L by name. EllipBodyNet's training adds L_l, L_t and cross entropies of its heads to the paper's three.
+        terms: L by name.
         weights: lambda by name, 0 for what a picture has no truth of.
+
+    EllipBodyNet's training adds L_l and L_t of eq. 19 and cross entropies of its heads.
     """
     return sum(weights[name] * term for name, term in terms.items())
 
@@ -23,8 +25,10 @@ def joint_loss(joints: np.ndarray, wanted: np.ndarray, weights: np.ndarray | Non
     Args:
         joints: S, shape (N, 3).
         wanted: Ŝ, the true ones, shape (N, 3).
-        weights: Of each joint, shape (N,). Training takes the mean over the known joints, in centimetres, of positions
-            from the middle of the hips.
+        weights: Of each joint, shape (N,); the paper has none.
+
+    Training takes the mean over the known joints, in centimetres, of positions from the middle of
+    the hips.
     """
     squares = ((joints - wanted) ** 2).sum(1)
     return float((np.ones(len(joints)) if weights is None else weights) @ squares)
@@ -36,8 +40,8 @@ def projection_loss(points: np.ndarray, wanted: np.ndarray, votes: np.ndarray | 
     Args:
         points: S_2D, projected joints, shape (L, 2), in pixels of a crop of 256 px.
         wanted: Ŝ_2D, where they are seen, shape (L, 2).
-        votes: Of each, shape (L,): a detector's confidence, of which the landmarks of one part share one; the paper has
-            none.
+        votes: Of each, shape (L,); the paper has none. Ours is a detector's confidence, of which
+            the landmarks of one part share one.
     """
     distances = np.abs(points - wanted).sum(1)
     return float((np.ones(len(points)) if votes is None else votes) @ distances)
@@ -49,7 +53,9 @@ def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | 
     Args:
         maps: A, shape (K, H, W).
         wanted: Â, of labels or probabilities, shape (K, H, W).
-        known: 0 at pixels that count nowhere, shape (H, W); the paper knows all.
+        known: 0 at pixels that count nowhere (label 255), shape (H, W); the paper knows all.
+
+    Kernels find it from two label images, without maps.
     """
     squares = ((maps - wanted) ** 2).sum(0)
     return float((squares if known is None else squares * known).sum())
@@ -81,12 +87,12 @@ def refinement_energy(l_seg: float, l_proj: float, l_l: float, l_t: float, weigh
     """Eq. 19: E(r, l, t, c) = lambda_seg L_seg + lambda_proj L_proj + lambda_l L_l + lambda_t L_t.
 
     Args:
-        l_seg: Eq. 6 [px of a crop of 256 px], of whatever size is drawn.
+        l_seg: Eq. 6 [px of a crop of 256 px, whatever size is drawn].
         l_proj: Eq. 5 [px of the same].
-        l_l: ``size_loss`` of the 12 lengths [mm²].
-        l_t: ``size_loss`` of the 15 thicknesses [mm²].
-        weights: lambda of "seg", "proj", "l" and "t"; the paper has 1e-2, 1, 1e-3 and 1e-3 and names no units.
+        l_l: ‖l - l_mean‖² of the 12 lengths l [mm²], see ``size_loss``.
+        l_t: ‖t - t_mean‖² of the 15 thicknesses t [mm²].
+        weights: lambda of "seg", "proj", "l" and "t"; the paper has 1e-2, 1, 1e-3, 1e-3, no units.
 
-    A fit adds a pose prior, joint limits and, in its last stage, a hold in depth.
+    r are rotations and c the camera. A fit adds a pose prior, joint limits and a hold in depth.
     """
     return weights["seg"] * l_seg + weights["proj"] * l_proj + weights["l"] * l_l + weights["t"] * l_t

@@ -79,6 +79,9 @@ def face_index_map(
         size: H and W.
         perspective: Whether 1/depth is linear in the picture, not depth.
         near: Depth of the near plane [m].
+
+    The paper leaves open who has a pixel's centre on an edge: see the fill rule above. Of equal
+    depths, the lower index shows.
     """
     height, width = size
     index = np.full(size, -1)
@@ -98,12 +101,14 @@ def face_index_map(
 
 
 def part_maps(index: np.ndarray, face_labels: Sequence[int] | np.ndarray, num_labels: int) -> np.ndarray:
-    """Eq. 9: the maps A^1 to A^K, 1 where the face that shows is of the part, shape (K, H, W).
+    """Eq. 9: the maps A^1 to A^K, 1 where the face that shows is of the part, (K, H, W).
 
     Args:
         index: F, shape (H, W).
         face_labels: Part of each face, 1 to K; 0 has no map.
         num_labels: K.
+
+    Kernels write one image of labels; maps are made when they are asked for.
     """
     maps = np.zeros((num_labels, *index.shape))
     for row, column in np.argwhere(index >= 0):

@@ -62,21 +62,26 @@ def switch_slope(change: float, x0: float, x1: float, direction: float) -> float
         x1: The pixel's centre [px].
         direction: Sign of x1 - x0, also where that is 0.
 
-    The paper prints x0 - x1, and moves single vertices at least a pixel; here the crossing moves so, and either end of
-    its edge gets the share that it has in the crossing.
+    The paper prints x0 - x1, and moves vertices of every face by at least a pixel. Here silhouette
+    edges' crossings of pixel rows and columns do, and either end of an edge gets the share that it
+    has in the crossing. dI is not the residual to the truth, which is in the gradient g: any loss
+    may stand behind it.
     """
     return change * direction / max(abs(x1 - x0), 1.0)
 
 
 def switches_on(shown: int, part: int, depth: float, edge_depth: float, occlusion: str) -> bool:
-    """True where a pixel that an edge of ``part`` reaches would show it: eq. 11, whose upper case gives 0.
+    """True where a pixel that an edge reaches would show its part: eq. 11, whose upper case gives 0.
 
     Args:
         shown: F, the label that the pixel shows, 0 = background.
         part: i, the edge's.
         depth: Of what the pixel shows [m].
         edge_depth: Of the edge at its crossing [m].
-        occlusion: See ``Rule``; "paper" looks at no depth.
+        occlusion: See ``Rule``.
+
+    By the paper a pixel that shows another part gives 0 (occlusion="paper"). By default that holds
+    for parts in front alone: the edge would cover what lies behind it.
     """
     if shown == 0:
         return True
@@ -87,12 +92,13 @@ def depth_slope(delta_z: float, weight: float = 1.0) -> float:
     """Derivative of a hidden pixel's value with respect to the depth of the hidden point: eq. 12.
 
     Args:
-        delta_z: Depth between the hidden point Q and what hides it [m], at least ``MIN_DELTA_Z``.
+        delta_z: Depth between the hidden point Q and what hides it [m], at least 0.1 mm.
         weight: Lambda.
 
-    The sign says that coming forward (z down) switches the pixel on. Delta(M0, Q) / Delta(M0, v_k) is vertex k's
-    barycentric weight w, and the paper's log(w / dz + 1) of each vertex is w log(1 / dz + 1) here: the vertices' shares
-    sum to what the point gets.
+    The sign says that coming forward (z down) switches the pixel on; what hides it goes back by as
+    much. M0 is where the line from vertex v_k through Q meets the opposite side, so that
+    Delta(M0, Q) / Delta(M0, v_k) is v_k's barycentric weight w. The paper's log(w / dz + 1) for
+    each vertex is w log(1 / dz + 1) here: their shares sum to what the point gets.
     """
     return -weight * float(np.log(1 / max(delta_z, MIN_DELTA_Z) + 1))
 

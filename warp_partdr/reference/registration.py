@@ -45,19 +45,20 @@ def registration_loss(
     icp_weight: float = 1.0,
     penetration_weight: float = 1.0,
 ) -> float:
-    """Eq. 16, what shape and pose of the detailed body minimise: L_ICP(M^S, M^E) + L_PEN(v^S, M^E).
+    """Eq. 16: L_ICP(M^S, M^E) + L_PEN(v^S, M^E), which shape and pose of the detailed body minimise.
 
     Args:
         surface: M^S.
         ellipsoids: M^E.
-        samples: Points on M^E that no other ellipsoid covers, as many of each one after another, shape (20 N, 3) [m].
-        sample_areas: Their shares of the area, shape (20 N,).
+        samples: Points on M^E, N of each ellipsoid after another, shape (20 N, 3) [m].
+        sample_areas: Their shares of the area, 0 where another ellipsoid covers it, (20 N,).
         scale: Distance from which on ICP counts less [m].
         reach: Distance beyond which a sample has no closest point [m].
         icp_weight: Of L_ICP in square metres.
         penetration_weight: Of L_PEN.
 
-    ``register`` adds joints, measures and priors of shape and pose.
+    Distances are from surface to surface, both ways, and robust. ``register`` adds joints,
+    measures and priors of shape and pose.
     """
     icp = icp_to_mesh(surface, samples, sample_areas, scale, reach) + icp_to_ellipsoids(surface, ellipsoids, scale)
     penetration = penetration_loss(surface.vertices, ellipsoids, surface.areas)
@@ -65,7 +66,7 @@ def registration_loss(
 
 
 def radial_distance(vertices: np.ndarray, ellipsoid: PosedEllipsoid) -> np.ndarray:
-    """Eq. 17: e(v, E) = ‖2 d_x / l, 2 d_y / t1, 2 d_z / t2‖, 1 on the ellipsoid and less inside, shape (V,).
+    """Eq. 17: e(v, E) = ‖2 d_x / l, 2 d_y / t1, 2 d_z / t2‖, 1 on the ellipsoid, less inside, shape (V,).
 
     Args:
         vertices: v, shape (V, 3) [m].
@@ -81,7 +82,7 @@ def penetration_loss(vertices: np.ndarray, ellipsoids: list[PosedEllipsoid], are
     Args:
         vertices: v, shape (V, 3) [m].
         ellipsoids: E.
-        areas: Weight of each vertex, shape (V,); the paper has none, so that fine meshes count for more.
+        areas: Weight of each vertex, shape (V,); the paper has none, so fine meshes count for more.
     """
     weights = np.ones(len(vertices)) if areas is None else areas
     total = 0.0
