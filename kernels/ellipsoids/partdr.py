@@ -1,7 +1,7 @@
 """PartDR's long-range rule (paper, eq. 10 to 12) on exact ellipsoids: the mesh's rule for ever finer meshes.
 
 A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
-silhouette edge is, and the force acts on that point of the surface. ``reference.ellipsoids`` is the definition.
+silhouette edge is, and the force acts on that point of the surface. ``reference/ellipsoids.py`` is the definition.
 Every thread adds in a fixed order.
 """
 

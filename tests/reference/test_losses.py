@@ -21,11 +21,10 @@ from warp_partdr.reference.losses import (
     size_loss,
 )
 from warp_partdr.reference.mesh import part_maps
+from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.fused import FusedRefinement
-from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import label_loss
-from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.ellipsoids import draw_ellipsoids
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 from warp_partdr.training import picture_task
 from warp_partdr.training.picture_data import JOINTS
 from warp_partdr.training.picture_losses import HIPS, body_terms
@@ -50,7 +49,7 @@ def test_energy_is_the_books(device, path):
     weights = {"seg": 1e-2, "proj": 1.0, "l": 1e-3, "t": 2e-3}
     energy = Energy(seen, size=SIZE, weights=Weights(1.0, 1e-2, 1e-3, 2e-3))
     bodies = moved(body, 3)
-    terms = energy(bodies) if path == "torch" else FusedRefinement(energy, 3, iterations=0).refine(bodies).terms
+    terms = energy(bodies) if path == "torch" else CapturedRefinement(energy, 3, iterations=0).refine(bodies).terms
     found = torch.stack([terms[name] for name in ("proj", "seg", "length", "thickness")])
 
     groups = LABELS.part_groups[1:].astype(int)
@@ -107,16 +106,12 @@ def test_training_loss_is_the_books(monkeypatch, left_out):
     assert loss.item() == pytest.approx(learning_objective(terms, weights))
 
 
-@pytest.mark.parametrize("renderer", ["mesh", "exact"])
+@pytest.mark.parametrize("renderer", [RendererMesh(), RendererEllipsoids()], ids=["mesh", "ellipsoids"])
 def test_label_losses_are_the_books(device, rng, renderer):
     bodies = moved(walker(device), 2)
-    posed, camera = bodies.posed(), bodies.camera(SIZE)
     target = torch.from_numpy(rng.integers(0, 22, (2, SIZE, SIZE))).to(device, torch.uint8)
     target[target == 21] = IGNORE
-    if renderer == "mesh":
-        loss, image = label_loss(camera.project(posed.vertices()), ellipbody_mesh(1, device=device), target)
-    else:
-        loss, image = ellipsoid_label_loss(posed, camera, target)
+    loss, image = renderer.label_loss(bodies.posed(), bodies.camera(SIZE), target)
     for b in range(2):
         shown, wanted = numpy(image.labels[b]), numpy(target[b])
         maps, wanted_maps = maps_of(shown, 20), maps_of(wanted, 20)

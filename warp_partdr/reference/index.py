@@ -29,7 +29,7 @@ class Equation:
     tests: tuple[str, ...]
 
 
-_LABEL_LOSSES = ("render.mesh.label_loss", "render.ellipsoids.ellipsoid_label_loss")
+_LABEL_LOSSES = ("render.mesh.mesh_label_loss", "render.ellipsoids.ellipsoid_label_loss")
 _GRADIENT_TESTS = (
     "tests/render/test_render.py::test_dense_gradient_is_the_reference",
     "tests/render/test_ellipsoids.py::test_partdr_gradient_of_maps_is_the_reference",
@@ -80,7 +80,7 @@ EQUATIONS: dict[int, Equation] = {
         formula="F(u, v) = argmin_i D_(u,v)(f^i_j) if a face covers (u, v), else -1",
         book="mesh.face_index_map",
         kernels=("kernels.mesh.rasterize.draw_faces", "kernels.ellipsoids.picture.draw_rows"),
-        torch=("render.mesh.rasterize_parts", "render.ellipsoids.draw_ellipsoids"),
+        torch=("render.mesh.draw_mesh", "render.ellipsoids.draw_ellipsoids"),
         tests=(_PICTURE_TEST, "tests/render/test_ellipsoids.py::test_picture_is_the_reference"),
     ),
     9: Equation(
@@ -88,7 +88,7 @@ EQUATIONS: dict[int, Equation] = {
         formula="A^i(u, v) = A(u, v) if F(u, v) = i, else 0",
         book="mesh.part_maps",
         kernels=("kernels.mesh.rasterize.resolve_keys",),
-        torch=("render.mesh.rasterize_parts", "render.ellipsoids.draw_ellipsoids"),
+        torch=("render.mesh.draw_mesh", "render.ellipsoids.draw_ellipsoids"),
         tests=("tests/reference/test_partdr.py::test_part_maps_are_the_books", _PICTURE_TEST),
     ),
     10: Equation(
@@ -167,7 +167,7 @@ EQUATIONS: dict[int, Equation] = {
         title="refinement's energy",
         formula="E(r, l, t, c) = λ_seg L_seg + λ_proj L_proj + λ_l L_l + λ_t L_t",
         book="losses.refinement_energy",
-        kernels=("kernels.refine.costs.cost_rules",),
+        kernels=("kernels.refine.rules.hold_length", "kernels.refine.rules.hold_thickness"),
         torch=("refinement.energy.Energy",),
         tests=(_ENERGY_TEST,),
     ),
