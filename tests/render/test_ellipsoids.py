@@ -424,7 +424,7 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
         gradient="partdr",
     )
     loss.sum().backward()
-    g = label_gradient(image.labels[0].cpu().numpy(), target, count, np.ones(count + 1))
+    g = label_gradient(image.labels[0].cpu().numpy(), target, count)
     parts = image.parts[0].cpu().numpy()
     check_forces(leaves, reference.partdr_gradient(scene, parts, g))
     assert loss.item() == pytest.approx(np.abs(g).sum() / 2, rel=1e-5)

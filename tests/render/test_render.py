@@ -158,7 +158,7 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, camera):
     loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
     loss.sum().backward()
     shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
-    g = label_gradient(shown, wanted, 20, np.ones(21))
+    g = label_gradient(shown, wanted, 20)
     want = reference.gradient(
         vertices[0].astype(float),
         faces,

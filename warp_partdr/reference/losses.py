@@ -61,20 +61,16 @@ def segmentation_loss(maps: np.ndarray, wanted: np.ndarray, known: np.ndarray | 
     return float((squares if known is None else squares * known).sum())
 
 
-def label_gradient(
-    labels: np.ndarray, target: np.ndarray, num_labels: int, weights: np.ndarray | None = None
-) -> np.ndarray:
+def label_gradient(labels: np.ndarray, target: np.ndarray, num_labels: int) -> np.ndarray:
     """g = dL_seg/dA, the derivative of eq. 6 for a label image and its target, as maps (K, H, W).
 
     Args:
         labels: Shown, shape (H, W).
         target: Wanted, shape (H, W), 255 = ignore.
         num_labels: K.
-        weights: Factor of each label's map, shape (K + 1,).
     """
-    weights = np.ones(num_labels + 1) if weights is None else weights
     index = np.arange(1, num_labels + 1)[:, None, None]
-    g = 2.0 * weights[1 : num_labels + 1, None, None] * ((labels == index).astype(float) - (target == index))
+    g = 2.0 * ((labels == index).astype(float) - (target == index))
     return np.where(target == IGNORE, 0.0, g)
 
 
