@@ -1,19 +1,17 @@
-"""How good fits are, and what part labels add: keypoints only, full silhouette, and parts, by the same fit.
+"""Quality of fits, and what part labels add: keypoints only, full silhouette, and parts, by the same fit.
 
-    python benchmarks/accuracy.py [--people FOLDER] [--anny FOLDER] [--pictures FOLDER] [--jobs 2] [--out FILE.json]
+    python benchmarks/accuracy.py [--people FOLDER] [--pictures FOLDER] [--jobs 2] [--out FILE.json]
 
-Prints one table for each of three sources and, with --out, writes every fit's figures:
+Prints one table for each of two sources and, with --out, writes every fit's figures:
 
 * the packaged example: exact labels and keypoints, true 3D joints;
-* --anny: people made by ``benchmarks/anny_people.py``: fitted to noisy labels and keypoints, scored against the clean
-  labels and the true 3D joints;
 * --people: photos ``N.jpg`` with ``N.parts.png`` (ids of cdcl14) and ``N.keypoints.json``: scored against the labels
   that were fitted, for there are no others. With labels as input, that says how well a body can follow them.
 
 Figures: PA-MPJPE and MPJPE (pelvis-centred) over the 14 LSP joints; F1 after grouping into LSP's six parts, counts
 pooled over pictures of original size, pixels to be ignored left out: foreground (mean of background and person), parts
-(mean of 7 classes); distance of the confident keypoints as a share of the person's height. In brackets: 95 % intervals,
-bootstrapped over people. Times are of single fits, kernels compiled; with --jobs above 1, fits slow each other down.
+(mean of 7 classes); distance of the confident keypoints as a share of the person's height. With --out also 95 %
+intervals, bootstrapped over people. Times are of single fits, kernels compiled; with --jobs above 1, fits slow each other down.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -39,16 +37,14 @@ from warp_partdr.body.skeletons import MPJPE_SKELETON, skeleton
 from warp_partdr.cli.progress import FitProgress
 from warp_partdr.evaluation.datasets import read_folder
 from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
-from warp_partdr.evaluation.scoring import Score
-from warp_partdr.evaluation.scoring import summarise as summarise_scores
+from warp_partdr.evaluation.scoring import summarise
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.keypoints import Keypoints2D, choose_person
-from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
+from warp_partdr.inputs.keypoints import choose_person
+from warp_partdr.inputs.part_labels import read_parts, read_photo
 from warp_partdr.inputs.person import person_crop
 from warp_partdr.inputs.sample import Sample
-from warp_partdr.metrics import bootstrap
 from warp_partdr.results.palette import group_colours
 from warp_partdr.results.pictures import turntable
 from warp_partdr.results.save import draw_overlay
@@ -96,24 +92,6 @@ def read_example() -> list[Sample]:
     ]
 
 
-def read_anny(folder: Path) -> list[Sample]:
-    samples = []
-    for path in sorted(folder.glob("person_*.npz")):
-        with np.load(path, allow_pickle=False) as person:
-            keypoints = person["keypoints"].astype(np.float32)
-            samples.append(
-                Sample(
-                    source="anny",
-                    name=path.stem,
-                    keypoints=Keypoints2D("coco17", keypoints[:, :2], keypoints[:, 2]),
-                    parts=PartLabels(LABELS, LABELS.to_groups(person["cdcl14_noisy"])),
-                    target=LABELS.to_groups(person["cdcl14"]),
-                    joints=person[MPJPE_SKELETON],
-                )
-            )
-    return samples
-
-
 def save_sheet(folder: Path, sample: Sample, supervision: str, result: FitResult) -> None:
     if supervision == "parts" and sample.picture is not None:
         contact_sheet(sample, result).save(folder / f"{sample.name}.png", optimize=True)
@@ -152,31 +130,8 @@ def contact_sheet(sample: Sample, result: FitResult) -> Image.Image:
     return sheet
 
 
-def summarise(scores: Sequence[Score]) -> dict[str, Any]:
-    """Figures of one or more fits, with the median of PA-MPJPE."""
-    summary = summarise_scores(scores)
-    if "pa_mpjpe_mm" in summary:
-        aligned = np.array([score.pa_mpjpe for score in scores])
-        summary["pa_mpjpe_median_mm"] = round(float(np.median(aligned)), 1)
-        if len(scores) > 1:
-            summary["interval_95"]["pa_mpjpe_median_mm"] = [round(x, 1) for x in bootstrap(aligned, np.median)]
-    return summary
-
-
-def gain(scores: Sequence[Score], better: str, worse: str) -> str:
-    """Mean difference in PA-MPJPE of the same people under two supervisions, in words."""
-    errors = {name: np.array([score.pa_mpjpe for score in scores if score.method == name]) for name in (better, worse)}
-    difference = errors[better] - errors[worse]
-    low, high = bootstrap(difference, np.mean)
-    return (
-        f"PA-MPJPE, {better} minus {worse}, same people: {difference.mean():+.1f} mm ({low:+.1f} to {high:+.1f}); "
-        f"lower for {int((difference < 0).sum())} of {len(difference)}"
-    )
-
-
 COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "PA-MPJPE mean [mm]": lambda row: _millimetres(row, "pa_mpjpe_mm"),
-    "median [mm]": lambda row: _millimetres(row, "pa_mpjpe_median_mm"),
+    "PA-MPJPE [mm]": lambda row: f"{row['pa_mpjpe_mm']:.1f}",
     "MPJPE [mm]": lambda row: f"{row['mpjpe_mm']:.0f}",
     "foreground F1": lambda row: f"{row['foreground_f1']:.3f}",
     "part F1": lambda row: f"{row['part_f1']:.3f}",
@@ -186,27 +141,19 @@ COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
     "hypotheses": lambda row: f"{row['hypotheses']:.0f}",
     "time [s]": lambda row: f"{row['seconds']:.1f}",
 }
-JOINT_COLUMNS = ("PA-MPJPE mean [mm]", "median [mm]", "MPJPE [mm]")
-
-
-def _millimetres(row: dict[str, Any], name: str) -> str:
-    interval = row.get("interval_95", {}).get(name)
-    return f"{row[name]:.1f}" + (f" ({interval[0]:.1f} to {interval[1]:.1f})" if interval else "")
+JOINT_COLUMNS = ("PA-MPJPE [mm]", "MPJPE [mm]")
 
 
 def table(title: str, rows: dict[tuple[str, str], dict[str, Any]]) -> Table:
     """A table in Markdown; keys of rows are (person, supervision), of which the person may be empty everywhere."""
     summaries = list(rows.values())
     shown = [name for name in COLUMNS if "mpjpe_mm" in summaries[0] or name not in JOINT_COLUMNS]
-    if summaries[0]["people"] == 1:  # Its mean is its median.
-        shown = [name for name in shown if name != "median [mm]"]
     people = any(person for person, _ in rows)
     result = Table(title=title, title_justify="left", title_style="bold", box=MARKDOWN)
     for name in [*(["person"] if people else []), "fitted to"]:
         result.add_column(name, no_wrap=True)
     for name in shown:
-        header = name.replace(" mean", "") if "median [mm]" not in shown else name
-        result.add_column(header, justify="right", no_wrap=True)
+        result.add_column(name, justify="right", no_wrap=True)
     for (person, supervision), summary in rows.items():
         cells = [COLUMNS[name](summary) for name in shown]
         result.add_row(*([person] if people else []), supervision, *cells)
@@ -216,7 +163,6 @@ def table(title: str, rows: dict[tuple[str, str], dict[str, Any]]) -> Table:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--people", type=Path, metavar="FOLDER", help="photos with labels and keypoints")
-    parser.add_argument("--anny", type=Path, metavar="FOLDER", help="people of benchmarks/anny_people.py")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write a contact sheet of each photo")
     parser.add_argument("--jobs", type=int, default=1, help="fits at a time; more than 1 makes each take longer")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write all figures")
@@ -225,8 +171,6 @@ def main() -> None:
     one_thread()
 
     samples = {"The packaged example": read_example()}
-    if arguments.anny is not None:
-        samples["Synthetic people (Anny), {} of them, noisy input"] = read_anny(arguments.anny)
     if arguments.people is not None:
         samples["Photos, against the labels given"] = list(read_folder(arguments.people, LABELS))
     for title, found in samples.items():
@@ -251,14 +195,11 @@ def main() -> None:
         mine = [score for score in report.scores if score.source == source]
         pooled = {name: summarise([score for score in mine if score.method == name]) for name in SUPERVISIONS}
         rows = {("", name): summary for name, summary in pooled.items()}
-        if source not in ("example", "anny"):
+        if source != "example":
             single = {(score.sample, score.method): summarise([score]) for score in mine}
             rows = single | {("all", name): summary for name, summary in pooled.items()}
         console.print()
-        console.print(table(title.format(len(group)), rows))
-        if source == "anny":
-            for other in ("keypoints only", "silhouette, no outline", "parts"):
-                console.print(gain(mine, "parts, no outline", other))
+        console.print(table(title, rows))
         summaries[source] = pooled
 
     if arguments.out is not None:

@@ -1,4 +1,4 @@
-"""How well registration finds detailed bodies again: Anny bodies of random shape and pose whose EllipBody is known.
+"""Accuracy of registration: Anny bodies of random shape and pose, to be found again from their EllipBody alone.
 
     python benchmarks/registration.py MOCAP_FOLDER --out FOLDER [--count 30] [--seed 0]
 
@@ -29,15 +29,13 @@ from PIL import Image, ImageDraw
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from anny_people import contact_sheet, held_out_poses
-from anny_person import Person
+from anny_person import Person as AnnyPerson
 from measure_mean_body import Silhouettes, fit_thicknesses
 
 from warp_partdr.body.posing import Posed, pose
-from warp_partdr.body.rotations import skew
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, template
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from warp_partdr.clothing.mesh import detailed_mesh
 from warp_partdr.clothing.model import Detailed, DetailedModel
 from warp_partdr.clothing.pose import pose_from_ellipbody
@@ -46,17 +44,10 @@ from warp_partdr.clothing.surfaces import skin_vertices
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.synthetic.mocap import Clip
+from warp_partdr.synthetic.bench_people import PHENOTYPES
+from warp_partdr.synthetic.mocap import Clip, held_out_frames
+from warp_partdr.synthetic.poses import turn_to
 
-# Adults and older children, thin to heavy.
-PHENOTYPES: dict[str, tuple[float, float]] = {
-    "gender": (0.0, 1.0),
-    "age": (0.5, 1.0),
-    "muscle": (0.2, 0.8),
-    "weight": (0.2, 0.8),
-    "height": (0.2, 0.7),
-    "proportions": (0.2, 0.8),
-}
 DEPTH = 0.002  # [m] inside an ellipsoid that counts
 INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body
 STARTS = [parent + 1 for parent in PARENTS]
@@ -65,17 +56,15 @@ LIGHT = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
 
 
 @dataclass(frozen=True)
-class Subject:
+class Person:
     """A true person and its EllipBody.
 
     Attributes:
-        source: Clip and frame.
         shape: True shape values, shape (1, S).
         truth: The true body.
         posed: Its EllipBody.
     """
 
-    source: str
     shape: torch.Tensor
     truth: Detailed
     posed: Posed
@@ -95,13 +84,13 @@ def measure_shape(model: DetailedModel, shape: torch.Tensor) -> tuple[np.ndarray
     bones = np.linalg.norm(joints[1:] - joints[STARTS], axis=1)
     lengths = np.array([bones[[row[0] == i for row in SHAPE_INDICES]].mean() for i in range(len(LENGTH_NAMES))])
     vertices = standing.vertices[0].double().numpy()
-    person = Person(vertices, model.faces.numpy(), model.face_parts.numpy().astype(int) - 1, {}, {})
+    person = AnnyPerson(vertices, model.faces.numpy(), model.face_parts.numpy().astype(int) - 1, {}, {})
     return lengths, fit_thicknesses(Silhouettes(person, joints[STARTS], joints[1:]))
 
 
-def make_subject(model: DetailedModel, source: str, clip: Clip, rng: np.random.Generator) -> Subject:
-    """A person of random shape in a pose, and the EllipBody whose bones lie between its joints."""
-    phenotypes = [[rng.uniform(*span) for span in PHENOTYPES.values()]]
+def make_person(model: DetailedModel, clip: Clip, rng: np.random.Generator) -> Person:
+    """A person of random shape in the pose of a clip's only frame, and the EllipBody whose bones lie between its joints."""
+    phenotypes = [[rng.uniform(*PHENOTYPES[name]) for name in PHENOTYPE_ANCHORS]]
     shape = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
     lengths, thicknesses = (torch.from_numpy(v).float()[None] for v in measure_shape(model, shape))
     rotations, orient = (torch.from_numpy(v).float() for v in (clip.rotations, clip.global_orient))
@@ -113,25 +102,19 @@ def make_subject(model: DetailedModel, source: str, clip: Clip, rng: np.random.G
     for k in range(NUM_PARTS):
         aim = torch.nn.functional.normalize(joints[:, k + 1] - joints[:, STARTS[k]], dim=-1)
         now = turned[:, k] @ torch.from_numpy(template().rest_directions[k]).float()
-        turned[:, k] = rotation_between(now, aim) @ turned[:, k]
+        turned[:, k] = turn_to(now, aim) @ turned[:, k]
     above = torch.stack([orient if parent < 0 else turned[:, parent] for parent in PARENTS], dim=1)
     posed = pose(orient, joints[:, 0], above.mT @ turned, lengths, thicknesses)
-    return Subject(source, shape, truth, posed)
+    return Person(shape, truth, posed)
 
 
-def rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The smallest rotation from one unit vector to another, shape (B, 3, 3)."""
-    cross = skew(torch.linalg.cross(source, target))
-    return torch.eye(3) + cross + cross @ cross / (1 + (source * target).sum(-1)[:, None, None])
-
-
-def inscribed(subject: Subject, skin: torch.Tensor) -> Posed:
-    """The subject's EllipBody with each ellipsoid as thin as it takes to have few skin vertices within it."""
-    posed = subject.posed
+def inscribed(person: Person, skin: torch.Tensor) -> Posed:
+    """The person's EllipBody with each ellipsoid as thin as it takes to have few skin vertices within it."""
+    posed = person.posed
     low, high = torch.full((NUM_PARTS,), 0.1), torch.ones(NUM_PARTS)
     for _ in range(12):
         middle = (low + high) / 2
-        deep = inside(subject.truth.vertices[:, skin], thinner(posed, middle))[0].float().mean(0) > INSIDE / NUM_PARTS
+        deep = inside(person.truth.vertices[:, skin], thinner(posed, middle))[0].float().mean(0) > INSIDE / NUM_PARTS
         low, high = torch.where(deep, low, middle), torch.where(deep, middle, high)
     return thinner(posed, low)
 
@@ -156,17 +139,17 @@ def share_inside(vertices: torch.Tensor, posed: Posed) -> float:
 
 
 def score(
-    model: DetailedModel, skin: torch.Tensor, subject: Subject, posed: Posed, registered: Registered
+    model: DetailedModel, skin: torch.Tensor, person: Person, posed: Posed, registered: Registered
 ) -> dict[str, float]:
     """Errors [mm] and share of vertices inside."""
-    joints = model.landmarks(registered.detailed, JOINT_NAMES) - model.landmarks(subject.truth, JOINT_NAMES)
-    errors = (registered.detailed.vertices - subject.truth.vertices).norm(dim=-1)
+    joints = model.landmarks(registered.detailed, JOINT_NAMES) - model.landmarks(person.truth, JOINT_NAMES)
+    errors = (registered.detailed.vertices - person.truth.vertices).norm(dim=-1)
     return {
         "vertices_mm": 1000 * float(errors.mean()),
         "worst_vertex_mm": 1000 * float(errors.max()),
         "joints_mm": 1000 * float(joints.norm(dim=-1).mean()),
         "inside": share_inside(registered.detailed.vertices[:, skin], posed),
-        "truth_inside": share_inside(subject.truth.vertices[:, skin], posed),
+        "truth_inside": share_inside(person.truth.vertices[:, skin], posed),
     }
 
 
@@ -214,29 +197,29 @@ def main() -> None:
     model = anny()
     mesh = detailed_mesh(model)
     skin = skin_vertices(model) > 0
-    poses = held_out_poses(arguments.mocap, arguments.count, np.random.default_rng(arguments.seed))
+    frames = held_out_frames(arguments.mocap, arguments.count)
     rows: dict[str, list[dict[str, float]]] = {"measured": [], "fitted": [], "inscribed": []}
     tiles = []
-    for i, (source, clip) in enumerate(poses):
-        subject = make_subject(model, source, clip, np.random.default_rng([arguments.seed, i]))
+    for i in range(len(frames)):
+        person = make_person(model, frames[i : i + 1], np.random.default_rng([arguments.seed, i]))
         for kind, weights, posed in (
-            ("measured", RegistrationWeights(), subject.posed),
-            ("fitted", RegistrationWeights.fitted(), subject.posed),
-            ("inscribed", RegistrationWeights.inscribed(), inscribed(subject, skin)),
+            ("measured", RegistrationWeights(), person.posed),
+            ("fitted", RegistrationWeights.fitted(), person.posed),
+            ("inscribed", RegistrationWeights.inscribed(), inscribed(person, skin)),
         ):
             begun = time.perf_counter()
             registered = register(posed, model, options=RegistrationOptions(weights=weights))
             seconds = time.perf_counter() - begun
-            rows[kind].append({**score(model, skin, subject, posed, registered), "seconds": seconds})
+            rows[kind].append({**score(model, skin, person, posed, registered), "seconds": seconds})
             if kind == "measured":
-                bodies = (body.vertices[0].double().numpy() for body in (subject.truth, registered.detailed))
-                tiles.append(tile(mesh, *bodies, f"{i} {source}  {rows[kind][-1]['vertices_mm']:.1f} mm"))
-            print(i, source, kind, {name: round(value, 3) for name, value in rows[kind][-1].items()}, flush=True)
+                bodies = (body.vertices[0].double().numpy() for body in (person.truth, registered.detailed))
+                tiles.append(tile(mesh, *bodies, f"{i}  {rows[kind][-1]['vertices_mm']:.1f} mm"))
+            print(i, kind, {name: round(value, 3) for name, value in rows[kind][-1].items()}, flush=True)
     report = {kind: {name: np.mean([row[name] for row in given]) for name in given[0]} for kind, given in rows.items()}
     for kind, means in report.items():
         print(kind, {name: round(float(value), 4) for name, value in means.items()})
     (arguments.out / "registration.json").write_text(json.dumps({"mean": report, "each": rows}, indent=1) + "\n")
-    contact_sheet(tiles, columns=2).save(arguments.out / "registration.png")
+    Image.fromarray(np.concatenate([np.asarray(each) for each in tiles])).save(arguments.out / "registration.png")
 
 
 if __name__ == "__main__":

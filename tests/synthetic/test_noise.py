@@ -1,18 +1,12 @@
-"""The noise of the synthetic people keeps to its bounds; the people themselves were judged by eye."""
+"""PartBench's noise keeps to its bounds, and each kind does what its level says."""
 
 from __future__ import annotations
-
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from anny_noise import noisy_keypoints, noisy_labels
-
 from warp_partdr.body.labels import label_set
+from warp_partdr.synthetic.bench_noise import noisy_keypoints, noisy_labels
 
 LABELS = label_set("cdcl14")
 
