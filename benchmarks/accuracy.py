@@ -11,7 +11,8 @@ Prints one table for each of two sources and, with --out, writes every fit's fig
 Figures: PA-MPJPE and MPJPE (pelvis-centred) over the 14 LSP joints; F1 after grouping into LSP's six parts, counts
 pooled over pictures of original size, pixels to be ignored left out: foreground (mean of background and person), parts
 (mean of 7 classes); distance of the confident keypoints as a share of the person's height. With --out also 95 %
-intervals, bootstrapped over people. Times are of single fits, kernels compiled; with --jobs above 1, fits slow each other down.
+intervals, bootstrapped over people. Times are of single fits, kernels compiled; with --jobs above 1, fits slow each
+other down.
 """
 
 from __future__ import annotations

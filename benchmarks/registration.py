@@ -33,24 +33,22 @@ from anny_person import Person as AnnyPerson
 from measure_mean_body import Silhouettes, fit_thicknesses
 
 from warp_partdr.body.posing import Posed, pose
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SHAPE_INDICES
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.mesh import detailed_mesh
 from warp_partdr.clothing.model import Detailed, DetailedModel
-from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import Registered, RegistrationOptions, RegistrationWeights, register
 from warp_partdr.clothing.surfaces import skin_vertices
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.synthetic.bench_people import PHENOTYPES
 from warp_partdr.synthetic.mocap import Clip, held_out_frames
-from warp_partdr.synthetic.poses import turn_to
+from warp_partdr.synthetic.people import BONE_STARTS, PHENOTYPE_RANGES, pose_anny, rotations_along
+from warp_partdr.synthetic.poses import mean_body
 
 DEPTH = 0.002  # [m] inside an ellipsoid that counts
 INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body
-STARTS = [parent + 1 for parent in PARENTS]
 PICTURE = (300, 220)  # (H, W) of one view
 LIGHT = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
 
@@ -72,39 +70,26 @@ class Person:
 
 def measure_shape(model: DetailedModel, shape: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
     """EllipBody's lengths (12,) and thicknesses (15,) of a person [m], in EllipBody's rest pose."""
-    identity = torch.eye(3)
-    rest = pose(
-        identity[None],
-        torch.zeros(1, 3),
-        identity.repeat(1, NUM_PARTS, 1, 1),
-        *(torch.tensor(v, dtype=torch.float32)[None] for v in (template().mean_lengths, template().mean_thicknesses)),
-    )
-    standing = model.pose(shape, *pose_from_ellipbody(model, rest, shape))
+    standing = pose_anny(model, shape, mean_body(torch.eye(3).repeat(1, NUM_PARTS, 1, 1)))
     joints = model.landmarks(standing, JOINT_NAMES)[0].double().numpy()
-    bones = np.linalg.norm(joints[1:] - joints[STARTS], axis=1)
+    bones = np.linalg.norm(joints[1:] - joints[BONE_STARTS], axis=1)
     lengths = np.array([bones[[row[0] == i for row in SHAPE_INDICES]].mean() for i in range(len(LENGTH_NAMES))])
     vertices = standing.vertices[0].double().numpy()
     person = AnnyPerson(vertices, model.faces.numpy(), model.face_parts.numpy().astype(int) - 1, {}, {})
-    return lengths, fit_thicknesses(Silhouettes(person, joints[STARTS], joints[1:]))
+    return lengths, fit_thicknesses(Silhouettes(person, joints[BONE_STARTS], joints[1:]))
 
 
 def make_person(model: DetailedModel, clip: Clip, rng: np.random.Generator) -> Person:
-    """A person of random shape in the pose of a clip's only frame, and the EllipBody whose bones lie between its joints."""
-    phenotypes = [[rng.uniform(*PHENOTYPES[name]) for name in PHENOTYPE_ANCHORS]]
-    shape = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
+    """A person of random shape in the pose of one frame, and the EllipBody whose bones lie between its joints."""
+    shape = anny_shape(torch.from_numpy(rng.uniform(*PHENOTYPE_RANGES.T))[None].float())
     lengths, thicknesses = (torch.from_numpy(v).float()[None] for v in measure_shape(model, shape))
     rotations, orient = (torch.from_numpy(v).float() for v in (clip.rotations, clip.global_orient))
     posed = pose(orient, torch.zeros(1, 3), rotations, lengths, thicknesses)
-    truth = model.pose(shape, *pose_from_ellipbody(model, posed, shape))
+    truth = pose_anny(model, shape, posed)
     # People's bones lie a little askew of the template's: the bones turn until they end at the person's joints.
     joints = model.landmarks(truth, JOINT_NAMES)
-    turned = posed.rotations.clone()
-    for k in range(NUM_PARTS):
-        aim = torch.nn.functional.normalize(joints[:, k + 1] - joints[:, STARTS[k]], dim=-1)
-        now = turned[:, k] @ torch.from_numpy(template().rest_directions[k]).float()
-        turned[:, k] = turn_to(now, aim) @ turned[:, k]
-    above = torch.stack([orient if parent < 0 else turned[:, parent] for parent in PARENTS], dim=1)
-    posed = pose(orient, joints[:, 0], above.mT @ turned, lengths, thicknesses)
+    directions = torch.nn.functional.normalize(joints[:, 1:] - joints[:, BONE_STARTS], dim=-1)
+    posed = pose(orient, joints[:, 0], rotations_along(directions, orient, posed.rotations), lengths, thicknesses)
     return Person(shape, truth, posed)
 
 

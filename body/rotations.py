@@ -120,3 +120,14 @@ def _normalise_or(vector: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
     lost = scale <= 0
     vector = torch.where(lost, fallback.expand_as(vector), vector / torch.where(lost, torch.ones_like(scale), scale))
     return vector / vector.norm(dim=-1, keepdim=True)
+
+
+def rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """The smallest rotation that takes one unit vector to another, (..., 3) each, shape (..., 3, 3).
+
+    Of opposite ones, where there is no smallest, it is a half turn at most, and finite.
+    """
+    cross = torch.linalg.cross(source, target)
+    sine = cross.norm(dim=-1, keepdim=True)
+    angle = torch.atan2(sine, (source * target).sum(-1, keepdim=True))
+    return rotation_from_axis_angle(cross / sine.clamp(min=1e-9) * angle)

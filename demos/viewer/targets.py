@@ -26,7 +26,7 @@ from ..network.predict import predict_bodies
 from ..refinement.steps import SIZES
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
-from ..synthetic.bench_poses import draw_pose
+from ..synthetic.pose_recipes import draw_pose
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
 _PRESETS: dict[str, tuple[str | None, int, float]] = {

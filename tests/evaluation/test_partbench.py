@@ -27,9 +27,10 @@ from warp_partdr.inputs.observation import observe
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.refinement.refine import refine
 from warp_partdr.render.renderers import RendererEllipsoids
-from warp_partdr.synthetic.bench_noise import LEVELS, Level, spoil_keypoints, spoil_labels
-from warp_partdr.synthetic.bench_people import COCO, NUM_PEOPLE, draw_anny, make_person, pose_kind
-from warp_partdr.synthetic.bench_poses import POSES, draw_pose
+from warp_partdr.synthetic.noise import LEVELS, Level, spoil_keypoints, spoil_labels
+from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
+from warp_partdr.synthetic.people import draw_anny
+from warp_partdr.synthetic.pose_recipes import POSES, draw_pose
 
 PEOPLE = (0, 1, 7)
 

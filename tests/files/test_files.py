@@ -23,7 +23,7 @@ from warp_partdr.inputs.part_labels import read_label_set, read_parts
 from warp_partdr.network.checkpoint import _FILES, about_network, load_label_network
 from warp_partdr.network.label_network import LabelNetworkConfig
 from warp_partdr.results.body_file import load_body
-from warp_partdr.synthetic.poses import PoseBank
+from warp_partdr.synthetic.pose_sampler import PoseBank
 from warp_partdr.training.config_files import read_config
 
 DEEP = "[" * 100_000

@@ -22,7 +22,7 @@ from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
 from warp_partdr.network.predicted import Predicted
 from warp_partdr.network.regressor import RegressorConfig
-from warp_partdr.synthetic.shaded_people import shaded_people
+from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
 from warp_partdr.training.config_files import make_config, read_config
 from warp_partdr.training.loop import train

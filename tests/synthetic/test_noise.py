@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.synthetic.bench_noise import noisy_keypoints, noisy_labels
+from warp_partdr.synthetic.noise import noisy_keypoints, noisy_labels
 
 LABELS = label_set("cdcl14")
 

@@ -12,28 +12,21 @@ import torch
 
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.posing import pose
-from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.rotations import rotation_between, rotation_from_axis_angle
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES, template
 from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS
 from warp_partdr.errors import InputError
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic import split
-from warp_partdr.synthetic.bench_people import NUM_PEOPLE, PHENOTYPES, SEED, make_person
-from warp_partdr.synthetic.dice import Dice
+from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
 from warp_partdr.synthetic.mocap import Clip, is_held_out, load_clips
-from warp_partdr.synthetic.noise import TRAINING_LABEL_SETS
-from warp_partdr.synthetic.people import People, PeopleMaker
-from warp_partdr.synthetic.poses import (
-    PoseBank,
-    PoseSampler,
-    Shares,
-    clear_poses,
-    draw_procedural,
-    mean_body,
-    mirrored_half,
-    pack_poses,
-    turn_to,
-)
+from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, SEED, make_person
+from warp_partdr.synthetic.people import PHENOTYPES
+from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler, Shares, pack_poses
+from warp_partdr.synthetic.poses import clear_poses, mean_body, mirrored_half
+from warp_partdr.synthetic.procedural_poses import draw_procedural
+from warp_partdr.synthetic.rng import TorchRng
+from warp_partdr.synthetic.training_people import People, PeopleMaker
 
 COUNT, SIZE, POOL = 48, 96, 256
 
@@ -99,7 +92,7 @@ def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> N
 
 def test_packed_poses_keep_clips_apart(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = shared / "data" / "mocap"
-    monkeypatch.setattr("warp_partdr.synthetic.poses.load_clips", clips)
+    monkeypatch.setattr("warp_partdr.synthetic.pose_sampler.load_clips", clips)
     path = tmp_path / "poses.npz"
     pack_poses(folder, path)
     assert path.stat().st_size < 3e6
@@ -158,7 +151,7 @@ def test_a_hand_in_the_belly_is_not_clear(device: str) -> None:
 
 def test_half_of_the_poses_are_mirrored(device: str) -> None:
     rotations, ups = PoseSampler(bank(), device=device, pool=64).draw(64)
-    mirrored, mirrored_ups = mirrored_half((rotations, ups), Dice(0, device))
+    mirrored, mirrored_ups = mirrored_half((rotations, ups), TorchRng(0, device))
     joints, others = (mean_body(rotation_from_axis_angle(values)).joints for values in (rotations, mirrored))
     names = [_other(name) for name in JOINT_NAMES]
     flipped = joints[:, [JOINT_NAMES.index(name) for name in names]] * joints.new_tensor([-1.0, 1.0, 1.0])
@@ -176,7 +169,7 @@ def _other(name: str) -> str:
 
 
 def test_procedural_poses_are_broad(device: str) -> None:
-    rotations, ups = draw_procedural(2000, Dice(0, device))
+    rotations, ups = draw_procedural(2000, TorchRng(0, device))
     joints = mean_body(rotation_from_axis_angle(rotations)).joints
     wrist, knee = (joints[:, JOINT_NAMES.index(name)] for name in ("left_wrist", "left_knee"))
     assert wrist[:, 1].quantile(0.03) < 0.05
@@ -191,7 +184,7 @@ def test_procedural_poses_are_broad(device: str) -> None:
 def test_turns_take_one_direction_to_another_even_the_opposite(device: str) -> None:
     source = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0]], device=device)
     target = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, -0.6, 0.8], [0.0, -1.0, 0.0]], device=device)
-    turns = turn_to(source, target)
+    turns = rotation_between(source, target)
     assert turns.isfinite().all()
     torch.testing.assert_close((turns @ source[..., None])[:3, :, 0], target[:3], atol=1e-6, rtol=0)
 

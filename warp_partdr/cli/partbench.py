@@ -69,7 +69,7 @@ def partbench(
     from ..evaluation.partbench.samples import partbench as make_samples
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder
-    from ..synthetic.bench_noise import LEVELS
+    from ..synthetic.noise import LEVELS
     from .progress import FitProgress
 
     if out is not None:

@@ -1,329 +1,145 @@
-"""People made on the fly, on any device: Anny bodies in many poses and views, and what networks would see of them."""
+"""Anny people of known truth: their phenotypes, how they stand before a camera, what is drawn and what is hidden."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 import torch
 
-from ..body.labels import IGNORE
-from ..body.rotations import rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
-from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from ..body.rotations import rotation_between, rotation_from_axis_angle
+from ..body.template import JOINT_NAMES, LOCKED_PARTS, PARENTS, SHAPE_INDICES, template
+from ..cameras import Camera
+from ..clothing.anny import PHENOTYPE_ANCHORS, anny
 from ..clothing.mesh import detailed_mesh
-from ..clothing.pose import pose_from_ellipbody
-from ..inputs.observation import CROP_MARGIN
-from ..network.landmarks import LANDMARKS
-from ..render.mesh_passes import MeshOptions, draw_images
-from .bench_people import MEAN_STATURE, cover_of
-from .dice import Dice, exact
-from .noise import Noise
-from .poses import PoseBank, PoseSampler, Shares, mean_body, turn_to
-from .split import LEVELS, NUM_CELLS, RANGES, held_out_cells
+from ..clothing.model import Detailed, DetailedModel
+from ..clothing.pose import PosedBones, pose_from_ellipbody
+from ..render.mesh import draw_mesh
+from ..render.part_mesh import PartMesh
 
-_BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
-_WEAK = 0.5  # share of weak-perspective cameras
-_FAR_AWAY = 100.0  # [m]; their depths are moved so far, where 1/z is as good as linear
-_DISTANCE = (2.2, 7.0)  # [m], of perspective cameras
-_ASIDE = 0.08  # of the distance: standard deviation of how far a person is off the optical axis
-_PITCH, _ROLL = (7.0, 12.0), (0.0, 5.0)  # [degrees], mean and standard deviation; a camera above looks down
-_CROP_JITTER = 0.06  # of the crop's half side
-_CUT = 0.25  # share of people of whom the picture's border cuts off
-_CUT_SHARE = (0.03, 0.35)  # of their height or width
-_CUT_SIDES = (0.22, 0.16, 0.22, 0.4)  # left, top, right, bottom
-_BORDER = 0.7  # chance of each other side of the picture to be near, at most:
-_NEAR = 0.35  # of the person's longer extent
-_OPEN = 100.0  # [m], where a side isn't near
+# Uniform between: Anny's ages 1/3, 2/3 and 1 are a child, young and old. With these heights, children are about 1.1 m
+# to 1.5 m tall, adults 1.4 m to 1.9 m.
+PHENOTYPES: dict[str, tuple[float, float]] = {
+    "gender": (0.0, 1.0),
+    "age": (1 / 3, 1.0),
+    "muscle": (0.2, 0.8),
+    "weight": (0.2, 0.8),
+    "height": (0.2, 0.5),
+    "proportions": (0.0, 1.0),
+}
+PHENOTYPE_RANGES: np.ndarray = np.array([PHENOTYPES[name] for name in PHENOTYPE_ANCHORS])  # (6, 2)
 
-_COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
+BONE_STARTS = [parent + 1 for parent in PARENTS]  # joint at which each part's bone begins
+_FACE_COVER = 0.04  # [m]: how much nearer than a point of the face a surface must be to hide it
 
 
-# Of vertices that are on the screen already.
-_VIEW = MeshOptions(near=0.01, perspective=True, max_distance=math.inf, depth_weight=0.0)
+def pose_anny(model: DetailedModel, shape: torch.Tensor, posed: PosedBones) -> Detailed:
+    """Anny of shape values (B, S) in the poses of EllipBodies, in their frame [m]."""
+    return model.pose(shape, *pose_from_ellipbody(model, posed, shape))
 
 
-@dataclass(frozen=True)
-class People:
-    """B people: what a network sees, and the truth; crops have side 2, coordinates -1 to 1, and S pixels a side.
-
-    Attributes:
-        groups: Group ids as a predictor gives them, 0 = background, 255 = unknown and beyond the picture's border,
-            shape (B, S, S), uint8.
-        label_sets: Which of ``TRAINING_LABEL_SETS`` the groups are of, shape (B,), int64.
-        keypoints: ``LANDMARKS`` as a detector gives them: crop coordinates and confidence, all 0 where missing, shape
-            (B, 24, 3).
-        parts: True part labels 0 to 20 in the same crop, 255 beyond the picture's border, shape (B, S, S), uint8.
-        points: True ``LANDMARKS`` in the crop, those of the bones, not of COCO's annotators, shape (B, 24, 2).
-        joints: True ``JOINT_NAMES`` of Anny, camera frame, pelvis at 0 [m], shape (B, 21, 3).
-        orientation: EllipBody's global orientation, camera frame, shape (B, 3, 3).
-        rotations: EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3).
-        lengths: ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12).
-    """
-
-    groups: torch.Tensor
-    label_sets: torch.Tensor
-    keypoints: torch.Tensor
-    parts: torch.Tensor
-    points: torch.Tensor
-    joints: torch.Tensor
-    orientation: torch.Tensor
-    rotations: torch.Tensor
-    lengths: torch.Tensor
+def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
+    """Heights of standing people of shape values (B, S), shape (B,) [m]."""
+    heights = model.rest(shape).vertices[..., 1]
+    return heights.amax(1) - heights.amin(1)
 
 
-@dataclass(frozen=True)
-class _Crop:
-    """Crops of a plane that is seen at the pelvis' depth [m], and the part of them that lies in the picture."""
-
-    centre: torch.Tensor  # (B, 2)
-    half: torch.Tensor  # (B,)
-    low: torch.Tensor  # (B, 2), of the picture, crop coordinates
-    high: torch.Tensor  # (B, 2)
-
-    def __call__(self, flat: torch.Tensor) -> torch.Tensor:
-        """Crop coordinates of points (B, N, 2)."""
-        return (flat - self.centre[:, None]) / self.half[:, None, None]
-
-    def holds(self, points: torch.Tensor) -> torch.Tensor:
-        """Which points (B, N, 2) in crop coordinates are in the picture, shape (B, N), bool."""
-        return ((points > self.low[:, None]) & (points < self.high[:, None])).all(-1)
-
-    def unseen(self, size: int) -> torch.Tensor:
-        """Which pixels lie beyond the picture's border, shape (B, size, size), bool."""
-        centres = (torch.arange(size, device=self.half.device) + 0.5) * (2 / size) - 1
-        columns, rows = (
-            (centres < self.low[:, i, None]) | (centres > self.high[:, i, None]) for i in range(2)
-        )  # (B, size) each
-        return rows[:, :, None] | columns[:, None, :]
+def coco_landmarks(model: DetailedModel, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of Anny's landmarks as COCO's annotators place them, nearer the skin than joints, where it has such."""
+    return tuple(f"coco_{name}" if f"coco_{name}" in model.landmark_names else name for name in names)
 
 
-class PeopleMaker:
-    """Makes people, the same for a seed and a device.
-
-    Bodies are of ``split``'s cells that are not held out, or, with ``held_out``, of the others; the poses are to fit.
+def upright(ups: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+    """Rotations of the pelvis in a world with y up, shape (B, 3, 3).
 
     Args:
-        poses: Motion capture, of the same side of the split.
-        size: S, the pixels of a crop's side.
-        device: Where everything happens.
-        seed: Of the random numbers.
-        held_out: People to test on instead of people to train on.
-        shares: Of the kinds of poses.
-        pool: How many poses are made at once.
+        ups: Direction of the vertical, upward, in the pelvis' frame, unit vectors, shape (B, 3).
+        yaw: Heading about the vertical; 0 looks along z [rad], shape (B,).
     """
+    turned = rotation_between(ups, ups.new_tensor([0.0, 1.0, 0.0]).expand_as(ups))
+    # The pelvis' own heading goes, so that the yaw alone says where the person looks.
+    heading = torch.atan2(turned[:, 0, 2], turned[:, 2, 2])
+    zero = torch.zeros_like(yaw)
+    return rotation_from_axis_angle(torch.stack([zero, yaw - heading, zero], dim=1)) @ turned
 
-    def __init__(
-        self,
-        poses: PoseBank,
-        *,
-        size: int = 128,
-        device: torch.device | str = "cpu",
-        seed: int = 0,
-        held_out: bool = False,
-        shares: Shares | None = None,
-        pool: int = 8192,
-    ) -> None:
-        self.size, self.device = size, torch.device(device)
-        self.model = anny(self.device)
-        self.mesh = detailed_mesh(self.model)
-        # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
-        self._poses = PoseSampler(poses, device=device, seed=seed << 20, shares=shares, pool=pool)
-        self._dice = Dice(seed << 20, self.device)
-        self._noise = Noise(self._dice)
-        cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
-        levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(RANGES)), axis=1)
-        self._cells = self._numbers(np.stack([levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == 3)]))
-        self._ranges = self._numbers(RANGES)
-        names = self.model.landmark_names
-        coco = [f"coco_{name}" if f"coco_{name}" in names else name for name in LANDMARKS]
-        wanted = (LANDMARKS, coco, JOINT_NAMES)
-        rows = [names.index(name) for group in wanted for name in group]
-        self._landmark_weights = self.model.landmark_weights[rows]
-        self._landmark_counts = [len(group) for group in wanted]
-        self._cover = self._numbers(cover_of(LANDMARKS))
-        self._cut_odds = self._numbers(np.array(_CUT_SIDES))
-        of_length = np.zeros((len(LENGTH_NAMES), NUM_PARTS))
-        for part, (length, _, _) in enumerate(SHAPE_INDICES):
-            of_length[length, part] = 1.0
-        self._length_weights = self._numbers(of_length / of_length.sum(1, keepdims=True))
-        self._rest_directions = self._numbers(template().rest_directions)
-        self._bone_starts = torch.tensor([parent + 1 for parent in PARENTS], device=self.device)
 
-    def _numbers(self, values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(values).to(self.device, torch.float32)
+def seen_by_camera(orientation: torch.Tensor, pitch: torch.Tensor, roll: torch.Tensor | None = None) -> torch.Tensor:
+    """Orientations of a world with y up, (B, 3, 3), in the frame of a camera that a yaw of 0 faces.
 
-    def state_dict(self) -> dict[str, Any]:
-        """What makes the next people what they are."""
-        return {"generator": self._dice.generator.get_state(), "poses": self._poses.state_dict()}
+    Args:
+        orientation: Shape (B, 3, 3).
+        pitch: Angle by which the camera looks down [rad], shape (B,).
+        roll: Angle about its axis [rad], shape (B,); 0 if None.
+    """
+    zero = torch.zeros_like(pitch)
+    camera = rotation_from_axis_angle(torch.stack([pitch, zero, zero], dim=1))
+    if roll is not None:
+        camera = rotation_from_axis_angle(torch.stack([zero, zero, roll], dim=1)) @ camera
+    return camera @ (orientation.new_tensor([1.0, -1.0, -1.0])[:, None] * orientation)
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from such a state of a maker with the same arguments."""
-        self._dice.generator.set_state(state["generator"].cpu())
-        self._poses.load_state_dict(state["poses"])
 
-    @torch.no_grad()
-    def __call__(self, count: int) -> People:
-        """``count`` people."""
-        with exact(self.device):
-            return self._make(count)
+def rotations_along(directions: torch.Tensor, orientation: torch.Tensor, world: torch.Tensor) -> torch.Tensor:
+    """Local rotations of EllipBody's parts along other bones, which lean a little otherwise, shape (B, 20, 3, 3).
 
-    def phenotypes(self, count: int) -> torch.Tensor:
-        """Of random people, as ``anny_shape`` takes them, shape (count, 6)."""
-        low, high = self._cells[:, self._dice.integers(self._cells.shape[1], count)]
-        levels = low + (high - low) * self._dice.uniform(count, len(PHENOTYPE_ANCHORS))
-        least, most = self._ranges.unbind(1)
-        return least + (most - least) * levels / LEVELS
+    Args:
+        directions: Of the bones, unit vectors, shape (B, 20, 3).
+        orientation: Global orientation, shape (B, 3, 3).
+        world: Rotations of the parts that are to be turned until they point so, shape (B, 20, 3, 3).
+    """
+    rest, above = _rest_bones(world.device, world.dtype)
+    turned = rotation_between((world @ rest[..., None])[..., 0], directions) @ world
+    turned[:, list(LOCKED_PARTS)] = orientation[:, None]
+    return torch.cat([orientation[:, None], turned], dim=1)[:, above].mT @ turned
 
-    def _make(self, count: int) -> People:
-        dice, noise = self._dice, self._noise
-        vectors, ups = self._poses.draw(count)
-        orientation = self.orientations(ups)
-        shape = anny_shape(self.phenotypes(count))
-        posed = mean_body(rotation_from_axis_angle(vectors), orientation)
-        body = self.model.pose(shape, *pose_from_ellipbody(self.model, posed, shape))
-        standing = self.model.rest(shape).vertices[..., 1]
-        stature = standing.amax(1) - standing.amin(1)
-        known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
-        plain, coco, joints = known.split(self._landmark_counts, dim=1)
-        noted = torch.where(dice.chance(_COCO, count, 1, 1), coco, plain)
 
-        vertices, (noted, plain) = self._seen(body.vertices, (noted, plain))
-        strength, label_sets = noise.strengths(count), noise.label_sets(count)
-        no_labels, no_keypoints = noise.absent(count)
-        detected = noise.detected(count) & ~no_keypoints[:, None]
-        crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
+@lru_cache(maxsize=8)
+def _rest_bones(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """Directions of the bones at rest, shape (20, 3), and the joints where they begin, shape (20,)."""
+    return torch.from_numpy(template().rest_directions).to(device, dtype), torch.tensor(BONE_STARTS, device=device)
 
-        screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
-        mesh = self.mesh
-        geometry = torch.cat([screen, vertices[..., 2:]], dim=-1), mesh.faces, mesh.face_labels, mesh.edges
-        labels, depth_map, _ = draw_images(geometry, (self.size, self.size), _VIEW)
-        unseen = crop.unseen(self.size)
-        parts = labels.masked_fill(unseen, IGNORE)
 
-        some = dice.integers(vertices.shape[1], count, 6)
-        places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
-        fronts = noise.fronts(parts, label_sets, places, strength)
-        points = crop(noted[..., :2])
-        at = ((points + 1) * (self.size / 2)).long().clamp(0, self.size - 1)
-        at = at[..., 1] * self.size + at[..., 0]
-        depth = depth_map.flatten(1).gather(1, at)
-        hidden = depth < noted[..., 2] - self._cover * (stature / MEAN_STATURE)[:, None]
-        hidden |= fronts.hiding.flatten(1).gather(1, at)
-        keypoints = noise.keypoints(points, hidden, detected, stature / crop.half, strength)
-        keypoints = keypoints * crop.holds(keypoints[..., :2])[..., None]
+@lru_cache(maxsize=8)
+def anny_mesh(device: torch.device | str = "cpu") -> PartMesh:
+    """Anny's mesh with labels 1 to 20."""
+    return detailed_mesh(anny(device))
 
-        groups = noise.groups(labels, label_sets, strength)
-        groups = torch.where(fronts.mask, fronts.groups, groups)
-        groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
-        bones = joints[:, 1:] - joints[:, self._bone_starts]
-        lengths = bones.norm(dim=-1)
-        return People(
-            groups=groups,
-            label_sets=label_sets,
-            keypoints=keypoints,
-            parts=parts,
-            points=crop(plain[..., :2]),
-            joints=joints - joints[:, :1],
-            orientation=orientation,
-            rotations=self._aimed(orientation, posed.rotations, bones / lengths[..., None]),
-            lengths=lengths @ self._length_weights.T,
-        )
 
-    def _aimed(self, orientation: torch.Tensor, world: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-        """Local rotations of EllipBody's parts along Anny's bones, whose trunk leans a little otherwise, (B, 20, 3, 3).
+def draw_anny(vertices: torch.Tensor, camera: Camera, image_size: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Part labels and depth [m] of Anny bodies (B, V, 3) in the camera frame, shape (B, H, W) each."""
+    picture = draw_mesh(vertices, anny_mesh(vertices.device), camera, image_size)
+    return picture.labels, picture.depth
 
-        Args:
-            orientation: Global orientation, shape (B, 3, 3).
-            world: Rotations of the parts in the pose that Anny was given, camera frame, shape (B, 20, 3, 3).
-            directions: Of Anny's bones, shape (B, 20, 3).
-        """
-        turns = turn_to((world @ self._rest_directions[..., None])[..., 0], directions)
-        turned = turns @ world
-        turned[:, list(LOCKED_PARTS)] = orientation[:, None]
-        above = torch.cat([orientation[:, None], turned], dim=1)[:, self._bone_starts]
-        return above.mT @ turned
 
-    def orientations(self, ups: torch.Tensor) -> torch.Tensor:
-        """The pelvis in the camera frame: upright as ``ups`` says, looking anywhere, tilted with the camera, (B, 3, 3).
+def cover_of(landmarks: tuple[str, ...]) -> np.ndarray:
+    """Distance by which a surface must be nearer than a landmark of a mean adult to hide it [m], shape (L,).
 
-        Args:
-            ups: Which way is up in the pelvis' frame, shape (B, 3).
-        """
-        count, dice = len(ups), self._dice
-        goal = torch.tensor([0.0, 1.0, 0.0], device=self.device).expand_as(ups)
-        upright = turn_to(ups, goal)
-        heading = torch.atan2(upright[:, 0, 2], upright[:, 2, 2])
-        yaw = dice.uniform(count, low=-np.pi, high=np.pi) - heading
-        pitch, roll = (torch.deg2rad(mean + spread * dice.normal(count)) for mean, spread in (_PITCH, _ROLL))
-        zero = torch.zeros_like(yaw)
-        turn, tilt, hang = (
-            rotation_from_axis_angle(torch.stack(axes, dim=1))
-            for axes in ((zero, yaw, zero), (pitch, zero, zero), (zero, zero, roll))
-        )
-        flip = torch.tensor([1.0, -1.0, -1.0], device=self.device)
-        return hang @ tilt @ (flip[:, None] * (turn @ upright))
+    Joints lie inside the body: what hides one must be nearer by more than the thickness of the bone that ends there.
+    """
+    thicknesses = template().mean_thicknesses
+    return np.array(
+        [
+            thicknesses[SHAPE_INDICES[JOINT_NAMES.index(name) - 1][1]] if name in JOINT_NAMES else _FACE_COVER
+            for name in landmarks
+        ]
+    )
 
-    def _seen(
-        self, vertices: torch.Tensor, landmarks: tuple[torch.Tensor, ...]
-    ) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
-        """Points as a random camera sees them: places at the pelvis' depth [m], and depth [m], shape (B, N, 3) each."""
-        count, dice = len(vertices), self._dice
-        weak = dice.chance(_WEAK, count, 1, 1)
-        distance = dice.uniform(count, 1, 1, low=_DISTANCE[0], high=_DISTANCE[1])
-        aside = distance * _ASIDE * dice.normal(count, 1, 2)
 
-        def seen(points: torch.Tensor) -> torch.Tensor:
-            flat, depth = points[..., :2], points[..., 2:]
-            far = depth + distance
-            return torch.cat(
-                [
-                    torch.where(weak, flat, (flat + aside) * (distance / far)),
-                    torch.where(weak, depth + _FAR_AWAY, far),
-                ],
-                dim=-1,
-            )
+def pixels_of(points: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Indices into flat pictures (H, W) of the pixels that points (B, L, 2) [px] lie in or are nearest to, (B, L)."""
+    height, width = size
+    columns, rows = (points[..., i].long().clamp(0, side - 1) for i, side in enumerate((width, height)))
+    return rows * width + columns
 
-        return seen(vertices), tuple(seen(points) for points in landmarks)
 
-    def _crop(
-        self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
-    ) -> _Crop:
-        """The picture's border, and the square that ``fitting.observe`` cuts out, about.
+def behind_something(
+    distances: torch.Tensor, pixels: torch.Tensor, depth: torch.Tensor, cover: torch.Tensor
+) -> torch.Tensor:
+    """Landmarks that lie behind something other than their own surroundings, shape (B, L), bool.
 
-        Args:
-            vertices: Of the body, shape (B, V, 2) [m].
-            points: Keypoints, shape (B, 24, 2) [m].
-            detected: Which of them a detector gives, shape (B, 24), bool.
-            labelled: Which people have labels, shape (B,), bool.
-        """
-        count, dice = len(vertices), self._dice
-        low, high = vertices.amin(1), vertices.amax(1)
-        longest = (high - low).amax(1, keepdim=True)
-        near = dice.chance(_BORDER, count, 4)
-        beyond = torch.where(near, _NEAR * longest * dice.uniform(count, 4), _OPEN)  # left, top, right, bottom
-        share = dice.uniform(count, 1, low=_CUT_SHARE[0], high=_CUT_SHARE[1])
-        side = torch.arange(4, device=self.device) == dice.choice(self._cut_odds, count)[:, None]
-        cut = side & dice.chance(_CUT, count, 1)
-        beyond = torch.where(cut, -share * (high - low).repeat(1, 2), beyond)
-        first, last = low - beyond[:, :2], high + beyond[:, 2:]
-
-        def bounds(places: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            inside = ((places > first[:, None]) & (places < last[:, None])).all(-1) & counted
-            return (
-                torch.where(inside[..., None], places, torch.inf).amin(1),
-                torch.where(inside[..., None], places, -torch.inf).amax(1),
-            )
-
-        shown = bounds(vertices, labelled[:, None])
-        found = bounds(points, detected)
-        start, end = torch.minimum(shown[0], found[0]), torch.maximum(shown[1], found[1])
-        empty = ~(end - start).isfinite()
-        start, end = torch.where(empty, low, start), torch.where(empty, high, end)
-        extent = (end - start).amax(1).clamp(min=0.1)
-        jitter = dice.uniform(count, 3, low=-_CROP_JITTER, high=_CROP_JITTER)
-        half = extent * (0.5 + CROP_MARGIN) * (1 + jitter[:, 0])
-        centre = (start + end) / 2 + half[:, None] * jitter[:, 1:]
-        return _Crop(centre, half, (first - centre) / half[:, None], (last - centre) / half[:, None])
+    Args:
+        distances: Of the landmarks from the camera [m], shape (B, L).
+        pixels: In which they are seen, by ``pixels_of``, shape (B, L).
+        depth: Of what is drawn [m], inf = background, shape (B, H, W).
+        cover: By ``cover_of``, of people of this size, shape (B, L) or (L,).
+    """
+    return depth.flatten(1).gather(1, pixels) < distances - cover

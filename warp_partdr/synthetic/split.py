@@ -1,4 +1,4 @@
-"""What no network is trained on, fixed in ``split.json``: clips, and the kinds of body that PartBench's people have.
+"""Clips and bodies that no network is trained on, fixed in ``split.json``: the kinds that PartBench's people have.
 
 Bodies are told apart by the cells of a grid over the six phenotype values: all that lie in a cell with one of
 PartBench's people are held out. ``python -m warp_partdr.synthetic.split MOCAP_FOLDER`` makes the file.
@@ -16,26 +16,25 @@ from typing import Any
 
 import numpy as np
 
-from ..clothing.anny import PHENOTYPE_ANCHORS
-from .bench_people import NUM_PEOPLE, PHENOTYPES, SEED
 from .mocap import is_held_out, load_clips
+from .partbench_people import NUM_PEOPLE, SEED
+from .people import PHENOTYPE_RANGES
 
 LEVELS = 4  # of each phenotype value
-NUM_CELLS = LEVELS ** len(PHENOTYPES)
-RANGES: np.ndarray = np.array([PHENOTYPES[name] for name in PHENOTYPE_ANCHORS])  # (6, 2)
+NUM_CELLS = LEVELS ** len(PHENOTYPE_RANGES)
 
 _FILE = "split.json"
 
 
 def cell_of(phenotypes: np.ndarray) -> np.ndarray:
-    """The cell that people are in; those beyond ``RANGES`` are in the outermost.
+    """The cell that people are in; those beyond ``PHENOTYPE_RANGES`` are in the outermost.
 
     Args:
         phenotypes: Values as ``anny_shape`` takes them, shape (..., 6).
     """
-    low, high = RANGES.T
+    low, high = PHENOTYPE_RANGES.T
     levels = np.floor((phenotypes - low) / (high - low) * LEVELS).clip(0, LEVELS - 1).astype(np.int64)
-    return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (LEVELS,) * len(RANGES))
+    return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (LEVELS,) * len(PHENOTYPE_RANGES))
 
 
 def held_out_cells() -> np.ndarray:
@@ -55,13 +54,13 @@ def _split() -> dict[str, list[Any]]:
 
 
 def make_split(clips: Sequence[str]) -> dict[str, list[Any]]:
-    """What the file holds.
+    """Content of the file.
 
     Args:
         clips: Names of the clips that are held out.
     """
     # The first numbers that `make_person` draws.
-    drawn = [np.random.default_rng([SEED, index]).uniform(*RANGES.T) for index in range(NUM_PEOPLE)]
+    drawn = [np.random.default_rng([SEED, index]).uniform(*PHENOTYPE_RANGES.T) for index in range(NUM_PEOPLE)]
     return {"clips": sorted(clips), "cells": np.unique(cell_of(np.array(drawn))).tolist()}
 
 

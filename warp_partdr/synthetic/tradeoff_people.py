@@ -18,7 +18,8 @@ from ..inputs.observation import REFERENCE_SIZE, Observation
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
 from ..render.ellipsoids import draw_ellipsoids
-from .bench_people import Person, draw_anny, make_person
+from .partbench_people import Person, make_person
+from .people import draw_anny
 
 LABELS = label_set("ellipbody20")
 ELLIPBODY, ANNY = "EllipBody", "Anny"  # whose truth it is

@@ -1,4 +1,4 @@
-"""What surrounds a training run: signals, memory that runs out, and how products of matrices are rounded."""
+"""Guards around a training run: signals, and memory that runs out."""
 
 from __future__ import annotations
 
@@ -56,14 +56,3 @@ def memory_errors(config: TrainingConfig) -> Iterator[None]:
             f"batch_size: {config.batch_size}: out of memory; expected a smaller one (with accumulation, now "
             f"{config.accumulation}, raised as much the step's batch stays), precision 'bf16', or smaller pictures"
         ) from error
-
-
-@contextmanager
-def rounded_products(allowed: bool) -> Iterator[None]:
-    """Let float32 products of matrices be rounded to TF32, or not."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("high" if allowed else "highest")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)

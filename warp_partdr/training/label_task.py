@@ -22,9 +22,9 @@ from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shar
 from ..network.predicted import Predicted
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.palette import group_colours
-from ..synthetic.noise import TRAINING_LABEL_SETS
-from ..synthetic.people import People, PeopleMaker
-from ..synthetic.poses import PoseBank
+from ..synthetic.label_noise import TRAINING_LABEL_SETS
+from ..synthetic.pose_sampler import PoseBank
+from ..synthetic.training_people import People, PeopleMaker
 from .label_losses import Truth, body_losses
 from .task import PACKAGED_NETWORK
 

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from ..errors import InputError
+from ..interop.precision import matmul_precision
 from .checkpoints import (
     Checkpoint,
     list_checkpoints,
@@ -26,7 +27,7 @@ from .checkpoints import (
 )
 from .config import Phase, TrainingConfig
 from .ema import RunningMean
-from .guards import memory_errors, rounded_products, signals
+from .guards import memory_errors, signals
 from .joint_norm import normalise_jointly
 from .logs import RunLog
 from .schedule import learning_rate, phase_at
@@ -221,7 +222,7 @@ class _Run:
         for _ in range(self.config.accumulation):
             with self.accelerator.accumulate(self.model):
                 batch = self.task.batch(self.device)
-                with rounded_products(self.config.tf32 and self.device.type == "cuda"):
+                with matmul_precision("high" if self.config.tf32 and self.device.type == "cuda" else "highest"):
                     terms = self.task.loss(self.model, batch)
                     self.accelerator.backward(terms["total"])
                 terms = {name: term.detach() for name, term in terms.items()}

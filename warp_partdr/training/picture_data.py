@@ -23,7 +23,7 @@ from ..inputs.part_labels import check_sizes, read_label_set, read_photo
 from ..inputs.person import Box, person_crop
 from ..inputs.sample import Sample
 from ..network.landmarks import LANDMARKS, network_keypoints
-from ..synthetic.shaded_people import shaded_people
+from ..synthetic.shaded import shaded_people
 from .augment import Augmentation, Similarity
 
 JOINTS = skeleton(MPJPE_SKELETON).landmarks  # that L_3D compares

@@ -17,7 +17,7 @@ from ...body.skeletons import MPJPE_SKELETON, skeleton
 from ...inputs.sample import Sample
 from ...results.palette import group_colours
 from ...results.pictures import draw_keypoints
-from ...synthetic.bench_noise import LEVELS
+from ...synthetic.noise import LEVELS
 from ..evaluate import Method, Report, tables
 from ..scoring import Fitted, Score
 from . import VERSION

@@ -12,15 +12,8 @@ from ...errors import InputError
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
 from ...inputs.sample import Sample
-from ...synthetic.bench_noise import (
-    HIDDEN_CONFIDENCE,
-    LEVELS,
-    noisy_keypoints,
-    noisy_labels,
-    spoil_keypoints,
-    spoil_labels,
-)
-from ...synthetic.bench_people import COCO, NUM_PEOPLE, SEED, Person, make_person
+from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels, spoil_keypoints, spoil_labels
+from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, make_person
 from . import VERSION
 
 LABELS = label_set("cdcl14")

@@ -15,16 +15,15 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import PART_NAMES
 from ..cameras import Perspective
-from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
-from ..clothing.mesh import detailed_mesh
-from ..clothing.pose import pose_from_ellipbody
+from ..clothing.anny import anny, anny_shape
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
 from ..render.mesh import draw_mesh
-from .bench_people import PHENOTYPES
-from .dice import Dice
-from .poses import PoseBank, PoseSampler, mean_body
+from .people import PHENOTYPE_RANGES, anny_mesh, pose_anny, seen_by_camera
+from .pose_sampler import PoseBank, PoseSampler
+from .poses import mean_body
+from .rng import TorchRng
 
 SIZE = 288  # [px], side of the pictures
 _SAMPLES = 2  # a side of a pixel, for smooth outlines
@@ -65,46 +64,46 @@ def shaded_people(count: int, *, seed: int, device: torch.device | str = "cpu") 
     """
     bank = PoseBank.of_prior(_PRIOR_POSES, seed=seed)
     poses = PoseSampler(bank, device=device, seed=seed, pool=min(max(count, _BATCH), _LARGEST_POOL))
-    dice = Dice(seed, device)
+    rng = TorchRng(seed, device)
     drawn: list[Sample] = []
     while len(drawn) < count:
-        drawn.extend(_shade(*poses.draw(min(_BATCH, count - len(drawn))), dice, len(drawn)))
+        drawn.extend(_shade(*poses.draw(min(_BATCH, count - len(drawn))), rng, len(drawn)))
     return drawn
 
 
 @torch.no_grad()
-def _shade(rotations: torch.Tensor, ups: torch.Tensor, dice: Dice, first: int) -> Iterator[Sample]:
+def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int) -> Iterator[Sample]:
     """People in these poses, counted from ``first``."""
     count, device = len(rotations), rotations.device
     model = anny(device)
-    low, high = torch.tensor([PHENOTYPES[name] for name in PHENOTYPE_ANCHORS], device=device).T
-    shape = anny_shape(low + (high - low) * dice.uniform(count, len(low)))
-    posed = mean_body(rotation_from_axis_angle(rotations), _views(ups, dice))
-    body = model.pose(shape, *pose_from_ellipbody(model, posed, shape))
+    low, high = torch.from_numpy(PHENOTYPE_RANGES).to(device, torch.float32).T
+    shape = anny_shape(low + (high - low) * rng.uniform(count, len(low)))
+    posed = mean_body(rotation_from_axis_angle(rotations), _views(ups, rng))
+    body = pose_anny(model, shape, posed)
     away = torch.zeros(count, 1, 3, device=device)
-    away[:, 0, 2] = dice.uniform(count, low=_DISTANCE[0], high=_DISTANCE[1])
+    away[:, 0, 2] = rng.uniform(count, low=_DISTANCE[0], high=_DISTANCE[1])
     vertices = body.vertices + away
-    camera = _look(vertices, dice)
+    camera = _look(vertices, rng)
 
     side = SIZE * _SAMPLES
-    mesh = detailed_mesh(model)
+    mesh = anny_mesh(device)
     fine = Perspective(camera.focal * _SAMPLES, camera.centre * _SAMPLES)
     drawn = draw_mesh(vertices, mesh, fine, (side, side))
     corners = vertices[:, mesh.faces.long()]
     normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    light = dice.uniform(count, 3, low=-1) * torch.tensor([1.0, 1.0, 0.5], device=device)
+    light = rng.uniform(count, 3, low=-1) * torch.tensor([1.0, 1.0, 0.5], device=device)
     light[:, 2] -= 0.7  # from the viewer's side
     unit = torch.nn.functional.normalize
     lit = (unit(normals, dim=-1) * unit(light, dim=-1)[:, None]).sum(-1).clamp_min(0)
-    ambient = dice.uniform(count, 1, low=0.3, high=0.6)
+    ambient = rng.uniform(count, 1, low=0.3, high=0.6)
     brightness = (ambient + (1 - ambient) * lit).gather(1, drawn.face_index.clamp_min(0).long().flatten(1))
-    colours = _clothe(dice.uniform(count, _PIECES, 3)).gather(
+    colours = _clothe(rng.uniform(count, _PIECES, 3)).gather(
         1, drawn.labels.long().flatten(1)[..., None].expand(-1, -1, 3)
     )
     foreground = (colours * brightness[..., None]).unflatten(1, (side, side)).permute(0, 3, 1, 2)
-    background = _background(count, side, dice)
+    background = _background(count, side, rng)
     image = torch.where(drawn.labels[:, None] > 0, foreground, background)
-    image = torch.nn.functional.avg_pool2d(image, _SAMPLES) + _GRAIN * dice.uniform(count, 3, SIZE, SIZE, low=-1)
+    image = torch.nn.functional.avg_pool2d(image, _SAMPLES) + _GRAIN * rng.uniform(count, 3, SIZE, SIZE, low=-1)
     pictures = (image.clamp(0, 1) * 255).byte().permute(0, 2, 3, 1).cpu().numpy()
     labels = drawn.labels[:, ::_SAMPLES, ::_SAMPLES].cpu().numpy()
 
@@ -125,26 +124,23 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, dice: Dice, first: int) -
         )
 
 
-def _views(ups: torch.Tensor, dice: Dice) -> torch.Tensor:
+def _views(ups: torch.Tensor, rng: TorchRng) -> torch.Tensor:
     """Orientations in the camera frame, shape (N, 3, 3): upright, turned anyhow, seen by a camera that looks down."""
     unit = torch.nn.functional.normalize
-    any_way = dice.normal(len(ups), 3)
+    any_way = rng.normal(len(ups), 3)
     across = unit(any_way - (any_way * ups).sum(-1, keepdim=True) * ups, dim=-1)
     upright = torch.stack([across, ups, torch.linalg.cross(across, ups)], dim=1)
-    pitch = torch.zeros_like(ups)
-    pitch[:, 0] = torch.deg2rad(dice.uniform(len(ups), low=_PITCH[0], high=_PITCH[1]))
-    to_camera = torch.diag(ups.new_tensor([1.0, -1.0, -1.0]))
-    return rotation_from_axis_angle(pitch) @ to_camera @ upright
+    return seen_by_camera(upright, torch.deg2rad(rng.uniform(len(ups), low=_PITCH[0], high=_PITCH[1])))
 
 
-def _look(vertices: torch.Tensor, dice: Dice) -> Perspective:
+def _look(vertices: torch.Tensor, rng: TorchRng) -> Perspective:
     """Cameras that see all of each person, somewhere in the picture."""
     flat = vertices[..., :2] / vertices[..., 2:]
     low, high = flat.amin(1), flat.amax(1)
-    fill = dice.uniform(len(vertices), low=_FILL[0], high=_FILL[1])
+    fill = rng.uniform(len(vertices), low=_FILL[0], high=_FILL[1])
     focal = (SIZE * fill / (high - low).amax(1))[:, None]
     room = SIZE - focal * (high - low)
-    centre = room * dice.uniform(len(vertices), 2) - focal * low
+    centre = room * rng.uniform(len(vertices), 2) - focal * low
     return Perspective(focal.expand(-1, 2), centre)
 
 
@@ -159,16 +155,16 @@ def _clothe(colours: torch.Tensor) -> torch.Tensor:
     return torch.cat([dark, worn[:, pieces]], dim=1)
 
 
-def _background(count: int, side: int, dice: Dice) -> torch.Tensor:
+def _background(count: int, side: int, rng: TorchRng) -> torch.Tensor:
     """Smooth noise on several scales about a random colour, and boxes, shape (N, 3, side, side)."""
-    image = dice.uniform(count, 3, 1, 1).expand(-1, -1, side, side)
+    image = rng.uniform(count, 3, 1, 1).expand(-1, -1, side, side)
     for cells, strength in _NOISE:
-        noise = dice.uniform(count, 3, cells, cells, low=-strength, high=strength)
+        noise = rng.uniform(count, 3, cells, cells, low=-strength, high=strength)
         image = image + torch.nn.functional.interpolate(noise, size=(side, side), mode="bilinear")
     places = (torch.arange(side, device=image.device) + 0.5) / side
     for _ in range(_BOXES):
-        middle, half = dice.uniform(count, 2, 1), dice.uniform(count, 2, 1, low=0.02, high=0.25)
+        middle, half = rng.uniform(count, 2, 1), rng.uniform(count, 2, 1, low=0.02, high=0.25)
         inside = (places - middle).abs() < half
         box = (inside[:, 1, :, None] & inside[:, 0, None, :])[:, None]
-        image = torch.where(box, dice.uniform(count, 3, 1, 1), image)
+        image = torch.where(box, rng.uniform(count, 3, 1, 1), image)
     return image

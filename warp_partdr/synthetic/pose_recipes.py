@@ -1,4 +1,4 @@
-"""How PartBench's people stand: drawn from the pose prior, or put together so that they hide parts of themselves.
+"""Poses of PartBench's people: drawn from the pose prior, or put together so that they hide parts of themselves.
 
 EllipBody's rotation vectors; +x of a joint bends it forward (the trunk), backward (the knee) or turns the leg back, and
 the left arm, which points to +x at rest, comes down about -z, twists about x and bends the elbow about -y.
@@ -8,22 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib import resources
 
 import numpy as np
 import torch
 
-from ..body.pose_prior import FREE_PARTS, PosePrior, mirror_features
-from ..body.posing import Posed, pose
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
-from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES, template
+from ..body.template import LOCKED_PARTS, NUM_PARTS, PART_NAMES
+from .poses import clear_poses, draw_from_prior
 
-# Random vectors of 57 dimensions lie farther from the mean than frames of motion capture do (a median of 31 nats, those
-# frames have 12): with this share of the deviations they are as likely. Nine frames of ten have at most so many nats.
-SPREAD = 0.7
-LIKELY = 22.0
-OVER_LIMITS = 0.02  # [rad^2], a few degrees
 _JITTER = 0.12  # [rad], of every joint of a pose put together
 _LEAN = 0.08  # [rad], of its pelvis
 
@@ -37,7 +29,7 @@ class Pose:
     Attributes:
         kind: "prior", or a key of ``POSES``.
         rotations: Local rotation vectors [rad], shape (20, 3).
-        up: Which way is up, in the pelvis' frame, shape (3,).
+        up: Direction of the vertical, upward, in the pelvis' frame, shape (3,).
         yaw: Turn of the person about the vertical, 0 faces the camera [rad].
     """
 
@@ -129,35 +121,16 @@ def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
     """
     while True:
         drawn = _from_prior(rng) if kind == "prior" else _from_recipe(kind, rng)
-        if drawn is not None and is_clear(posed_ellipbody(drawn.rotations, np.eye(3))):
+        if drawn is not None and clear_poses(torch.from_numpy(drawn.rotations)[None].float()):
             return drawn
 
 
 def _from_prior(rng: np.random.Generator) -> Pose | None:
-    """One draw of the mixture; None if it is beyond the joint limits or less likely than most poses."""
-    prior, mixture = pose_mixture()
-    component = rng.choice(len(mixture["weights"]), p=mixture["weights"] / mixture["weights"].sum())
-    deviation = np.linalg.solve(mixture["whitening"][component], rng.standard_normal(len(mixture["means"][0])))
-    features = mixture["means"][component] + SPREAD * deviation
-    if rng.random() < 0.5:
-        order, sign = mirror_features()
-        features = features[order] * sign
-    rotations = np.zeros((NUM_PARTS, 3))
-    rotations[list(FREE_PARTS)] = features[:-3].reshape(-1, 3)
-    up = features[-3:] / np.linalg.norm(features[-3:])
-    vectors = torch.from_numpy(rotations)[None]
-    if prior.joint_limits(vectors) > OVER_LIMITS or prior(vectors, torch.from_numpy(up)[None]) > LIKELY:
+    drawn = draw_from_prior(rng)
+    if drawn is None:
         return None
+    rotations, up = (values[0].numpy() for values in drawn)
     return Pose("prior", rotations, up, rng.uniform(-np.pi, np.pi))
-
-
-@lru_cache(maxsize=1)
-def pose_mixture() -> tuple[PosePrior, dict[str, np.ndarray]]:
-    """The packaged prior, and the Gaussians in its file: each stands for its mirror image too."""
-    path = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        mixture = {name: archive[name].astype(np.float64) for name in ("weights", "means", "whitening")}
-    return PosePrior().to(dtype=torch.float64), mixture
 
 
 def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
@@ -175,37 +148,3 @@ def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
     lean = np.array([np.radians(recipe.lean), 0.0, 0.0]) + _LEAN * rng.standard_normal(3) * [1.0, 0.0, 1.0]
     up = rotation_from_axis_angle(torch.from_numpy(lean)).numpy()[1]  # R^T (0, 1, 0)
     return Pose(kind, rotations + jitter, up, np.radians(rng.uniform(*recipe.yaw)))
-
-
-def posed_ellipbody(rotations: np.ndarray, global_orient: np.ndarray) -> Posed:
-    """The mean body in a pose, its pelvis at the origin, B = 1.
-
-    Args:
-        rotations: Rotation vectors [rad], shape (20, 3).
-        global_orient: Shape (3, 3).
-    """
-    shape = template()
-    return pose(
-        torch.from_numpy(global_orient)[None].float(),
-        torch.zeros(1, 3),
-        rotation_from_axis_angle(torch.from_numpy(rotations)[None].float()),
-        torch.from_numpy(np.array(shape.mean_lengths))[None].float(),
-        torch.from_numpy(np.array(shape.mean_thicknesses))[None].float(),
-    )
-
-
-_PARTS = range(NUM_PARTS)
-_LIMBS = [k for k, name in enumerate(PART_NAMES) if name.endswith(("forearm", "hand", "lower_leg", "foot"))]
-_ALONG = np.linspace(-0.8, 1.0, 7)  # places on a bone, of its half length
-_APART = np.array([[part not in (limb, PARENTS[limb]) and PARENTS[part] != limb for part in _PARTS] for limb in _LIMBS])
-
-
-def is_clear(posed: Posed) -> torch.Tensor:
-    """Whether no limb's bone passes through a part that it doesn't hang on, shape (B,), bool."""
-    along, apart = (torch.from_numpy(values).to(posed.centres.device) for values in (_ALONG, _APART))
-    bones = posed.semi_axes[:, _LIMBS, :1] * posed.axes[:, _LIMBS, :, 0]
-    points = posed.centres[:, _LIMBS, None] + along.to(bones)[:, None] * bones[:, :, None]  # (B, limbs, places, 3)
-    offsets = points.flatten(1, 2)[:, None] - posed.centres[:, :, None]
-    offsets = offsets @ posed.axes / posed.semi_axes[:, :, None]  # in the parts' own axes
-    inside = offsets.square().sum(-1).unflatten(2, (len(_LIMBS), -1)).amin(-1) < 1.0  # (B, parts, limbs)
-    return ~(inside & apart.T).flatten(1).any(1)

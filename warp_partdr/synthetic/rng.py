@@ -7,8 +7,10 @@ from contextlib import contextmanager
 
 import torch
 
+from ..interop.precision import matmul_precision
 
-class Dice:
+
+class TorchRng:
     """A generator and the distributions that training needs; nothing waits for the device.
 
     Args:
@@ -44,12 +46,7 @@ class Dice:
 
 
 @contextmanager
-def exact(device: torch.device) -> Iterator[None]:
+def exact_float32(device: torch.device) -> Iterator[None]:
     """Float32 throughout: under TF32 or bfloat16, vertices move by millimetres, and other poses are accepted."""
-    precision = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        with torch.autocast(device.type, enabled=False):
-            yield
-    finally:
-        torch.set_float32_matmul_precision(precision)
+    with matmul_precision("highest"), torch.autocast(device.type, enabled=False):
+        yield

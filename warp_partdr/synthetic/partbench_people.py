@@ -1,0 +1,150 @@
+"""PartBench's people: Anny bodies in poses, seen by a camera, drawn to part labels and keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from ..body.rotations import rotation_from_axis_angle
+from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.template import MEAN_STATURE, NUM_PARTS
+from ..cameras import Camera, Crop, Perspective, WeakPerspective
+from ..clothing.anny import anny, anny_shape
+from .people import (
+    PHENOTYPE_RANGES,
+    behind_something,
+    coco_landmarks,
+    cover_of,
+    draw_anny,
+    pixels_of,
+    pose_anny,
+    seen_by_camera,
+    statures,
+    upright,
+)
+from .pose_recipes import POSES, draw_pose
+from .poses import mean_body
+
+NUM_PEOPLE = 200
+SEED = 20_241
+
+SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
+_SAMPLES = 2  # a side of a pixel, whose majority it takes
+_FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
+_DISTANCE = (2.5, 6.0)  # [m], of perspective cameras
+_WEAK = 0.5  # share of weak-perspective cameras
+_PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
+_OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
+_CUT = 0.15  # share of people of whom the border cuts off
+_CUT_SHARE = (0.05, 0.2)  # of their height or width
+
+COCO = skeleton("coco17")
+_PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person and the whole truth.
+
+    Attributes:
+        name: Such as "person 007".
+        kind: Of pose: "prior" or a key of ``POSES``.
+        parts: Part labels, 0 = background, shape (H, W), uint8.
+        keypoints: COCO-17 in the picture, as COCO's annotators place them [px], shape (17, 2).
+        hidden: Which of them are behind something, shape (17,), bool.
+        height: Of the person standing, in the picture [px].
+        joints: LSP's 14 joints, camera frame [m], shape (14, 3).
+        vertices: Anny's, camera frame [m], shape (V, 3), float32.
+        camera: That drew the labels, B = 1.
+    """
+
+    name: str
+    kind: str
+    parts: np.ndarray
+    keypoints: np.ndarray
+    hidden: np.ndarray
+    height: float
+    joints: np.ndarray
+    vertices: np.ndarray
+    camera: Camera
+
+
+def pose_kind(index: int) -> str:
+    """Kind of pose that person ``index`` has: any first N people have all kinds in about the same shares."""
+    if index % 5 in _PRIOR_EVERY:
+        return "prior"
+    kinds = tuple(POSES)
+    return kinds[(index // 5 * 2 + index % 5 // 2) % len(kinds)]
+
+
+@lru_cache(maxsize=NUM_PEOPLE)
+def make_person(index: int) -> Person:
+    """Person 0 to 199; each has a seed of its own."""
+    rng = np.random.default_rng([SEED, index])
+    shape = anny_shape(torch.from_numpy(rng.uniform(*PHENOTYPE_RANGES.T))[None].float())
+    pose = draw_pose(pose_kind(index), rng)
+    pitch = np.radians(rng.uniform(*_PITCH))
+    up, yaw, pitch = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, pitch))
+    rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
+    posed = mean_body(rotations, seen_by_camera(upright(up, yaw), pitch).float())
+    model = anny()
+    body, stature = pose_anny(model, shape, posed), float(statures(model, shape))
+
+    vertices = body.vertices[0].numpy()
+    weak = rng.random() < _WEAK
+    offset = np.zeros(3, dtype=np.float32)
+    if not weak:
+        offset[2] = rng.uniform(*_DISTANCE) - vertices[:, 2].mean()
+    camera, size = _place_camera(vertices + offset, weak, rng)
+    parts, depth = _draw(vertices + offset, camera, size)
+
+    def landmarks(names: tuple[str, ...]) -> torch.Tensor:
+        return model.landmarks(body, names) + torch.from_numpy(offset)
+
+    points = landmarks(coco_landmarks(model, COCO.landmarks))
+    pixels = camera.project(points)[..., :2]
+    cover = stature / MEAN_STATURE * torch.from_numpy(cover_of(COCO.landmarks))
+    distance = 1.0 if weak else float(offset[2])
+    return Person(
+        name=f"person {index:03d}",
+        kind=pose.kind,
+        parts=parts,
+        keypoints=pixels[0].numpy(),
+        hidden=behind_something(points[..., 2], pixels_of(pixels, size), depth, cover)[0].numpy(),
+        height=stature * float(camera.intrinsics[0, 0]) / distance,
+        joints=landmarks(skeleton(MPJPE_SKELETON).landmarks)[0].numpy(),
+        vertices=vertices + offset,
+        camera=camera,
+    )
+
+
+def _place_camera(vertices: np.ndarray, weak: bool, rng: np.random.Generator) -> tuple[Camera, tuple[int, int]]:
+    """A camera that sees the person, or all but what the border cuts off, and the picture's size (H, W)."""
+    flat = vertices[:, :2] if weak else vertices[:, :2] / vertices[:, 2:]
+    low, high = flat.min(0), flat.max(0)
+    extent = high - low
+    size = np.array([SHORT_SIDE, LONG_SIDE] if extent[1] >= extent[0] else [LONG_SIDE, SHORT_SIDE])  # (W, H)
+    scale = (size * rng.uniform(*_FILL) / extent).min()
+    centre = size * (0.5 + rng.uniform(-_OFFSET, _OFFSET, 2)) - scale * (low + high) / 2
+    if rng.random() < _CUT:
+        axis, far = rng.integers(2), rng.random() < 0.7  # the bottom or the right side more often than the others
+        beyond = rng.uniform(*_CUT_SHARE) * extent[axis] * scale
+        edge = scale * (high if far else low)[axis] + centre[axis]
+        centre[axis] += size[axis] + beyond - edge if far else -beyond - edge
+    zoom, shift = (torch.tensor(values, dtype=torch.float32)[None] for values in (float(scale), centre))
+    camera = WeakPerspective(zoom, shift) if weak else Perspective(zoom[:, None].expand(-1, 2), shift)
+    return camera, (int(size[1]), int(size[0]))
+
+
+def _draw(vertices: np.ndarray, camera: Camera, size: tuple[int, int]) -> tuple[np.ndarray, torch.Tensor]:
+    """Part labels, each pixel's the majority of its samples, shape (H, W), and depth [m], shape (1, H, W)."""
+    height, width = size
+    fine_size = (height * _SAMPLES, width * _SAMPLES)
+    fine = camera.in_crop(Crop(left=0.0, top=0.0, zoom=_SAMPLES, size=fine_size))
+    labels, depth = draw_anny(torch.from_numpy(vertices)[None], fine, fine_size)
+    blocks = labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
+    votes = np.stack([(blocks == label).sum((1, 3), dtype=np.uint8) for label in range(NUM_PARTS + 1)])
+    return votes.argmax(0).astype(np.uint8), depth[:, ::_SAMPLES, ::_SAMPLES]

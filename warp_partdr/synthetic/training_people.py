@@ -1,0 +1,311 @@
+"""People made on the fly, on any device: Anny bodies in many poses and views, and what networks would see of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..body.labels import IGNORE
+from ..body.rotations import rotation_from_axis_angle
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, SHAPE_INDICES
+from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from ..inputs.observation import CROP_MARGIN
+from ..network.landmarks import LANDMARKS
+from ..render.mesh_passes import MeshOptions, draw_images
+from .label_noise import Noise
+from .people import (
+    BONE_STARTS,
+    PHENOTYPE_RANGES,
+    anny_mesh,
+    behind_something,
+    coco_landmarks,
+    cover_of,
+    pixels_of,
+    pose_anny,
+    rotations_along,
+    seen_by_camera,
+    statures,
+    upright,
+)
+from .pose_sampler import PoseBank, PoseSampler, Shares
+from .poses import mean_body
+from .rng import TorchRng, exact_float32
+from .split import LEVELS, NUM_CELLS, held_out_cells
+
+_BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
+_WEAK = 0.5  # share of weak-perspective cameras
+_FAR_AWAY = 100.0  # [m]; their depths are moved so far, where 1/z is as good as linear
+_DISTANCE = (2.2, 7.0)  # [m], of perspective cameras
+_ASIDE = 0.08  # of the distance: standard deviation of how far a person is off the optical axis
+_PITCH, _ROLL = (7.0, 12.0), (0.0, 5.0)  # [degrees], mean and standard deviation; a camera above looks down
+_CROP_JITTER = 0.06  # of the crop's half side
+_CUT = 0.25  # share of people of whom the picture's border cuts off
+_CUT_SHARE = (0.03, 0.35)  # of their height or width
+_CUT_SIDES = (0.22, 0.16, 0.22, 0.4)  # left, top, right, bottom
+_BORDER = 0.7  # chance of each other side of the picture to be near, at most:
+_NEAR = 0.35  # of the person's longer extent
+_OPEN = 100.0  # [m], where a side isn't near
+
+_COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
+
+# Of vertices that are on the screen already.
+_VIEW = MeshOptions(near=0.01, perspective=True, max_distance=math.inf, depth_weight=0.0)
+
+
+@dataclass(frozen=True)
+class People:
+    """B people: what a network sees, and the truth; crops have side 2, coordinates -1 to 1, and S pixels a side.
+
+    Attributes:
+        groups: Group ids as a predictor gives them, 0 = background, 255 = unknown and beyond the picture's border,
+            shape (B, S, S), uint8.
+        label_sets: Which of ``TRAINING_LABEL_SETS`` the groups are of, shape (B,), int64.
+        keypoints: ``LANDMARKS`` as a detector gives them: crop coordinates and confidence, all 0 where missing, shape
+            (B, 24, 3).
+        parts: True part labels 0 to 20 in the same crop, 255 beyond the picture's border, shape (B, S, S), uint8.
+        points: True ``LANDMARKS`` in the crop, those of the bones, not of COCO's annotators, shape (B, 24, 2).
+        joints: True ``JOINT_NAMES`` of Anny, camera frame, pelvis at 0 [m], shape (B, 21, 3).
+        orientation: EllipBody's global orientation, camera frame, shape (B, 3, 3).
+        rotations: EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3).
+        lengths: ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12).
+    """
+
+    groups: torch.Tensor
+    label_sets: torch.Tensor
+    keypoints: torch.Tensor
+    parts: torch.Tensor
+    points: torch.Tensor
+    joints: torch.Tensor
+    orientation: torch.Tensor
+    rotations: torch.Tensor
+    lengths: torch.Tensor
+
+
+@dataclass(frozen=True)
+class _Crop:
+    """Crops of a plane that is seen at the pelvis' depth [m], and the part of them that lies in the picture."""
+
+    centre: torch.Tensor  # (B, 2)
+    half: torch.Tensor  # (B,)
+    low: torch.Tensor  # (B, 2), of the picture, crop coordinates
+    high: torch.Tensor  # (B, 2)
+
+    def __call__(self, flat: torch.Tensor) -> torch.Tensor:
+        """Crop coordinates of points (B, N, 2)."""
+        return (flat - self.centre[:, None]) / self.half[:, None, None]
+
+    def holds(self, points: torch.Tensor) -> torch.Tensor:
+        """Which points (B, N, 2) in crop coordinates are in the picture, shape (B, N), bool."""
+        return ((points > self.low[:, None]) & (points < self.high[:, None])).all(-1)
+
+    def unseen(self, size: int) -> torch.Tensor:
+        """Which pixels lie beyond the picture's border, shape (B, size, size), bool."""
+        centres = (torch.arange(size, device=self.half.device) + 0.5) * (2 / size) - 1
+        columns, rows = (
+            (centres < self.low[:, i, None]) | (centres > self.high[:, i, None]) for i in range(2)
+        )  # (B, size) each
+        return rows[:, :, None] | columns[:, None, :]
+
+
+class PeopleMaker:
+    """Makes people, the same for a seed and a device.
+
+    Bodies are of ``split``'s cells that are not held out, or, with ``held_out``, of the others; the poses are to fit.
+
+    Args:
+        poses: Motion capture, of the same side of the split.
+        size: S, the pixels of a crop's side.
+        device: Where everything happens.
+        seed: Of the random numbers.
+        held_out: People to test on instead of people to train on.
+        shares: Of the kinds of poses.
+        pool: How many poses are made at once.
+    """
+
+    def __init__(
+        self,
+        poses: PoseBank,
+        *,
+        size: int = 128,
+        device: torch.device | str = "cpu",
+        seed: int = 0,
+        held_out: bool = False,
+        shares: Shares | None = None,
+        pool: int = 8192,
+    ) -> None:
+        self.size, self.device = size, torch.device(device)
+        self.model = anny(self.device)
+        self.mesh = anny_mesh(self.device)
+        # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
+        self._poses = PoseSampler(poses, device=device, seed=seed << 20, shares=shares, pool=pool)
+        self._rng = TorchRng(seed << 20, self.device)
+        self._noise = Noise(self._rng)
+        cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
+        levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(PHENOTYPE_RANGES)), axis=1)
+        self._cells = self._numbers(np.stack([levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == 3)]))
+        self._ranges = self._numbers(PHENOTYPE_RANGES)
+        groups = (LANDMARKS, coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
+        rows = [self.model.landmark_names.index(name) for group in groups for name in group]
+        self._landmark_weights = self.model.landmark_weights[rows]
+        self._landmark_counts = [len(group) for group in groups]
+        self._cover = self._numbers(cover_of(LANDMARKS))
+        self._cut_odds = self._numbers(np.array(_CUT_SIDES))
+        of_length = np.zeros((len(LENGTH_NAMES), NUM_PARTS))
+        for part, (length, _, _) in enumerate(SHAPE_INDICES):
+            of_length[length, part] = 1.0
+        self._bone_starts = torch.tensor(BONE_STARTS, device=self.device)
+        self._length_weights = self._numbers(of_length / of_length.sum(1, keepdims=True))
+
+    def _numbers(self, values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(values).to(self.device, torch.float32)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What makes the next people what they are."""
+        return {"generator": self._rng.generator.get_state(), "poses": self._poses.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from such a state of a maker with the same arguments."""
+        self._rng.generator.set_state(state["generator"].cpu())
+        self._poses.load_state_dict(state["poses"])
+
+    @torch.no_grad()
+    def __call__(self, count: int) -> People:
+        """``count`` people."""
+        with exact_float32(self.device):
+            return self._make(count)
+
+    def phenotypes(self, count: int) -> torch.Tensor:
+        """Of random people, as ``anny_shape`` takes them, shape (count, 6)."""
+        low, high = self._cells[:, self._rng.integers(self._cells.shape[1], count)]
+        levels = low + (high - low) * self._rng.uniform(count, len(PHENOTYPE_ANCHORS))
+        least, most = self._ranges.unbind(1)
+        return least + (most - least) * levels / LEVELS
+
+    def _make(self, count: int) -> People:
+        rng, noise = self._rng, self._noise
+        vectors, ups = self._poses.draw(count)
+        orientation = self.orientations(ups)
+        shape = anny_shape(self.phenotypes(count))
+        posed = mean_body(rotation_from_axis_angle(vectors), orientation)
+        body, stature = pose_anny(self.model, shape, posed), statures(self.model, shape)
+        known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
+        plain, coco, joints = known.split(self._landmark_counts, dim=1)
+        noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
+
+        vertices, (noted, plain) = self._seen(body.vertices, (noted, plain))
+        strength, label_sets = noise.strengths(count), noise.label_sets(count)
+        no_labels, no_keypoints = noise.absent(count)
+        detected = noise.detected(count) & ~no_keypoints[:, None]
+        crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
+
+        screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
+        mesh = self.mesh
+        geometry = torch.cat([screen, vertices[..., 2:]], dim=-1), mesh.faces, mesh.face_labels, mesh.edges
+        labels, depth, _ = draw_images(geometry, (self.size, self.size), _VIEW)
+        unseen = crop.unseen(self.size)
+        parts = labels.masked_fill(unseen, IGNORE)
+
+        some = rng.integers(vertices.shape[1], count, 6)
+        places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
+        fronts = noise.fronts(parts, label_sets, places, strength)
+        points = crop(noted[..., :2])
+        pixels = pixels_of((points + 1) * (self.size / 2), (self.size, self.size))
+        cover = self._cover * (stature / MEAN_STATURE)[:, None]
+        hidden = behind_something(noted[..., 2], pixels, depth, cover)
+        hidden |= fronts.hiding.flatten(1).gather(1, pixels)
+        keypoints = noise.keypoints(points, hidden, detected, stature / crop.half, strength)
+        keypoints = keypoints * crop.holds(keypoints[..., :2])[..., None]
+
+        groups = noise.groups(labels, label_sets, strength)
+        groups = torch.where(fronts.mask, fronts.groups, groups)
+        groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
+        bones = joints[:, 1:] - joints[:, self._bone_starts]
+        lengths = bones.norm(dim=-1)
+        return People(
+            groups=groups,
+            label_sets=label_sets,
+            keypoints=keypoints,
+            parts=parts,
+            points=crop(plain[..., :2]),
+            joints=joints - joints[:, :1],
+            orientation=orientation,
+            rotations=rotations_along(bones / lengths[..., None], orientation, posed.rotations),
+            lengths=lengths @ self._length_weights.T,
+        )
+
+    def orientations(self, ups: torch.Tensor) -> torch.Tensor:
+        """The pelvis in the camera frame: upright as ``ups`` says, looking anywhere, tilted with the camera, (B, 3, 3).
+
+        Args:
+            ups: Direction of the vertical, upward, in the pelvis' frame, shape (B, 3).
+        """
+        count, rng = len(ups), self._rng
+        yaw = rng.uniform(count, low=-np.pi, high=np.pi)
+        pitch, roll = (torch.deg2rad(mean + spread * rng.normal(count)) for mean, spread in (_PITCH, _ROLL))
+        return seen_by_camera(upright(ups, yaw), pitch, roll)
+
+    def _seen(
+        self, vertices: torch.Tensor, landmarks: tuple[torch.Tensor, ...]
+    ) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
+        """Points as a random camera sees them: places at the pelvis' depth [m], and depth [m], shape (B, N, 3) each."""
+        count, rng = len(vertices), self._rng
+        weak = rng.chance(_WEAK, count, 1, 1)
+        distance = rng.uniform(count, 1, 1, low=_DISTANCE[0], high=_DISTANCE[1])
+        aside = distance * _ASIDE * rng.normal(count, 1, 2)
+
+        def seen(points: torch.Tensor) -> torch.Tensor:
+            flat, depth = points[..., :2], points[..., 2:]
+            far = depth + distance
+            return torch.cat(
+                [
+                    torch.where(weak, flat, (flat + aside) * (distance / far)),
+                    torch.where(weak, depth + _FAR_AWAY, far),
+                ],
+                dim=-1,
+            )
+
+        return seen(vertices), tuple(seen(points) for points in landmarks)
+
+    def _crop(
+        self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
+    ) -> _Crop:
+        """The picture's border, and the square that ``fitting.observe`` cuts out, about.
+
+        Args:
+            vertices: Of the body, shape (B, V, 2) [m].
+            points: Keypoints, shape (B, 24, 2) [m].
+            detected: Which of them a detector gives, shape (B, 24), bool.
+            labelled: Which people have labels, shape (B,), bool.
+        """
+        count, rng = len(vertices), self._rng
+        low, high = vertices.amin(1), vertices.amax(1)
+        longest = (high - low).amax(1, keepdim=True)
+        near = rng.chance(_BORDER, count, 4)
+        beyond = torch.where(near, _NEAR * longest * rng.uniform(count, 4), _OPEN)  # left, top, right, bottom
+        share = rng.uniform(count, 1, low=_CUT_SHARE[0], high=_CUT_SHARE[1])
+        side = torch.arange(4, device=self.device) == rng.choice(self._cut_odds, count)[:, None]
+        cut = side & rng.chance(_CUT, count, 1)
+        beyond = torch.where(cut, -share * (high - low).repeat(1, 2), beyond)
+        first, last = low - beyond[:, :2], high + beyond[:, 2:]
+
+        def bounds(places: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            inside = ((places > first[:, None]) & (places < last[:, None])).all(-1) & counted
+            return (
+                torch.where(inside[..., None], places, torch.inf).amin(1),
+                torch.where(inside[..., None], places, -torch.inf).amax(1),
+            )
+
+        shown = bounds(vertices, labelled[:, None])
+        found = bounds(points, detected)
+        start, end = torch.minimum(shown[0], found[0]), torch.maximum(shown[1], found[1])
+        empty = ~(end - start).isfinite()
+        start, end = torch.where(empty, low, start), torch.where(empty, high, end)
+        extent = (end - start).amax(1).clamp(min=0.1)
+        jitter = rng.uniform(count, 3, low=-_CROP_JITTER, high=_CROP_JITTER)
+        half = extent * (0.5 + CROP_MARGIN) * (1 + jitter[:, 0])
+        centre = (start + end) / 2 + half[:, None] * jitter[:, 1:]
+        return _Crop(centre, half, (first - centre) / half[:, None], (last - centre) / half[:, None])
