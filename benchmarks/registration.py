@@ -43,7 +43,8 @@ from warp_partdr.clothing.surfaces import skin_vertices
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.synthetic.mocap import Clip, held_out_frames
+from warp_partdr.synthetic.mocap import Clip
+from warp_partdr.synthetic.mocap_files import held_out_frames
 from warp_partdr.synthetic.people import BONE_STARTS, PHENOTYPE_RANGES, pose_anny, rotations_along
 from warp_partdr.synthetic.poses import mean_body
 
@@ -171,7 +172,7 @@ def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Im
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/synthetic/mocap.py reads")
+    parser.add_argument("mocap", type=Path, help="folder that warp_partdr/synthetic/mocap_files.py reads")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--count", type=int, default=30, help="how many people")
     parser.add_argument("--seed", type=int, default=0)

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from warp_partdr.body.pose_prior import FREE_PARTS, PosePrior, mirror_features
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
-from warp_partdr.synthetic import mocap
+from warp_partdr.synthetic import mocap, mocap_files
 
 ORDER, SIGN = mirror_features()
 
@@ -316,7 +316,7 @@ def main() -> None:
     console = Console()
     random = np.random.default_rng(options.seed)
 
-    clips = [mocap.without_errors(clip) for clip in mocap.load_clips(options.mocap)]
+    clips = [mocap.without_errors(clip) for clip in mocap_files.load_clips(options.mocap)]
     learned = [clip for clip in clips if not mocap.is_held_out(clip)]
     all_frames = mocap.concatenate(learned, "learned")
     labels = np.concatenate([np.full(len(clip), activity(clip.name), dtype=object) for clip in learned])
@@ -368,7 +368,7 @@ def main() -> None:
 
     shown = random.choice(len(frames), size=2000, p=weights)
     with torch.no_grad():
-        report(PosePrior(options.out), console, frames[shown], mocap.held_out_frames(options.mocap, 2000))
+        report(PosePrior(options.out), console, frames[shown], mocap_files.held_out_frames(options.mocap, 2000))
 
 
 def _kind(name: str) -> str:

@@ -12,7 +12,7 @@ import torch
 from warp_partdr.body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior, mirror_features, up_direction
 from warp_partdr.body.template import PART_NAMES, template
 from warp_partdr.errors import InputError
-from warp_partdr.synthetic import mocap
+from warp_partdr.synthetic import mocap, mocap_files
 
 UP = torch.tensor([[0.0, 1.0, 0.0]])
 
@@ -25,7 +25,7 @@ def prior() -> PosePrior:
 @pytest.fixture(scope="module")
 def held_out(shared: Path) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotation vectors and up directions of poses the prior has not learned from."""
-    frames = mocap.held_out_frames(shared / "data" / "mocap", 400)
+    frames = mocap_files.held_out_frames(shared / "data" / "mocap", 400)
     return tuple(
         torch.tensor(values, dtype=torch.float32) for values in (frames.rotation_vectors(), frames.up_directions())
     )

@@ -19,7 +19,8 @@ from warp_partdr.errors import InputError
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic import split
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
-from warp_partdr.synthetic.mocap import Clip, is_held_out, load_clips
+from warp_partdr.synthetic.mocap import Clip, is_held_out
+from warp_partdr.synthetic.mocap_files import load_clips
 from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, SEED, make_person
 from warp_partdr.synthetic.people import PHENOTYPES
 from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler, Shares, pack_poses

@@ -12,7 +12,8 @@ import torch
 from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import InputError
 from ..files.array_files import read_npz
-from .mocap import load_clips, without_errors
+from .mocap import without_errors
+from .mocap_files import load_clips
 from .poses import Poses, PriorSampler, clear_poses, join_poses, mirrored_half
 from .procedural_poses import LIMBS, draw_procedural
 from .rng import TorchRng, exact_float32
@@ -40,7 +41,7 @@ class PoseBank:
         """Poses of motion capture.
 
         Args:
-            source: A folder of clips (see ``mocap.py``), or a file of ``pack_poses``.
+            source: A folder of clips (see ``mocap_files.py``), or a file of ``pack_poses``.
             held_out: Those that are kept from training, instead of those to train on.
 
         Raises:

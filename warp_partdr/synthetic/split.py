@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from .mocap import is_held_out, load_clips
+from .mocap import is_held_out
+from .mocap_files import load_clips
 from .partbench_people import NUM_PEOPLE, SEED
 from .people import PHENOTYPE_RANGES
 
