@@ -9,8 +9,18 @@ import torch
 from warp_partdr.body.labels import BACKGROUND, IGNORE, LABEL_SETS
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES
 from warp_partdr.network.landmarks import LANDMARKS
-from warp_partdr.synthetic.label_noise import CLEAN, MAX_STRENGTH, TRAINING_LABEL_SETS, Noise, _majority
+from warp_partdr.synthetic.keypoint_noise import KeypointNoise
+from warp_partdr.synthetic.label_noise import (
+    CLEAN,
+    MAX_STRENGTH,
+    TRAINING_LABEL_SETS,
+    LabelNoise,
+    _majority,
+    draw_absent,
+    draw_strengths,
+)
 from warp_partdr.synthetic.noise import HIDDEN_NOISE, KEYPOINT_NOISE
+from warp_partdr.synthetic.occluders import Occluders, draw_occluders
 from warp_partdr.synthetic.rng import TorchRng
 
 SIZE = 64
@@ -34,6 +44,13 @@ def full(count: int, value: float, device: str) -> torch.Tensor:
     return torch.full((count,), value, device=device)
 
 
+def occluders(parts: torch.Tensor, places: torch.Tensor, strength: float) -> Occluders:
+    """Of samples with labels of cdcl14."""
+    rng, (count, device) = TorchRng(0, parts.device), (len(parts), str(parts.device))
+    tables = LabelNoise(rng).tables(sets(count, device))
+    return draw_occluders(rng, parts, tables, places, full(count, strength, device))
+
+
 def test_generators_repeat_themselves_and_keep_to_their_weights(device: str) -> None:
     first, second = TorchRng(3, device), TorchRng(3, device)
     assert torch.equal(first.uniform(5, 2), second.uniform(5, 2))
@@ -51,14 +68,14 @@ def test_generators_repeat_themselves_and_keep_to_their_weights(device: str) -> 
 @pytest.mark.parametrize("name", ["cdcl14", "pascal6", "ellipbody20", "surreal14"])
 def test_without_strength_labels_are_the_truth(name: str, device: str) -> None:
     parts = stripes(4, device)
-    groups = Noise(TorchRng(0, device)).groups(parts, sets(4, device, name), full(4, 0.0, device))
+    groups = LabelNoise(TorchRng(0, device)).groups(parts, sets(4, device, name), full(4, 0.0, device))
     truth = LABEL_SETS[name].from_parts(parts.cpu().numpy())
     np.testing.assert_array_equal(groups.cpu().numpy(), truth)
 
 
 def test_clothes_are_unknown_and_regions_without_ids_too(device: str) -> None:
     parts = stripes(64, device)
-    groups = Noise(TorchRng(0, device)).groups(parts, sets(64, device, "lip20"), full(64, 0.0, device))
+    groups = LabelNoise(TorchRng(0, device)).groups(parts, sets(64, device, "lip20"), full(64, 0.0, device))
     lip = LABEL_SETS["lip20"]
 
     def share_unknown(part: str) -> float:
@@ -77,7 +94,7 @@ def test_labels_err_more_with_strength_and_stay_within_their_set(device: str) ->
     truth = torch.from_numpy(LABEL_SETS["cdcl14"].from_parts(parts.cpu().numpy())).to(device)
     wrong = []
     for strength in (0.3, 1.0, MAX_STRENGTH):
-        groups = Noise(TorchRng(1, device)).groups(parts, sets(48, device), full(48, strength, device))
+        groups = LabelNoise(TorchRng(1, device)).groups(parts, sets(48, device), full(48, strength, device))
         assert groups.dtype == torch.uint8
         assert set(groups.unique().tolist()) <= {*range(15), IGNORE}
         wrong.append(float((groups != truth)[truth > 0].float().mean()))
@@ -104,7 +121,7 @@ def test_majority_is_that_of_nine(apart: int, device: str, rng: np.random.Genera
 def test_growing_makes_people_wider_or_narrower_by_a_pixel_or_two(device: str) -> None:
     groups = torch.zeros(200, SIZE, SIZE, dtype=torch.uint8, device=device)
     groups[:, 20:40, 20:40] = 3
-    grown = Noise(TorchRng(2, device))._grow(groups, full(200, MAX_STRENGTH, device))
+    grown = LabelNoise(TorchRng(2, device))._grow(groups, full(200, MAX_STRENGTH, device))
     areas = grown.flatten(1).gt(0).sum(1)
     assert set(grown.unique().tolist()) == {0, 3}
     assert areas.min() == 18 * 18
@@ -120,7 +137,7 @@ def test_keypoints_jitter_as_partbenchs_and_hidden_ones_more(device: str) -> Non
     known = torch.ones_like(hidden)
     known[:, 20] = False
     args = (points, hidden, known, full(count, stature, device), full(count, strength, device))
-    seen = Noise(TorchRng(0, device)).keypoints(*args)
+    seen = KeypointNoise(TorchRng(0, device)).keypoints(*args)
     found = seen[..., 2] > 0
     assert (seen[~found] == 0).all()
     assert not found[:, 20].any()
@@ -139,7 +156,7 @@ def test_swapped_sides_exchange_left_and_right(device: str) -> None:
     places = torch.arange(len(LANDMARKS), device=device).float()
     points = torch.stack([places, places], dim=1).expand(count, -1, -1) / 24
     flags = torch.zeros(count, len(LANDMARKS), dtype=torch.bool, device=device)
-    noise = Noise(TorchRng(0, device))
+    noise = KeypointNoise(TorchRng(0, device))
     seen = noise.keypoints(points, flags, ~flags, full(count, 0.0, device), full(count, 1.0, device))
     left, right = LANDMARKS.index("left_wrist"), LANDMARKS.index("right_wrist")
     found = (seen[:, [left, right], 2] > 0).all(1)
@@ -153,9 +170,9 @@ def test_things_in_front_cover_pixels_and_strangers_come_from_the_side(device: s
     parts = torch.zeros(count, SIZE, SIZE, dtype=torch.uint8, device=device)
     parts[:, 10:50, 26:38] = 4
     places = torch.zeros(count, 6, 2, device=device)
-    nothing = Noise(TorchRng(0, device)).fronts(parts, sets(count, device), places, full(count, 0.0, device))
+    nothing = occluders(parts, places, 0.0)
     assert not nothing.mask.any()
-    fronts = Noise(TorchRng(0, device)).fronts(parts, sets(count, device), places, full(count, MAX_STRENGTH, device))
+    fronts = occluders(parts, places, MAX_STRENGTH)
     assert not (fronts.hiding & ~fronts.mask).any()
     assert (fronts.mask & ~fronts.hiding).any()  # holes hide nothing
     torso = LABEL_SETS["cdcl14"].group_names.index("torso") + 1
@@ -165,7 +182,7 @@ def test_things_in_front_cover_pixels_and_strangers_come_from_the_side(device: s
 
 
 def test_detectors_know_the_landmarks_of_their_formats(device: str) -> None:
-    known = Noise(TorchRng(0, device)).detected(500)
+    known = KeypointNoise(TorchRng(0, device)).detected(500)
     by_name = dict(zip(LANDMARKS, known.float().mean(0).tolist(), strict=True))
     assert by_name["left_knee"] == 1.0
     assert by_name["nose"] < 0.95
@@ -175,14 +192,14 @@ def test_detectors_know_the_landmarks_of_their_formats(device: str) -> None:
 
 
 def test_labels_and_keypoints_are_never_both_absent(device: str) -> None:
-    labels, keypoints = Noise(TorchRng(0, device)).absent(4000)
+    labels, keypoints = draw_absent(4000, TorchRng(0, device))
     assert not (labels & keypoints).any()
     assert 0.04 < labels.float().mean() < 0.12
     assert 0.03 < keypoints.float().mean() < 0.1
 
 
 def test_some_samples_are_clean_and_others_of_any_strength(device: str) -> None:
-    strengths = Noise(TorchRng(0, device)).strengths(20_000)
+    strengths = draw_strengths(20_000, TorchRng(0, device))
     noisy = strengths[strengths > 0].cpu().numpy()
     assert 1 - len(noisy) / 20_000 == pytest.approx(CLEAN, abs=0.01)
     np.testing.assert_allclose(np.quantile(noisy, [0.25, 0.5, 0.75]) / MAX_STRENGTH, [0.25, 0.5, 0.75], atol=0.02)
@@ -194,7 +211,7 @@ def test_strangers_stand_before_or_behind_the_person(device: str) -> None:
     parts = torch.zeros(count, SIZE, SIZE, dtype=torch.uint8, device=device)
     parts[:, 10:50, 16:48] = 4
     nowhere = torch.full((count, 6, 2), 9.0, device=device)  # no holes and no things
-    fronts = Noise(TorchRng(0, device)).fronts(parts, sets(count, device), nowhere, full(count, MAX_STRENGTH, device))
+    fronts = occluders(parts, nowhere, MAX_STRENGTH)
     there = fronts.mask.flatten(1).any(1)
     beside = (fronts.mask & (parts == 0)).flatten(1).any(1)
     over = (fronts.mask & (parts > 0)).flatten(1).any(1)

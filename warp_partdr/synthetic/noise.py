@@ -1,4 +1,4 @@
-"""What networks do to the truth: keypoints jitter and go missing, boundaries of labels wander, parts get lost.
+"""PartBench's noise: keypoints jitter and go missing, boundaries of labels wander, parts get lost.
 
 Levels say how much of it there is. At strength 1, ``noisy_keypoints`` and ``noisy_labels`` are about as good as a good
 network on a clear photo; ``spoil_keypoints`` and ``spoil_labels`` add what goes wrong altogether.
@@ -19,6 +19,15 @@ KEYPOINT_NOISE = 0.01  # standard deviation of u and of v, of the person's heigh
 HIDDEN_NOISE = 2.0  # times that for hidden joints
 HIDDEN_CONFIDENCE = 0.5
 
+# Lost, or taken for the other side, as one: parts of a limb from here on, and its joints.
+LIMBS = (
+    ("upper_arm", "forearm", "hand"),
+    ("forearm", "hand"),
+    ("upper_leg", "lower_leg", "foot"),
+    ("lower_leg", "foot"),
+)
+SWAPPED_KEYPOINTS = (("elbow", "wrist"), ("knee", "ankle"), ("wrist",), ("ankle",))
+
 # Boundaries move by the sum of smooth random fields: (standard deviation, distance over which they change) [px].
 WAVES = ((1.2, 8.0), (1.5, 30.0))
 SMOOTHING = 7  # [px], side of the window whose majority wins at the end; smaller blobs vanish
@@ -28,26 +37,18 @@ CONFUSION = 0.12  # chance that the hands are confused; the same for the feet
 
 _HOLE = (0.015, 0.05)  # radius of a hole, of the person's height
 _OUTSIDE = -1.0  # [px]: a keypoint that far beyond the border is not found
-# What is lost, or taken for the other side, as one: parts of a limb from here on.
-_LIMBS: dict[str, tuple[str, ...]] = {
-    "arm": ("upper_arm", "forearm", "hand"),
-    "forearm": ("forearm", "hand"),
-    "leg": ("upper_leg", "lower_leg", "foot"),
-    "lower leg": ("lower_leg", "foot"),
-}
-_SWAPPED_KEYPOINTS = (("elbow", "wrist"), ("knee", "ankle"), ("wrist",), ("ankle",))
 
 
 @dataclass(frozen=True)
 class Level:
-    """How much noise there is.
+    """Amount of noise.
 
     Attributes:
         strength: Of keypoint jitter, of wandering boundaries, of lost small parts and of confused hands and feet; 0
             leaves labels and keypoints as they are.
         dropout: Chance of each keypoint to be missing; twice that for hidden ones.
         swap: Chance that a limb's keypoints change sides; the same for a limb's labels.
-        growth: By how much labels are dilated or eroded at most [px].
+        growth: The most by which labels are dilated or eroded [px].
         holes: Mean number of holes in the labels.
         missing: Chance that the labels miss a limb.
         stranger: Chance that somebody else stands before a part of the person.
@@ -77,7 +78,7 @@ def noisy_keypoints(
 
     Args:
         points: True positions [px], shape (J, 2).
-        hidden: Which are occluded, shape (J,).
+        hidden: Those that are occluded, shape (J,), bool.
         person_height: Stature in the picture [px].
         rng: Source of the noise.
         strength: Factor of the noise.
@@ -100,8 +101,8 @@ def spoil_keypoints(
         rng: Source of chance.
     """
     spoiled = keypoints.copy()
-    for joints in _SWAPPED_KEYPOINTS:
-        if rng.random() < level.swap / len(_SWAPPED_KEYPOINTS):
+    for joints in SWAPPED_KEYPOINTS:
+        if rng.random() < level.swap / len(SWAPPED_KEYPOINTS):
             left = [landmarks.index(f"left_{joint}") for joint in joints]
             right = [landmarks.index(mirror_name(landmarks[joint])) for joint in left]
             spoiled[[*left, *right]] = spoiled[[*right, *left]]
@@ -152,11 +153,11 @@ def spoil_labels(
     """
     table = np.arange(256, dtype=np.uint8)
     if rng.random() < level.swap:
-        parts = list(_LIMBS.values())[rng.integers(len(_LIMBS))]
+        parts = LIMBS[rng.integers(len(LIMBS))]
         left, right = ([labels.group_names.index(f"{side}_{part}") + 1 for part in parts] for side in ("left", "right"))
         table[[*left, *right]] = [*right, *left]
     if rng.random() < level.missing:
-        parts, side = list(_LIMBS.values())[rng.integers(len(_LIMBS))], ("left", "right")[rng.integers(2)]
+        parts, side = LIMBS[rng.integers(len(LIMBS))], ("left", "right")[rng.integers(2)]
         lost = [labels.group_names.index(f"{side}_{part}") + 1 for part in parts]
         table[np.isin(table, lost)] = BACKGROUND
     spoiled = table[groups]

@@ -16,7 +16,9 @@ from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..inputs.observation import CROP_MARGIN
 from ..network.landmarks import LANDMARKS
 from ..render.mesh_passes import MeshOptions, draw_images
-from .label_noise import Noise
+from .keypoint_noise import KeypointNoise
+from .label_noise import LabelNoise, draw_absent, draw_strengths
+from .occluders import draw_occluders
 from .people import (
     BONE_STARTS,
     PHENOTYPE_RANGES,
@@ -143,7 +145,7 @@ class PeopleMaker:
         # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
         self._poses = PoseSampler(poses, device=device, seed=seed << 20, shares=shares, pool=pool)
         self._rng = TorchRng(seed << 20, self.device)
-        self._noise = Noise(self._rng)
+        self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
         levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(PHENOTYPE_RANGES)), axis=1)
         self._cells = self._numbers(np.stack([levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == 3)]))
@@ -186,7 +188,7 @@ class PeopleMaker:
         return least + (most - least) * levels / LEVELS
 
     def _make(self, count: int) -> People:
-        rng, noise = self._rng, self._noise
+        rng = self._rng
         vectors, ups = self._poses.draw(count)
         orientation = self.orientations(ups)
         shape = anny_shape(self.phenotypes(count))
@@ -197,9 +199,9 @@ class PeopleMaker:
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
 
         vertices, (noted, plain) = self._seen(body.vertices, (noted, plain))
-        strength, label_sets = noise.strengths(count), noise.label_sets(count)
-        no_labels, no_keypoints = noise.absent(count)
-        detected = noise.detected(count) & ~no_keypoints[:, None]
+        strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
+        no_labels, no_keypoints = draw_absent(count, rng)
+        detected = self._detectors.detected(count) & ~no_keypoints[:, None]
         crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
 
         screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
@@ -211,17 +213,17 @@ class PeopleMaker:
 
         some = rng.integers(vertices.shape[1], count, 6)
         places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
-        fronts = noise.fronts(parts, label_sets, places, strength)
+        occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
         points = crop(noted[..., :2])
         pixels = pixels_of((points + 1) * (self.size / 2), (self.size, self.size))
         cover = self._cover * (stature / MEAN_STATURE)[:, None]
         hidden = behind_something(noted[..., 2], pixels, depth, cover)
-        hidden |= fronts.hiding.flatten(1).gather(1, pixels)
-        keypoints = noise.keypoints(points, hidden, detected, stature / crop.half, strength)
+        hidden |= occluders.hiding.flatten(1).gather(1, pixels)
+        keypoints = self._detectors.keypoints(points, hidden, detected, stature / crop.half, strength)
         keypoints = keypoints * crop.holds(keypoints[..., :2])[..., None]
 
-        groups = noise.groups(labels, label_sets, strength)
-        groups = torch.where(fronts.mask, fronts.groups, groups)
+        groups = self._labels.groups(labels, label_sets, strength)
+        groups = torch.where(occluders.mask, occluders.groups, groups)
         groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
         bones = joints[:, 1:] - joints[:, self._bone_starts]
         lengths = bones.norm(dim=-1)

@@ -1,0 +1,92 @@
+"""Strangers and things before a person, and holes in the labels, in batches on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE
+from ..body.template import NUM_PARTS
+from .label_noise import look_up
+from .rng import TorchRng
+
+# At strength 1.
+_HOLES = 0.2  # of each of four, whose radius is, in crop coordinates:
+_HOLE = (0.02, 0.09)
+_OCCLUDERS = 0.12  # of each of two, whose half sides are, in crop coordinates:
+_OCCLUDER = (0.06, 0.4)
+_STRANGER = 0.12
+
+
+@dataclass(frozen=True)
+class Occluders:
+    """Things between camera and person in a crop.
+
+    Attributes:
+        mask: Pixels whose labels it changes, shape (B, S, S), bool.
+        hiding: Pixels where it hides the person, too: all but the holes, shape (B, S, S), bool.
+        groups: Group ids that labels have there, 0 and 255 included, shape (B, S, S), uint8.
+    """
+
+    mask: torch.Tensor
+    hiding: torch.Tensor
+    groups: torch.Tensor
+
+
+def draw_occluders(
+    rng: TorchRng, parts: torch.Tensor, tables: torch.Tensor, places: torch.Tensor, strength: torch.Tensor
+) -> Occluders:
+    """Strangers, things before the person, and holes.
+
+    Args:
+        rng: Source of chance.
+        parts: True part labels, 255 beyond the border, shape (B, S, S), uint8; a sample's stranger is the one
+            before it.
+        tables: Group id of each part label in the samples' label sets, of ``LabelNoise.tables``, shape (B, 22).
+        places: Six points of each person in the crop, shape (B, 6, 2).
+        strength: Shape (B,).
+    """
+    count, size, _ = parts.shape
+    there, column = _stranger(rng, parts)
+    stranger = parts.roll(1, 0).gather(2, column[:, None].expand(-1, size, -1))
+    mask = there[:, None] & (stranger > 0) & (stranger <= NUM_PARTS)
+    mask &= rng.chance(strength * _STRANGER, count)[:, None, None]
+    behind = rng.chance(0.3, count)[:, None, None]
+    mask &= ~(behind & (parts != BACKGROUND))
+    ignored = rng.chance(0.75, count)[:, None, None]
+    groups = torch.where(ignored, IGNORE, look_up(tables, stranger)).to(torch.uint8)
+
+    hiding = mask.clone()
+    centres = (torch.arange(size, device=rng.device) + 0.5) * (2 / size) - 1
+    for index in range(places.shape[1]):
+        hole = index < 4
+        place = places[:, index] + (0.0 if hole else 0.2) * rng.normal(count, 2)
+        radii = rng.uniform(count, 2, low=(_HOLE if hole else _OCCLUDER)[0], high=(_HOLE if hole else _OCCLUDER)[1])
+        radii = radii[:, :1].expand(-1, 2) if hole else radii
+        across, down = ((centres - place[:, i, None]).div(radii[:, i, None]).square() for i in range(2))
+        inside = across[:, None, :] + down[:, :, None] < 1
+        if not hole:
+            box = (across[:, None, :] < 1) & (down[:, :, None] < 1)
+            inside = torch.where(rng.chance(0.5, count)[:, None, None], box, inside)
+        inside &= rng.chance(strength * (_HOLES if hole else _OCCLUDERS), count)[:, None, None]
+        shown = torch.where(rng.chance(0.3 if hole else 0.6, count), IGNORE, BACKGROUND).to(torch.uint8)
+        groups = torch.where(inside, shown[:, None, None], groups)
+        mask |= inside
+        if not hole:
+            hiding |= inside
+    return Occluders(mask, hiding, groups)
+
+
+def _stranger(rng: TorchRng, parts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Column of the other's crop that comes to each column, and True where there is one, shape (B, S) each."""
+    count, size, _ = parts.shape
+    columns = torch.arange(size, device=rng.device)
+    shown = ((parts > 0) & (parts <= NUM_PARTS)).any(1)
+    low = torch.where(shown, columns, size).amin(1)
+    high = torch.where(shown, columns, -1).amax(1)
+    overlap = rng.uniform(count, low=0.05, high=0.35) * (high - low)
+    left, right = low + overlap - high.roll(1), high - overlap - low.roll(1)
+    shift = torch.where(rng.chance(0.5, count), left, right).round().long()
+    source = columns - shift[:, None]
+    return (source >= 0) & (source < size), source.clamp(0, size - 1)
