@@ -12,7 +12,6 @@ import torch
 from typer.testing import CliRunner
 
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cli.evaluate import evaluate
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
@@ -27,66 +26,8 @@ from warp_partdr.inputs.observation import observe
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.refinement.refine import refine
 from warp_partdr.render.renderers import RendererEllipsoids
-from warp_partdr.synthetic.noise import LEVELS, Level, spoil_keypoints, spoil_labels
-from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
-from warp_partdr.synthetic.people import draw_anny
-from warp_partdr.synthetic.pose_recipes import POSES, draw_pose
-
-PEOPLE = (0, 1, 7)
-
-
-@pytest.mark.parametrize("index", PEOPLE)
-def test_a_person_is_the_same_every_time(index: int) -> None:
-    person = make_person(index)
-    again = make_person.__wrapped__(index)
-    np.testing.assert_array_equal(person.parts, again.parts)
-    np.testing.assert_array_equal(person.keypoints, again.keypoints)
-
-
-@pytest.mark.parametrize("index", PEOPLE)
-def test_camera_and_vertices_draw_the_labels(index: int) -> None:
-    person = make_person(index)
-    labels, _ = draw_anny(torch.from_numpy(person.vertices)[None], person.camera, person.parts.shape)
-    assert (labels[0].numpy() == person.parts).mean() > 0.985  # half-size pixels differ at edges
-
-
-@pytest.mark.parametrize("index", PEOPLE)
-def test_joints_in_sight_lie_on_limbs_of_their_own_side(index: int) -> None:
-    person = make_person(index)
-    height, width = person.parts.shape
-    tested = 0
-    for name, (u, v), hidden in zip(COCO.landmarks, person.keypoints, person.hidden, strict=True):
-        side, _, joint = name.partition("_")
-        if hidden or joint not in ("elbow", "knee") or not (0 <= u < width and 0 <= v < height):
-            continue
-        part = PART_NAMES[person.parts[int(v), int(u)] - 1]
-        assert part.startswith(side), f"{name} on {part}"
-        tested += 1
-    assert tested
-
-
-def test_any_first_people_have_all_kinds_of_poses() -> None:
-    kinds = [pose_kind(index) for index in range(NUM_PEOPLE)]
-    assert set(kinds[:15]) == {"prior", *POSES}
-    assert abs(kinds.count("prior") / NUM_PEOPLE - 0.6) < 0.01
-    counts = [kinds.count(kind) for kind in POSES]
-    assert max(counts) - min(counts) <= 1
-
-
-def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
-    rng, prior = np.random.default_rng(0), PosePrior()
-    for _ in range(3):
-        pose = draw_pose("prior", rng)
-        assert prior.joint_limits(torch.from_numpy(pose.rotations)[None]) < 0.021
-        np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
-
-
-def test_who_walks_away_shows_the_back_of_the_head() -> None:
-    walking = [index for index in range(20) if pose_kind(index) == "walking away"]
-    person = make_person(walking[0])
-    assert person.hidden[COCO.landmarks.index("nose")]
-    left, right = (person.keypoints[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
-    assert left < right  # from behind, the person's left is the picture's
+from warp_partdr.synthetic.noise import LEVELS
+from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
 
 
 def test_clean_samples_hold_the_truth_alone() -> None:
@@ -128,64 +69,6 @@ def test_bad_requests_are_refused(count: int, levels: list[str]) -> None:
         partbench(count, levels)
     with pytest.raises(InputError, match="expected"):
         choose_methods(["magic"])
-
-
-def _keypoints() -> np.ndarray:
-    places = np.arange(len(COCO)) * 5.0 + 3
-    return np.column_stack([places, places, np.ones(len(COCO))])
-
-
-def test_dropped_keypoints_have_no_confidence() -> None:
-    spoiled = spoil_keypoints(
-        _keypoints(), COCO.landmarks, (200, 200), Level(1.0, dropout=1.0), np.random.default_rng(0)
-    )
-    assert (spoiled == 0).all()
-
-
-def test_keypoints_beyond_the_border_are_not_found() -> None:
-    spoiled = spoil_keypoints(_keypoints(), COCO.landmarks, (40, 200), Level(0.0), np.random.default_rng(0))
-    np.testing.assert_array_equal(spoiled[:, 2] > 0, _keypoints()[:, 1] <= 41)
-
-
-def test_swapped_keypoints_change_sides() -> None:
-    # every limb's chance is a quarter of 4
-    spoiled = spoil_keypoints(_keypoints(), COCO.landmarks, (200, 200), Level(0.0, swap=4.0), np.random.default_rng(0))
-    elbows = [COCO.landmarks.index(f"{side}_elbow") for side in ("left", "right")]
-    np.testing.assert_array_equal(spoiled[elbows], _keypoints()[elbows[::-1]])
-
-
-def _man() -> np.ndarray:
-    """Two legs, shape (60, 60)."""
-    groups = np.zeros((60, 60), dtype=np.uint8)
-    for column, side in ((10, "left"), (35, "right")):
-        for row, part in enumerate(("upper_leg", "lower_leg", "foot")):
-            groups[10 + 13 * row : 23 + 13 * row, column : column + 15] = LABELS.group_names.index(f"{side}_{part}") + 1
-    return groups
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_swapped_limbs_keep_the_outline(seed: int) -> None:
-    spoiled = spoil_labels(_man(), LABELS, 50.0, Level(0.0, swap=1.0), np.random.default_rng(seed))
-    np.testing.assert_array_equal(spoiled > 0, _man() > 0)
-    assert np.bincount(spoiled.ravel(), minlength=15).tolist() == np.bincount(_man().ravel(), minlength=15).tolist()
-
-
-def test_legs_are_missing_and_holes_are_background() -> None:
-    lost = [spoil_labels(_man(), LABELS, 50.0, Level(0.0, missing=1.0), np.random.default_rng(k)) for k in range(12)]
-    assert any((labels > 0).sum() < 0.6 * (_man() > 0).sum() for labels in lost)
-    holes = spoil_labels(_man(), LABELS, 50.0, Level(0.0, holes=5.0), np.random.default_rng(1))
-    assert 0 < ((_man() > 0) & (holes == 0)).sum() < 0.5 * (_man() > 0).sum()
-    np.testing.assert_array_equal(holes[holes > 0], _man()[holes > 0])
-
-
-def test_growth_moves_the_outline_by_so_many_pixels() -> None:
-    areas = {
-        int((spoil_labels(_man(), LABELS, 50.0, Level(0.0, growth=2), np.random.default_rng(seed)) > 0).sum())
-        for seed in range(20)
-    }
-    # two blocks of 39 by 15 pixels, grown as a cross or shrunk
-    assert {2 * (39 - 2 * k) * (15 - 2 * k) for k in (0, 1, 2)} <= areas
-    assert max(areas) == 2 * (39 * 15 + 4 * (39 + 15) + 4)
 
 
 @pytest.mark.parametrize("method", ["full silhouette", "parts"])

@@ -4,42 +4,22 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from test_poses import bank
 
-from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.body.posing import pose
-from warp_partdr.body.rotations import rotation_between, rotation_from_axis_angle
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES, template
-from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS
-from warp_partdr.errors import InputError
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, template
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic import split
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
-from warp_partdr.synthetic.mocap import Clip, is_held_out
-from warp_partdr.synthetic.mocap_files import load_clips
-from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, SEED, make_person
-from warp_partdr.synthetic.people import PHENOTYPES
-from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler, Shares, pack_poses
-from warp_partdr.synthetic.poses import clear_poses, mean_body, mirrored_half
-from warp_partdr.synthetic.procedural_poses import draw_procedural
-from warp_partdr.synthetic.rng import TorchRng
+from warp_partdr.synthetic.people import PHENOTYPE_RANGES
 from warp_partdr.synthetic.training_people import People, PeopleMaker
 
 COUNT, SIZE, POOL = 48, 96, 256
-
-
-@cache
-def bank() -> PoseBank:
-    return PoseBank.of_prior(64)
-
-
-@cache
-def clips(folder: Path) -> list[Clip]:
-    return load_clips(folder)
 
 
 def maker(device: str, **options: object) -> PeopleMaker:
@@ -52,145 +32,15 @@ def people(device: str) -> People:
     return maker(device)(COUNT)
 
 
-# --- split -----------------------------------------------------------------------------------------------------------
-
-
-def test_split_holds_out_the_cells_of_all_partbench_people() -> None:
-    drawn = []
-    for index in range(NUM_PEOPLE):
-        rng = np.random.default_rng([SEED, index])
-        drawn.append([rng.uniform(*PHENOTYPES[name]) for name in PHENOTYPE_ANCHORS])
-    assert np.array_equal(np.unique(split.cell_of(np.array(drawn))), split.held_out_cells())
-    assert len(split.held_out_cells()) < 0.1 * split.NUM_CELLS
-
-
-def test_split_is_what_its_script_would_write(shared: Path) -> None:
-    names = [clip.name for clip in clips(shared / "data" / "mocap") if is_held_out(clip)]
-    assert split.make_split(names) == split._split()
-    assert split.held_out_clips() == set(names)
-
-
-def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
-    low, high = split.RANGES.T
-    assert split.cell_of(low) == 0
-    assert split.cell_of(high) == split.NUM_CELLS - 1
-    assert split.cell_of(low - 1) == 0
-    steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
-    corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
-    assert np.array_equal(split.cell_of(corners), np.arange(split.NUM_CELLS))
-
-
 @pytest.mark.parametrize("held_out", [False, True])
 def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> None:
     values = maker(device, held_out=held_out).phenotypes(4000).cpu().double().numpy()
     assert (np.isin(split.cell_of(values), split.held_out_cells()) == held_out).all()
-    low, high = split.RANGES.T
+    low, high = PHENOTYPE_RANGES.T
     if not held_out:
         assert (values.min(0) < low + 0.01 * (high - low)).all()
         assert (values.max(0) > high - 0.01 * (high - low)).all()
         assert len(np.unique(split.cell_of(values))) > 2000
-
-
-def test_packed_poses_keep_clips_apart(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = shared / "data" / "mocap"
-    monkeypatch.setattr("warp_partdr.synthetic.pose_sampler.load_clips", clips)
-    path = tmp_path / "poses.npz"
-    pack_poses(folder, path)
-    assert path.stat().st_size < 3e6
-    train, test = (PoseBank.read(path, held_out=held_out) for held_out in (False, True))
-    frames = [clip.rotation_vectors().astype(np.float16) for clip in clips(folder) if is_held_out(clip)]
-    held_out = {frame.tobytes() for frame in np.concatenate(frames)}
-    assert all(pose.tobytes() in held_out for pose in test.rotations.half().numpy())
-    assert not any(pose.tobytes() in held_out for pose in train.rotations.half().numpy())
-    direct = PoseBank.read(folder, held_out=True)
-    torch.testing.assert_close(test.rotations, direct.rotations, atol=2e-3, rtol=0)
-    torch.testing.assert_close(test.ups, direct.ups, atol=2e-3, rtol=0)
-
-
-def test_files_that_hold_no_poses_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "poses.npz"
-    path.write_bytes(b"nothing of the sort")
-    with pytest.raises(InputError, match=r"poses\.npz"):
-        PoseBank.read(path)
-    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((3, 3)), held_out=np.zeros(2, dtype=bool))
-    with pytest.raises(InputError, match="ups"):
-        PoseBank.read(path)
-    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((2, 3)), held_out=np.zeros(2, dtype=bool))
-    assert len(PoseBank.read(path).ups) == 2
-    with pytest.raises(InputError, match="held out"):
-        PoseBank.read(path, held_out=True)
-    with pytest.raises(InputError, match=r"none\.npz: No such file"):
-        PoseBank.read(tmp_path / "none.npz")
-
-
-# --- poses -----------------------------------------------------------------------------------------------------------
-
-
-def test_poses_keep_to_the_limits_and_pass_through_nothing(device: str) -> None:
-    rotations, ups = PoseSampler(bank(), device=device, pool=400).draw(600)
-    assert rotations.shape == (600, NUM_PARTS, 3)
-    assert (rotations[:, list(LOCKED_PARTS)] == 0).all()
-    assert PosePrior().to(device).joint_limits(rotations).max() < 1e-9
-    assert clear_poses(rotations).all()
-    torch.testing.assert_close(ups.norm(dim=1), torch.ones(600, device=device))
-    assert len(rotations.flatten(1).unique(dim=0)) == 600
-
-
-@pytest.mark.parametrize("kind", ["captured", "prior", "mixed", "procedural"])
-def test_each_kind_alone_makes_poses(kind: str, device: str) -> None:
-    none = {"captured": 0.0, "prior": 0.0, "mixed": 0.0, "procedural": 0.0}
-    rotations, _ = PoseSampler(bank(), device=device, pool=40, shares=Shares(**{**none, kind: 1.0})).draw(40)
-    assert rotations.std(0)[PART_NAMES.index("left_upper_arm")].max() > 0.2
-
-
-def test_a_hand_in_the_belly_is_not_clear(device: str) -> None:
-    rotations = torch.zeros(2, NUM_PARTS, 3, device=device)
-    rotations[1, PART_NAMES.index("left_upper_arm"), 2] = -np.pi / 2  # hanging down
-    rotations[1, PART_NAMES.index("left_forearm"), 2] = -np.pi / 2  # and across, through the trunk
-    assert clear_poses(rotations).tolist() == [True, False]
-
-
-def test_half_of_the_poses_are_mirrored(device: str) -> None:
-    rotations, ups = PoseSampler(bank(), device=device, pool=64).draw(64)
-    mirrored, mirrored_ups = mirrored_half((rotations, ups), TorchRng(0, device))
-    joints, others = (mean_body(rotation_from_axis_angle(values)).joints for values in (rotations, mirrored))
-    names = [_other(name) for name in JOINT_NAMES]
-    flipped = joints[:, [JOINT_NAMES.index(name) for name in names]] * joints.new_tensor([-1.0, 1.0, 1.0])
-    same = (others - joints).abs().flatten(1).amax(1) < 1e-5
-    swapped = (others - flipped).abs().flatten(1).amax(1) < 1e-5
-    assert (same ^ swapped).all()
-    assert 0.3 < swapped.float().mean() < 0.7
-    torch.testing.assert_close(mirrored_ups[swapped], ups[swapped] * ups.new_tensor([-1.0, 1.0, 1.0]))
-
-
-def _other(name: str) -> str:
-    swap = {"left": "right", "right": "left"}
-    side, _, rest = name.partition("_")
-    return f"{swap[side]}_{rest}" if side in swap else name
-
-
-def test_procedural_poses_are_broad(device: str) -> None:
-    rotations, ups = draw_procedural(2000, TorchRng(0, device))
-    joints = mean_body(rotation_from_axis_angle(rotations)).joints
-    wrist, knee = (joints[:, JOINT_NAMES.index(name)] for name in ("left_wrist", "left_knee"))
-    assert wrist[:, 1].quantile(0.03) < 0.05
-    assert wrist[:, 1].quantile(0.97) > 0.6
-    assert wrist[:, 2].quantile(0.9) > 0.3
-    assert wrist[:, 0].quantile(0.05) < 0.0  # across
-    assert knee[:, 2].quantile(0.9) > 0.3
-    assert 0.02 < (ups[:, 1] < 0.3).float().mean() < 0.25
-    torch.testing.assert_close(ups.norm(dim=1), torch.ones_like(ups[:, 0]))
-
-
-def test_turns_take_one_direction_to_another_even_the_opposite(device: str) -> None:
-    source = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0]], device=device)
-    target = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, -0.6, 0.8], [0.0, -1.0, 0.0]], device=device)
-    turns = rotation_between(source, target)
-    assert turns.isfinite().all()
-    torch.testing.assert_close((turns @ source[..., None])[:3, :, 0], target[:3], atol=1e-6, rtol=0)
-
-
-# --- people ----------------------------------------------------------------------------------------------------------
 
 
 def test_people_are_complete_and_finite(device: str) -> None:
@@ -258,7 +108,7 @@ def test_labels_lie_where_the_points_are_left_and_right(device: str) -> None:
             seen = mask.sum((1, 2))[:, 0] > 12
             centre = (grid * mask).sum((1, 2)) / mask.sum((1, 2)).clamp(min=1)
             own = (centre - made.points[:, LANDMARKS.index(f"{side}_{joint}")]).norm(dim=1)[seen]
-            other = (centre - made.points[:, LANDMARKS.index(f"{_other(side + '_' + joint)}")]).norm(dim=1)[seen]
+            other = (centre - made.points[:, LANDMARKS.index(mirror_name(f"{side}_{joint}"))]).norm(dim=1)[seen]
             assert seen.sum() > COUNT / 4
             assert own.median() < 0.2
             assert (own < other).float().mean() > 0.8
@@ -323,8 +173,3 @@ def test_precision_of_training_stays_out_and_comes_back(device: str) -> None:
 
 def test_no_people_are_nobody(device: str) -> None:
     assert maker(device)(0).groups.shape == (0, SIZE, SIZE)
-
-
-def test_partbench_keeps_its_people() -> None:
-    # Of the release that introduced PartBench: training's check of poses, which it shares, must not change its people.
-    np.testing.assert_allclose(make_person(7).joints.sum(0), [0.0226, -0.6262, 0.2861], atol=5e-4)

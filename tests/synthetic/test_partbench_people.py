@@ -1,0 +1,74 @@
+"""PartBench's people are the same every time, and their truth is true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
+from warp_partdr.synthetic.people import draw_anny
+from warp_partdr.synthetic.pose_recipes import POSES, draw_pose
+
+PEOPLE = (0, 1, 7)
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_a_person_is_the_same_every_time(index: int) -> None:
+    person = make_person(index)
+    again = make_person.__wrapped__(index)
+    np.testing.assert_array_equal(person.parts, again.parts)
+    np.testing.assert_array_equal(person.keypoints, again.keypoints)
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_camera_and_vertices_draw_the_labels(index: int) -> None:
+    person = make_person(index)
+    labels, _ = draw_anny(torch.from_numpy(person.vertices)[None], person.camera, person.parts.shape)
+    assert (labels[0].numpy() == person.parts).mean() > 0.985  # half-size pixels differ at edges
+
+
+@pytest.mark.parametrize("index", PEOPLE)
+def test_joints_in_sight_lie_on_limbs_of_their_own_side(index: int) -> None:
+    person = make_person(index)
+    height, width = person.parts.shape
+    tested = 0
+    for name, (u, v), hidden in zip(COCO.landmarks, person.keypoints, person.hidden, strict=True):
+        side, _, joint = name.partition("_")
+        if hidden or joint not in ("elbow", "knee") or not (0 <= u < width and 0 <= v < height):
+            continue
+        part = PART_NAMES[person.parts[int(v), int(u)] - 1]
+        assert part.startswith(side), f"{name} on {part}"
+        tested += 1
+    assert tested
+
+
+def test_any_first_people_have_all_kinds_of_poses() -> None:
+    kinds = [pose_kind(index) for index in range(NUM_PEOPLE)]
+    assert set(kinds[:15]) == {"prior", *POSES}
+    assert abs(kinds.count("prior") / NUM_PEOPLE - 0.6) < 0.01
+    counts = [kinds.count(kind) for kind in POSES]
+    assert max(counts) - min(counts) <= 1
+
+
+def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
+    rng, prior = np.random.default_rng(0), PosePrior()
+    for _ in range(3):
+        pose = draw_pose("prior", rng)
+        assert prior.joint_limits(torch.from_numpy(pose.rotations)[None]) < 0.021
+        np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
+
+
+def test_who_walks_away_shows_the_back_of_the_head() -> None:
+    walking = [index for index in range(20) if pose_kind(index) == "walking away"]
+    person = make_person(walking[0])
+    assert person.hidden[COCO.landmarks.index("nose")]
+    left, right = (person.keypoints[COCO.landmarks.index(f"{side}_hip"), 0] for side in ("left", "right"))
+    assert left < right  # from behind, the person's left is the picture's
+
+
+def test_partbench_keeps_its_people() -> None:
+    # Of the release that introduced PartBench: training's check of poses, which it shares, must not change its people.
+    np.testing.assert_allclose(make_person(7).joints.sum(0), [0.0226, -0.6262, 0.2861], atol=5e-4)
