@@ -15,7 +15,7 @@ from typing import Any
 
 from warp_partdr.training.config import TrainingConfig
 from warp_partdr.training.config_files import make_config
-from warp_partdr.training.loop import train
+from warp_partdr.training.loop import run_training
 
 SMALL = {
     "size": 128,
@@ -101,7 +101,7 @@ def main() -> None:
             people=args.people or (1024 if args.held_out else PEOPLE),
             workers=args.workers,
         )
-        trained = train(config, device=args.device)
+        trained = run_training(config, device=args.device)
         print(json.dumps(trained.report["errors"]), f"{trained.report['seconds']} s")
 
 

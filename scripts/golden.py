@@ -27,7 +27,7 @@ from warp_partdr.cameras import Camera, Perspective, WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.registration import register
 from warp_partdr.evaluation.partbench.samples import make_sample
-from warp_partdr.evaluation.scoring import score
+from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Quality, Start
@@ -165,7 +165,7 @@ def people() -> dict[str, str]:
     for level, index in PEOPLE:
         sample = make_sample(index, level)
         result = fit_body(sample.keypoints, sample.parts, others=sample.others)
-        figures = score(sample, "parts", result, 0.0)
+        figures = score_fit(sample, "parts", result, 0.0)
         counts = torch.from_numpy(np.ascontiguousarray(figures.pixels.parts))
         found[f"{level} {index}"] = f"{fingerprint(counts)}, {figures.mpjpe:.6f} mm, {figures.pa_mpjpe:.6f} mm"
     return found

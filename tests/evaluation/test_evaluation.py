@@ -35,7 +35,7 @@ from warp_partdr.evaluation.evaluate import (
     silhouette,
     tables,
 )
-from warp_partdr.evaluation.scoring import Pixels, Score, score, scoring_classes, summarise
+from warp_partdr.evaluation.scoring import Pixels, Score, score_fit, scoring_classes, summarise
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, person_height
 from warp_partdr.inputs.part_labels import PartLabels
@@ -94,7 +94,7 @@ def test_score_by_hand(rng):
     sample, body = person(rng, offset=0.14)
     vertices = np.zeros((4, 3))
     vertices[0, 1] = 0.02
-    found = score(sample, "parts", body, 2.0, vertices)
+    found = score_fit(sample, "parts", body, 2.0, vertices)
     assert (found.source, found.sample, found.method) == ("made", "one", "parts")
     assert (found.seconds, found.hypotheses) == (2.0, 64)
     assert found.mpjpe == pytest.approx(140 / 14, abs=1e-3)
@@ -112,7 +112,7 @@ def test_score_by_hand(rng):
     assert pixels.foreground.tolist() == [[160, 0], [40, 360]]
     mask = np.zeros(SIZE, bool)
     mask[:21] = True
-    masked = score(replace(sample, mask=mask), "parts", body, 2.0).pixels
+    masked = score_fit(replace(sample, mask=mask), "parts", body, 2.0).pixels
     assert masked.foreground.tolist() == [[180, 0], [40, 380]]
 
 
@@ -121,19 +121,19 @@ def test_vertices_are_measured_from_the_middle_of_the_hips(rng):
     sample, body = person(rng)
     hips = [LSP.index(name) for name in ("left_hip", "right_hip")]
     body.joints[hips] += [[0.1, 0.0, -0.2], [-0.1, 0.0, 0.2]]
-    assert score(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(0, abs=1e-3)
+    assert score_fit(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(0, abs=1e-3)
     body.joints[hips] += [0.03, 0.0, 0.0]
-    assert score(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(30, abs=1e-2)
+    assert score_fit(sample, "parts", body, 1.0, np.zeros((4, 3))).pve == pytest.approx(30, abs=1e-2)
 
 
 def test_what_is_not_known_is_not_scored(rng):
     sample, body = person(rng)
-    found = score(replace(sample, parts=None, target=None, joints=None), "keypoints only", body, 1.0)
+    found = score_fit(replace(sample, parts=None, target=None, joints=None), "keypoints only", body, 1.0)
     assert found.pixels is None
     assert np.isnan([found.mpjpe, found.pa_mpjpe, found.pve]).all()
     joints = sample.joints.copy()
     joints[LSP.index("left_hip")] = np.nan
-    found = score(replace(sample, joints=joints), "parts", body, 1.0)
+    found = score_fit(replace(sample, joints=joints), "parts", body, 1.0)
     assert np.isnan(found.mpjpe)  # no pelvis to centre on
     assert found.pa_mpjpe == pytest.approx(0, abs=1e-3)
 
@@ -149,7 +149,7 @@ def test_background_that_keypoints_contradict_is_disputed():
         draw=lambda size: SimpleNamespace(labels=torch.from_numpy(whole)[None]),
     )
     sample = Sample("made", "one", keypoints, parts=parts, target=parts.groups)
-    pixels = score(sample, "parts", body, 1.0).pixels
+    pixels = score_fit(sample, "parts", body, 1.0).pixels
     lost = np.isin(whole, [part("left_forearm"), part("left_hand")]).sum()
     arm = CLASSES.index("left_arm")
     assert pixels.parts[0, arm] == lost > 50
@@ -165,7 +165,7 @@ def test_keypoint_distances_are_shares_of_the_height(rng, zoom):
     keypoints = replace(sample.keypoints, points=points)
     body.joints[:, 0] += 0.1  # 10 px
     body.camera = WeakPerspective(zoom * Body.camera.scale, zoom * Body.camera.translation)
-    found = score(replace(sample, keypoints=keypoints, parts=None, target=None), "parts", body, 1.0)
+    found = score_fit(replace(sample, keypoints=keypoints, parts=None, target=None), "parts", body, 1.0)
     assert found.keypoints == pytest.approx(10 / person_height(sample.keypoints), rel=1e-4)
 
 

@@ -18,8 +18,8 @@ from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
 from warp_partdr.evaluation.evaluate import Report
 from warp_partdr.evaluation.partbench.anny_fit import fit_anny
 from warp_partdr.evaluation.partbench.methods import METHODS, choose_methods, registered_vertices
-from warp_partdr.evaluation.partbench.report import findings, worst, write_report
-from warp_partdr.evaluation.partbench.samples import LABELS, make_sample, partbench, source_name
+from warp_partdr.evaluation.partbench.report import compare_to_targets, worst, write_report
+from warp_partdr.evaluation.partbench.samples import LABELS, make_sample, partbench_samples, source_name
 from warp_partdr.evaluation.scoring import Pixels, Score
 from warp_partdr.fit.start_search import hypothesize
 from warp_partdr.inputs.observation import observe
@@ -54,7 +54,7 @@ def test_each_level_is_farther_from_the_truth() -> None:
 
 
 def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:
-    samples = partbench(2, ["realistic", "hard"])
+    samples = partbench_samples(2, ["realistic", "hard"])
     assert [sample.source for sample in samples] == [source_name("realistic")] * 2 + [source_name("hard")] * 2
     again = make_sample(1, "hard")
     np.testing.assert_array_equal(samples[-1].keypoints.points, again.keypoints.points)
@@ -66,7 +66,7 @@ def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:
 @pytest.mark.parametrize(("count", "levels"), [(0, ["clean"]), (NUM_PEOPLE + 1, ["clean"]), (1, ["spotless"])])
 def test_bad_requests_are_refused(count: int, levels: list[str]) -> None:
     with pytest.raises(InputError, match="expected"):
-        partbench(count, levels)
+        partbench_samples(count, levels)
     with pytest.raises(InputError, match="expected"):
         choose_methods(["magic"])
 
@@ -112,7 +112,7 @@ def test_findings_say_what_was_met_and_what_is_better() -> None:
         for person, extra in (("a", 0.0), ("b", 10.0))
         for method, error, right in (("parts", 50.0 + extra, 19), ("full silhouette", 70.0 + extra, 10))
     ]
-    found = findings(Report(tuple(scores)))
+    found = compare_to_targets(Report(tuple(scores)))
     assert "clean, parts: PA-MPJPE [mm] 55, hoped for under 60: met" in found
     assert any(text.startswith("clean, parts: part F1 0.98") and text.endswith("met") for text in found)
     comparison = next(text for text in found if "minus" in text)
@@ -121,7 +121,7 @@ def test_findings_say_what_was_met_and_what_is_better() -> None:
 
 
 def test_missed_targets_are_named() -> None:
-    found = findings(Report((_score("a", "parts", 90.0, 5), _score("b", "parts", 90.0, 5))))
+    found = compare_to_targets(Report((_score("a", "parts", 90.0, 5), _score("b", "parts", 90.0, 5))))
     assert "clean, parts: PA-MPJPE [mm] 90, hoped for under 60: not met" in found
 
 

@@ -25,7 +25,7 @@ from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
 from warp_partdr.training.config_files import make_config, read_config
-from warp_partdr.training.loop import train
+from warp_partdr.training.loop import run_training
 from warp_partdr.training.picture_data import JOINTS, Examples, Feed, Source, make_example
 from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, landmarks, seg_term
 from warp_partdr.training.picture_task import PictureTask
@@ -478,12 +478,12 @@ def tiny_run(out, steps: int, **changes):
 
 def test_resumed_run_is_the_uninterrupted_one(tmp_path):
     """Through the loop, over the change of phase that brings a new data set in."""
-    whole = train(tiny_run(tmp_path / "whole", 4), device="cpu")
+    whole = run_training(tiny_run(tmp_path / "whole", 4), device="cpu")
     assert whole.report["errors"] == {}
     halves = tmp_path / "halves"
-    train(tiny_run(halves, 2), device="cpu")
+    run_training(tiny_run(halves, 2), device="cpu")
     shutil.rmtree(max((halves / "checkpoints").iterdir()))
-    resumed = train(tiny_run(halves, 2), resume=True, device="cpu")
+    resumed = run_training(tiny_run(halves, 2), resume=True, device="cpu")
     assert (resumed.step, resumed.report["resumed_at"]) == (4, 2)
     one, other = (load_file(tmp_path / name / "model.safetensors") for name in ("whole", "halves"))
     assert all(torch.equal(one[name], other[name]) for name in one)

@@ -17,7 +17,7 @@ from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic import split
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
 from warp_partdr.synthetic.people import PHENOTYPE_RANGES
-from warp_partdr.synthetic.training_people import People, PeopleMaker
+from warp_partdr.synthetic.training_people import PeopleBatch, PeopleMaker
 
 COUNT, SIZE, POOL = 48, 96, 256
 
@@ -28,7 +28,7 @@ def maker(device: str, **options: object) -> PeopleMaker:
 
 
 @cache
-def people(device: str) -> People:
+def people(device: str) -> PeopleBatch:
     return maker(device)(COUNT)
 
 
@@ -154,7 +154,7 @@ def test_same_seed_same_people_and_states_go_on(device: str) -> None:
     assert not torch.equal(other[2], later[2])
 
 
-def _tensors(made: People) -> list[torch.Tensor]:
+def _tensors(made: PeopleBatch) -> list[torch.Tensor]:
     return [getattr(made, field.name) for field in fields(made)]
 
 

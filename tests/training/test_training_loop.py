@@ -27,7 +27,7 @@ from warp_partdr.training.checkpoints import list_checkpoints, load_checkpoint
 from warp_partdr.training.config import Phase
 from warp_partdr.training.config_files import make_config, packaged_configs, read_config
 from warp_partdr.training.ema import RunningMean
-from warp_partdr.training.loop import train
+from warp_partdr.training.loop import run_training
 from warp_partdr.training.schedule import learning_rate, phase_at
 
 
@@ -67,19 +67,19 @@ def tell(monkeypatch, step: int, number: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch, device, number):
-    whole = train(config(tmp_path / "whole", accumulation=2, warm_up=2), device=device)
+    whole = run_training(config(tmp_path / "whole", accumulation=2, warm_up=2), device=device)
     assert (whole.step, whole.stopped) == (6, None)
 
     handler = signal.getsignal(number)
     with monkeypatch.context() as patch:
         tell(patch, 5, number)  # within step 3 of two batches each; the losses of three steps wait for the log
-        part = train(config(tmp_path / "parts", accumulation=2, warm_up=2), device=device)
+        part = run_training(config(tmp_path / "parts", accumulation=2, warm_up=2), device=device)
     assert (part.step, part.stopped) == (3, number)
     assert signal.getsignal(number) == handler
     assert not (tmp_path / "parts/model.safetensors").exists()
 
     torch.rand(7)
-    rest = train(config(tmp_path / "parts", accumulation=2, warm_up=2), resume=True, device=device)
+    rest = run_training(config(tmp_path / "parts", accumulation=2, warm_up=2), resume=True, device=device)
     assert (rest.step, rest.stopped, rest.report["resumed_at"]) == (6, None, 3)
     assert same(flat(tmp_path / "parts"), flat(tmp_path / "whole"))
     for name in ("loss", "validation"):
@@ -118,8 +118,8 @@ def test_a_killed_process_loses_the_steps_since_its_last_checkpoint_alone(tmp_pa
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert newest(tmp_path / "killed").about["step"] == 6
 
-    rest = train(config(tmp_path / "killed", **numbers), resume=True, device="cpu")
-    train(config(tmp_path / "whole", **numbers), device="cpu")
+    rest = run_training(config(tmp_path / "killed", **numbers), resume=True, device="cpu")
+    run_training(config(tmp_path / "whole", **numbers), device="cpu")
     assert rest.report["resumed_at"] == 6
     assert same(flat(tmp_path / "killed"), flat(tmp_path / "whole"))
     assert lines(tmp_path / "killed") == lines(tmp_path / "whole")
@@ -134,9 +134,9 @@ import json, sys
 sys.modules["tensorboard"] = None
 from pathlib import Path
 from tiny_task import tiny_config
-from warp_partdr.training.loop import train
+from warp_partdr.training.loop import run_training
 {first}
-train(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(numbers)!r})), device="cpu")
+run_training(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(numbers)!r})), device="cpu")
 """
     )
     return path
@@ -170,7 +170,7 @@ def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
     said = train_in_two(tmp_path, numbers)
     assert "no TensorBoard here" in said[0]
     assert "no TensorBoard here" not in said[1]
-    train(config(tmp_path / "one", **numbers), device="cpu")
+    run_training(config(tmp_path / "one", **numbers), device="cpu")
     one, two = newest(tmp_path / "one"), newest(tmp_path / "two")
     assert len(two.ranks) == 2
     for file in ("optimizer", "model"):
@@ -179,26 +179,26 @@ def test_two_processes_step_as_one_with_the_joint_batch(tmp_path):
     (first,), (second,) = lines(tmp_path / "one"), lines(tmp_path / "two")
     assert second == pytest.approx(first, rel=1e-5)
     with pytest.raises(InputError, match="of 2 processes"):
-        train(config(tmp_path / "two", **{**numbers, "steps": 5}), resume=True, device="cpu")
+        run_training(config(tmp_path / "two", **{**numbers, "steps": 5}), resume=True, device="cpu")
 
 
 def test_two_processes_may_normalise_apart(tmp_path):
     numbers = {"steps": 2, "clip": float("inf"), "model": {"dropout": 0.0}, "data": {"joint": 16}}
     train_in_two(tmp_path, {**numbers, "joint_normalisation": False})
-    train(config(tmp_path / "one", **numbers), device="cpu")
+    run_training(config(tmp_path / "one", **numbers), device="cpu")
     one, two = (newest(tmp_path / name).tensors["model"] for name in ("one", "two"))
     assert not torch.allclose(two["1.running_mean"], one["1.running_mean"], rtol=1e-3)  # of half of the batch
     assert all(torch.isfinite(value).all() for value in two.values())
 
 
 def test_begins_with_the_weights_of_another_run(tmp_path, device):
-    train(config(tmp_path / "first"), device=device)
+    run_training(config(tmp_path / "first"), device=device)
     first = load_file(tmp_path / "first/model.safetensors")
     again = {"initial": str(tmp_path / "first/model.safetensors"), "steps": 1, "learning_rate": 1e-9, "ema": 0.0}
-    train(config(tmp_path / "second", **again), device=device)
+    run_training(config(tmp_path / "second", **again), device=device)
     second = load_file(tmp_path / "second/model.safetensors")
     assert all(torch.allclose(second[name], first[name], atol=1e-6) for name in first if "weight" in name)
-    train(config(tmp_path / "third", **{**again, "initial": None}), device=device)
+    run_training(config(tmp_path / "third", **{**again, "initial": None}), device=device)
     third = load_file(tmp_path / "third/model.safetensors")
     assert not torch.allclose(third["0.weight"], first["0.weight"], atol=1e-3)
 
@@ -207,7 +207,7 @@ def test_checkpoints_are_whole_and_few(tmp_path):
     half_written = tmp_path / "checkpoints/.step-00000004"
     half_written.mkdir(parents=True)
     (half_written / "model.safetensors").write_bytes(b"half")
-    train(config(tmp_path, checkpoint_every=1, keep=2), device="cpu")
+    run_training(config(tmp_path, checkpoint_every=1, keep=2), device="cpu")
     assert sorted(path.name for path in (tmp_path / "checkpoints").iterdir()) == ["step-00000005", "step-00000006"]
     assert {path.suffix for path in (tmp_path / "checkpoints").rglob("*") if path.is_file()} == {
         ".safetensors",
@@ -216,13 +216,13 @@ def test_checkpoints_are_whole_and_few(tmp_path):
 
 
 def test_a_folder_with_a_run_is_not_begun_anew(tmp_path):
-    train(config(tmp_path, steps=2), device="cpu")
+    run_training(config(tmp_path, steps=2), device="cpu")
     with pytest.raises(InputError, match="holds a run; expected --resume"):
-        train(config(tmp_path, steps=2), device="cpu")
+        run_training(config(tmp_path, steps=2), device="cpu")
 
 
 def test_resume_without_a_checkpoint_begins_anew(tmp_path, capfd):
-    assert train(config(tmp_path, steps=2), resume=True, device="cpu").report["resumed_at"] == 0
+    assert run_training(config(tmp_path, steps=2), resume=True, device="cpu").report["resumed_at"] == 0
     assert "begins anew" in capfd.readouterr().err
 
 
@@ -257,24 +257,24 @@ def _no_json(place: Path) -> None:
     ],
 )
 def test_damaged_and_foreign_checkpoints_are_refused(tmp_path, harm, said):
-    train(config(tmp_path, steps=2), device="cpu")
+    run_training(config(tmp_path, steps=2), device="cpu")
     (place,) = list_checkpoints(tmp_path / "checkpoints")
     harm(place)
     with pytest.raises(InputError, match=rf"step-00000002.*{said}|{said}.*step-00000002"):
-        train(config(tmp_path, steps=4), resume=True, device="cpu")
+        run_training(config(tmp_path, steps=4), resume=True, device="cpu")
 
 
 @pytest.mark.parametrize("values", [{"batch_size": 9}, {"model": {"inputs": 5}}, {"weights": {"fit": 2.0}}])
 def test_a_checkpoint_of_another_config_is_refused(tmp_path, values):
-    train(config(tmp_path, steps=2), device="cpu")
+    run_training(config(tmp_path, steps=2), device="cpu")
     (name,) = values
     with pytest.raises(InputError, match=f"{name} was"):
-        train(config(tmp_path, steps=4, **values), resume=True, device="cpu")
+        run_training(config(tmp_path, steps=4, **values), resume=True, device="cpu")
 
 
 def test_a_run_can_be_made_longer_and_its_rate_changed_and_says_so(tmp_path, capfd):
-    train(config(tmp_path, steps=2), device="cpu")
-    assert train(config(tmp_path, steps=4, learning_rate=0.001), resume=True, device="cpu").step == 4
+    run_training(config(tmp_path, steps=2), device="cpu")
+    assert run_training(config(tmp_path, steps=4, learning_rate=0.001), resume=True, device="cpu").step == 4
     said = capfd.readouterr().err
     assert "steps was 2, is 4" in said
     assert "learning_rate was 0.01, is 0.001" in said
@@ -294,7 +294,7 @@ def test_nan_stops_and_leaves_the_batch_that_led_to_it(tmp_path, monkeypatch, de
 
     monkeypatch.setattr(tiny_task.TinyTask, "loss", loss)
     with pytest.raises(InputError, match="step 3: loss or gradient is NaN"):
-        train(config(tmp_path, steps=30, checkpoint_every=2, validate_every=0), device=device)
+        run_training(config(tmp_path, steps=30, checkpoint_every=2, validate_every=0), device=device)
     with safe_open(tmp_path / "nan-batch.safetensors", "pt") as file:
         assert file.metadata()["step"] == "3"
         assert torch.equal(file.get_tensor("batch.inputs"), made[3])
@@ -311,13 +311,13 @@ def test_out_of_memory_says_which_setting_to_lower(tmp_path, monkeypatch, error)
 
     monkeypatch.setattr(tiny_task.TinyTask, "loss", loss)
     with pytest.raises(InputError, match="batch_size: 8: out of memory; expected a smaller one"):
-        train(config(tmp_path), device="cpu")
+        run_training(config(tmp_path), device="cpu")
 
 
 def test_a_phase_freezes_leaves_out_and_has_its_own_rate(tmp_path, device):
     phases = [{"until": 0.5}, {"learning_rate": 0.002, "frozen": ["0."], "without": ["small"]}]
     values = {"phases": phases, "schedule": "constant", "log_every": 3, "checkpoint_every": 3, "weight_decay": 0.1}
-    train(config(tmp_path, **values), device=device)
+    run_training(config(tmp_path, **values), device=device)
     before, after = (load_checkpoint(path).tensors["model"] for path in list_checkpoints(tmp_path / "checkpoints"))
     assert torch.equal(before["0.weight"], after["0.weight"])
     assert not torch.equal(before["3.weight"], after["3.weight"])
@@ -330,15 +330,17 @@ def test_a_phase_freezes_leaves_out_and_has_its_own_rate(tmp_path, device):
 def test_bfloat16_and_float32_in_one_process(tmp_path, device):
     for precision in ("no", "bf16"):
         model = {"dropout": 0.0}  # on CUDA, what falls out hangs on the type
-        train(config(tmp_path / precision, precision=precision, steps=2, log_every=1, model=model), device=device)
+        run_training(
+            config(tmp_path / precision, precision=precision, steps=2, log_every=1, model=model), device=device
+        )
     one, two = (lines(tmp_path / precision)[0]["total"] for precision in ("no", "bf16"))
     assert one != two
     assert one == pytest.approx(two, rel=0.02)
 
 
 def test_validation_and_log_change_nothing(tmp_path):
-    train(config(tmp_path / "often", validate_every=1, log_every=1), device="cpu")
-    train(config(tmp_path / "never", validate_every=0, log_every=7), device="cpu")
+    run_training(config(tmp_path / "often", validate_every=1, log_every=1), device="cpu")
+    run_training(config(tmp_path / "never", validate_every=0, log_every=7), device="cpu")
     assert same(newest(tmp_path / "often").tensors["model"], newest(tmp_path / "never").tensors["model"])
 
 
@@ -363,14 +365,14 @@ def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
     monkeypatch.setattr(tiny_task.TinyTask, "batch", timed)
     monkeypatch.setattr("warp_partdr.training.loop.time", clock)
     values = {"steps": 100_000, "minutes": 0.5, "log_every": 1}
-    trained = train(config(tmp_path, validate_every=0, **values), device="cpu")
+    trained = run_training(config(tmp_path, validate_every=0, **values), device="cpu")
     assert trained.stopped is None
     assert trained.step == 30
     assert (tmp_path / "model.safetensors").exists()
     rates = [line["learning_rate"] for line in lines(tmp_path, "rate")]
     assert rates == sorted(rates, reverse=True)
     assert rates[-1] < 0.2 * rates[0]
-    rest = train(config(tmp_path, **values), resume=True, device="cpu")
+    rest = run_training(config(tmp_path, **values), resume=True, device="cpu")
     assert rest.step == trained.step  # time is up
 
 
@@ -485,20 +487,20 @@ def test_no_such_config():
 
 
 def test_epochs_count_samples(tmp_path, monkeypatch):
-    assert train(config(tmp_path, epochs=0.5, steps=None), device="cpu").step == 4  # of 64 samples, 8 a step
+    assert run_training(config(tmp_path, epochs=0.5, steps=None), device="cpu").step == 4  # of 64 samples, 8 a step
     monkeypatch.setattr(tiny_task.TinyTask, "epoch", None)
     with pytest.raises(InputError, match=r"epochs: 0\.5; expected steps"):
-        train(config(tmp_path / "endless", epochs=0.5, steps=None), device="cpu")
+        run_training(config(tmp_path / "endless", epochs=0.5, steps=None), device="cpu")
 
 
 def test_frozen_parameters_must_exist(tmp_path):
     with pytest.raises(InputError, match=r"phases\[0\].frozen: head; expected the beginning"):
-        train(config(tmp_path, phases=[{"frozen": ["head"]}]), device="cpu")
+        run_training(config(tmp_path, phases=[{"frozen": ["head"]}]), device="cpu")
 
 
 def test_another_files_tensors_are_refused(tmp_path):
     """A checkpoint whose files are whole, but of another network."""
-    train(config(tmp_path, steps=2), device="cpu")
+    run_training(config(tmp_path, steps=2), device="cpu")
     (place,) = list_checkpoints(tmp_path / "checkpoints")
     import hashlib
 
@@ -507,4 +509,4 @@ def test_another_files_tensors_are_refused(tmp_path):
     state["sha256"]["model"] = hashlib.sha256((place / "model.safetensors").read_bytes()).hexdigest()
     (place / "state.json").write_text(json.dumps(state))
     with pytest.raises(InputError, match="expected a checkpoint of this network"):
-        train(config(tmp_path, steps=4), resume=True, device="cpu")
+        run_training(config(tmp_path, steps=4), resume=True, device="cpu")

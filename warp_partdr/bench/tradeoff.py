@@ -14,7 +14,7 @@ from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..body.posing import LandmarkGather
 from ..evaluation.evaluate import Method, evaluate
-from ..evaluation.partbench.samples import partbench
+from ..evaluation.partbench.samples import partbench_samples
 from ..fit.options import FitOptions
 from ..fit.stages import Quality
 from ..refinement.energy import Weights
@@ -155,7 +155,7 @@ def _quality_jobs(plan: Plan, report: Report) -> _Jobs:
 
     def work(level: str) -> None:
         methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in get_args(Quality)}
-        found = evaluate(partbench(plan.fits, (level,)), methods, device=plan.device)
+        found = evaluate(partbench_samples(plan.fits, (level,)), methods, device=plan.device)
         report.qualities[level] = next(iter(found.pooled().values()))
 
     if plan.fits:

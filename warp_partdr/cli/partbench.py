@@ -65,8 +65,8 @@ def partbench(
     from ..bench.report import TABLE_WIDTH
     from ..evaluation.evaluate import evaluate, one_thread, tables
     from ..evaluation.partbench.methods import METHODS, QUICK, choose_methods
-    from ..evaluation.partbench.report import findings, write_report
-    from ..evaluation.partbench.samples import partbench as make_samples
+    from ..evaluation.partbench.report import compare_to_targets, write_report
+    from ..evaluation.partbench.samples import partbench_samples
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder
     from ..synthetic.noise import LEVELS
@@ -81,13 +81,13 @@ def partbench(
     where = choose_device(device)
     processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
     with FitProgress() as progress:
-        samples = make_samples(people or (QUICK_PEOPLE if quick else PEOPLE), levels)
+        samples = partbench_samples(people or (QUICK_PEOPLE if quick else PEOPLE), levels)
         report = evaluate(samples, methods, jobs=processes, device=where, progress=progress)
 
     console = Console(width=max(Console().width, TABLE_WIDTH), highlight=False)
     for table in tables(report):
         console.print(table)
-    for finding in findings(report):
+    for finding in compare_to_targets(report):
         console.print(finding, markup=False)
     for failure in report.failures:
         typer.echo(f"not fitted: {failure.source}: {failure.sample}, {failure.method}: {failure.reason}", err=True)

@@ -72,9 +72,9 @@ def train(
 
     wp.config.log_level = wp.LOG_WARNING
     from ..interop.devices import choose_device
-    from ..training.loop import MODEL_FILE, train
+    from ..training.loop import MODEL_FILE, run_training
 
-    result = train(numbers, resume=resume, device=choose_device(device), half=half)
+    result = run_training(numbers, resume=resume, device=choose_device(device), half=half)
     report = result.report
     if report:
         for name in report["skipped"]:

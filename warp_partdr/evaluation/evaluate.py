@@ -23,7 +23,7 @@ from ..fit.options import FitOptions
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
 from ..interop.devices import without_driver_warning
-from .scoring import Score, score, summarise
+from .scoring import Score, score_fit, summarise
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -202,7 +202,7 @@ def _run(sample: Sample, name: str, method: Method, device: str, visit: Visit | 
         return Failure(sample.source, sample.name, name, str(error))
     if visit is not None:
         visit(sample, name, result)
-    return score(sample, name, result, seconds, None if method.vertices is None else method.vertices(result))
+    return score_fit(sample, name, result, seconds, None if method.vertices is None else method.vertices(result))
 
 
 _COLUMNS = {  # figure: its heading, a factor, and digits

@@ -98,7 +98,7 @@ class Score:
     pve: float = math.nan
 
 
-def score(sample: Sample, method: str, result: Fitted, seconds: float, vertices: np.ndarray | None = None) -> Score:
+def score_fit(sample: Sample, method: str, result: Fitted, seconds: float, vertices: np.ndarray | None = None) -> Score:
     """Compare a result with what is known of the sample.
 
     Args:

@@ -59,7 +59,7 @@ _VIEW = MeshOptions(near=0.01, perspective=True, max_distance=math.inf, depth_we
 
 
 @dataclass(frozen=True)
-class People:
+class PeopleBatch:
     """B people: what a network sees, and the truth; crops have side 2, coordinates -1 to 1, and S pixels a side.
 
     Attributes:
@@ -175,7 +175,7 @@ class PeopleMaker:
         self._poses.load_state_dict(state["poses"])
 
     @torch.no_grad()
-    def __call__(self, count: int) -> People:
+    def __call__(self, count: int) -> PeopleBatch:
         """``count`` people."""
         with exact_float32(self.device):
             return self._make(count)
@@ -187,7 +187,7 @@ class PeopleMaker:
         least, most = self._ranges.unbind(1)
         return least + (most - least) * levels / LEVELS
 
-    def _make(self, count: int) -> People:
+    def _make(self, count: int) -> PeopleBatch:
         rng = self._rng
         vectors, ups = self._poses.draw(count)
         orientation = self.orientations(ups)
@@ -227,7 +227,7 @@ class PeopleMaker:
         groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
         bones = joints[:, 1:] - joints[:, self._bone_starts]
         lengths = bones.norm(dim=-1)
-        return People(
+        return PeopleBatch(
             groups=groups,
             label_sets=label_sets,
             keypoints=keypoints,

@@ -27,7 +27,7 @@ import torch
 
 from ..errors import InputError
 from ..files.json_files import parse_json
-from .trees import join_tensors, split_tensors
+from .tensor_tree import join_tensors, split_tensors
 
 FORMAT = "warp-partdr training 1"
 _STATE = "state.json"

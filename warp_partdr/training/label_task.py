@@ -24,8 +24,8 @@ from ..render.ellipsoids import draw_ellipsoids
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
-from ..synthetic.training_people import People, PeopleMaker
-from .label_losses import Truth, body_losses
+from ..synthetic.training_people import PeopleBatch, PeopleMaker
+from .label_losses import body_losses
 from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
@@ -87,17 +87,17 @@ class LabelTask:
         """Leave out some terms from now on."""
         self._left_out = frozenset(phase.without)
 
-    def batch(self, device: torch.device) -> People:
+    def batch(self, device: torch.device) -> PeopleBatch:
         """New people."""
         return self._maker(self._config.batch_size)
 
-    def samples(self, batch: People) -> int:
+    def samples(self, batch: PeopleBatch) -> int:
         """How many people."""
         return len(batch.groups)
 
-    def loss(self, model: torch.nn.Module, batch: People) -> dict[str, torch.Tensor]:
+    def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:
         """The weighted terms of ``body_losses``, and their sum."""
-        terms = body_losses(self._predict(model, batch), _truth(batch))
+        terms = body_losses(self._predict(model, batch), batch)
         weighted = {
             name: self._config.weights[name] * term for name, term in terms.items() if name not in self._left_out
         }
@@ -161,7 +161,7 @@ class LabelTask:
         """Go on from there."""
         self._maker.load_state_dict(state)
 
-    def _predict(self, model: torch.nn.Module, people: People) -> Predicted:
+    def _predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
         shares = label_shares(people.groups, self._tables, people.label_sets)
         if not model.training:  # validated without autocast
             shares = shares.float()
@@ -169,13 +169,13 @@ class LabelTask:
         return predicted
 
     @cached_property
-    def _held_out(self) -> list[People]:
+    def _held_out(self) -> list[PeopleBatch]:
         maker = self._make_maker(_VALIDATION_SEED, held_out=True)
         count = self._config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
 
 
-def _draw(predicted: Predicted, people: People) -> torch.Tensor:
+def _draw(predicted: Predicted, people: PeopleBatch) -> torch.Tensor:
     """Part labels of predicted bodies, as large as the true ones."""
     size = people.parts.shape[-1]
     return draw_ellipsoids(predicted.posed(), predicted.camera(size), (size, size), validate=False).labels
@@ -188,19 +188,5 @@ def _coloured(images: torch.Tensor, sets: Sequence[str]) -> np.ndarray:
     return np.concatenate([table[image] for table, image in zip(tables, ids, strict=True)], axis=1)
 
 
-def _truth(people: People) -> Truth:
-    everywhere = torch.ones_like(people.points[..., 0])
-    return Truth(
-        points=people.points,
-        points_weight=everywhere,
-        parts=people.parts,
-        joints=people.joints,
-        orientation=people.orientation,
-        rotations=people.rotations,
-        lengths=people.lengths,
-        has_3d=everywhere[:, 0],
-    )
-
-
-def _first(people: People, count: int) -> People:
-    return People(**{field.name: getattr(people, field.name)[:count] for field in fields(people)})
+def _first(people: PeopleBatch, count: int) -> PeopleBatch:
+    return PeopleBatch(**{field.name: getattr(people, field.name)[:count] for field in fields(people)})

@@ -54,7 +54,7 @@ class Trained:
     report: dict[str, Any]
 
 
-def train(config: TrainingConfig, *, resume: bool = False, device: str = "auto", half: bool = False) -> Trained:
+def run_training(config: TrainingConfig, *, resume: bool = False, device: str = "auto", half: bool = False) -> Trained:
     """Train, and write checkpoints, logs, pictures, the trained network and a report to ``config.out``.
 
     Started by ``torchrun`` or ``accelerate launch`` it is one of several processes that train together.

@@ -24,7 +24,7 @@ from ..network.landmarks import LANDMARKS
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..render.options import Gradient
 from .picture_data import JOINTS, Examples
-from .posed_landmarks import landmarks
+from .posed_landmarks import posed_landmarks
 
 HIPS = [JOINTS.index(f"{side}_hip") for side in ("left", "right")]  # whose middle joints are measured from
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre
@@ -36,8 +36,8 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     bodies = prediction.bodies
     posed = bodies.posed()
     known = examples.has_joints * examples.has_joints[:, HIPS].prod(1, keepdim=True)
-    apart = rooted(landmarks(posed, JOINTS)) - rooted(examples.joints)
-    seen = bodies.camera(REFERENCE_SIZE).project(landmarks(posed, LANDMARKS))[..., :2]
+    apart = rooted(posed_landmarks(posed, JOINTS)) - rooted(examples.joints)
+    seen = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(posed, LANDMARKS))[..., :2]
     wanted = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
     constants = template()
 

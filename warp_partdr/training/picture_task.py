@@ -25,7 +25,7 @@ from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
-from .posed_landmarks import landmarks
+from .posed_landmarks import posed_landmarks
 from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ class PictureTask:
             prediction = model(examples.pictures)
             whole = examples.has_joints[:, HIPS].all(1)
             if whole.any():
-                bodies = landmarks(prediction.bodies.posed(), JOINTS)[whole]
+                bodies = posed_landmarks(prediction.bodies.posed(), JOINTS)[whole]
                 points, valid = (bodies, examples.joints[whole]), examples.has_joints[whole] > 0
                 joints.append(
                     torch.stack([mpjpe(*points, centre_on=HIPS, valid=valid), pa_mpjpe(*points, valid=valid)])

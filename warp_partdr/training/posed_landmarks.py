@@ -9,7 +9,7 @@ import torch
 from ..body.posing import LandmarkGather, Posed
 
 
-def landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
+def posed_landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
     """Landmarks of posed bodies, shape (B, L, 3) [m]."""
     return _gather(names, posed.joints.device)(posed)
 

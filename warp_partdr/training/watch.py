@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from ..errors import InputError
-from .trees import split_tensors
+from .tensor_tree import split_tensors
 
 _LAG = 4  # steps that the device may be behind when a loss is looked at
 

@@ -49,7 +49,7 @@ _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"
 
 
-def findings(report: Report) -> list[str]:
+def compare_to_targets(report: Report) -> list[str]:
     """What was hoped for and what was found, a sentence each."""
     pooled = report.pooled()
     found = []
@@ -125,7 +125,7 @@ def write_report(
         cases.append(
             f"<h3>{html.escape(caption)}</h3>{_img(draw_case(sample, _refit(sample, methods[score.method], device)))}"
         )
-    listed = "".join(f"<li>{html.escape(finding)}</li>" for finding in findings(report))
+    listed = "".join(f"<li>{html.escape(finding)}</li>" for finding in compare_to_targets(report))
     about = ", ".join(f"{key} {value}" for key, value in measured_with.items())
     path.write_text(
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>PartBench {VERSION}</title>'

@@ -25,7 +25,7 @@ def source_name(level: str) -> str:
     return f"PartBench {VERSION}, {level}"
 
 
-def partbench(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
+def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
     """The first ``count`` people at each level.
 
     Raises:
