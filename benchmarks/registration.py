@@ -112,7 +112,7 @@ def thinner(posed: Posed, factors: torch.Tensor) -> Posed:
 
 
 def inside(vertices: torch.Tensor, posed: Posed) -> torch.Tensor:
-    """Which vertices are more than ``DEPTH`` within which ellipsoid, to first order, shape (B, V, 20)."""
+    """True where a vertex is more than ``DEPTH`` within an ellipsoid, to first order, shape (B, V, 20)."""
     local = (vertices[:, :, None] - posed.centres[:, None])[..., None, :] @ posed.axes[:, None]
     unit = local[..., 0, :] / posed.semi_axes[:, None]
     e = unit.norm(dim=-1)

@@ -1,4 +1,4 @@
-"""How good one fit is, and what many such scores come to.
+"""Scores of single fits, and summaries of many.
 
 Part labels are compared after grouping into LSP's six parts where their set allows it, else in its own groups.
 """
@@ -25,7 +25,7 @@ _HIPS = ("left_hip", "right_hip")
 
 
 class Drawing(Protocol):
-    """What ``Fitted.draw`` returns."""
+    """A drawn body, as ``Fitted.draw`` returns it."""
 
     @property
     def labels(self) -> torch.Tensor:
@@ -37,7 +37,7 @@ class Fitted(Protocol):
 
     @property
     def hypotheses(self) -> int:
-        """How many starts there were."""
+        """Number of starts."""
 
     @property
     def camera(self) -> WeakPerspective | Perspective:
@@ -71,7 +71,7 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Score:
-    """How good one fit is.
+    """Errors of one fit.
 
     Attributes:
         source: Of the sample.
@@ -79,7 +79,7 @@ class Score:
         method: How it was fitted.
         keypoints: Distance of each confident keypoint, as a share of the person's height, shape (K,).
         seconds: Wall time.
-        hypotheses: How many starts there were.
+        hypotheses: Number of starts.
         pixels: None if the sample has no labels to be scored against.
         mpjpe: [mm], pelvis-centred; NaN if the true joints are not known.
         pa_mpjpe: [mm], the same.

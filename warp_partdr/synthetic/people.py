@@ -124,7 +124,7 @@ def cover_of(landmarks: tuple[str, ...]) -> np.ndarray:
     )
 
 
-def pixels_of(points: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+def pixel_indices(points: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     """Indices into flat pictures (H, W) of the pixels that points (B, L, 2) [px] lie in or are nearest to, (B, L)."""
     height, width = size
     columns, rows = (points[..., i].long().clamp(0, side - 1) for i, side in enumerate((width, height)))
@@ -138,7 +138,7 @@ def behind_something(
 
     Args:
         distances: Of the landmarks from the camera [m], shape (B, L).
-        pixels: In which they are seen, by ``pixels_of``, shape (B, L).
+        pixels: In which they are seen, by ``pixel_indices``, shape (B, L).
         depth: Of what is drawn [m], inf = background, shape (B, H, W).
         cover: By ``cover_of``, of people of this size, shape (B, L) or (L,).
     """

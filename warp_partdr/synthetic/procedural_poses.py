@@ -44,7 +44,7 @@ class _Leg:
 
 @dataclass(frozen=True)
 class _Stance:
-    """How legs stand; ``lean`` is the pelvis' [degrees] forward, ``alike`` the chance that both legs do the same."""
+    """Ranges of both legs; ``lean`` is the pelvis' [degrees] forward, ``alike`` the chance that both do the same."""
 
     weight: float
     lean: _Span

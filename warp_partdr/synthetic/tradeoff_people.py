@@ -67,7 +67,7 @@ class People:
         return People(self.name, bodies, *moved)
 
     def observation(self, person: int | None = None) -> Observation:
-        """What a fit sees of a person; of None, of all: points (N, 17, 2) and labels (N, ...), a body each."""
+        """Input of a fit to a person; of None, to all: points (N, 17, 2) and labels (N, ...), a body each."""
         points, labels = (self.points, self.labels) if person is None else (self.points[person], self.labels[person])
         return Observation(KEYPOINTS, points, points.new_ones(len(KEYPOINTS)), labels, LABELS)
 

@@ -26,7 +26,7 @@ from .people import (
     behind_something,
     coco_landmarks,
     cover_of,
-    pixels_of,
+    pixel_indices,
     pose_anny,
     rotations_along,
     seen_by_camera,
@@ -65,7 +65,7 @@ class PeopleBatch:
     Attributes:
         groups: Group ids as a predictor gives them, 0 = background, 255 = unknown and beyond the picture's border,
             shape (B, S, S), uint8.
-        label_sets: Which of ``TRAINING_LABEL_SETS`` the groups are of, shape (B,), int64.
+        label_sets: Index into ``TRAINING_LABEL_SETS`` of the groups' label set, shape (B,), int64.
         keypoints: ``LANDMARKS`` as a detector gives them: crop coordinates and confidence, all 0 where missing, shape
             (B, 24, 3).
         parts: True part labels 0 to 20 in the same crop, 255 beyond the picture's border, shape (B, S, S), uint8.
@@ -101,11 +101,11 @@ class _Crop:
         return (flat - self.centre[:, None]) / self.half[:, None, None]
 
     def holds(self, points: torch.Tensor) -> torch.Tensor:
-        """Which points (B, N, 2) in crop coordinates are in the picture, shape (B, N), bool."""
+        """True for points (B, N, 2) in crop coordinates that are in the picture, shape (B, N), bool."""
         return ((points > self.low[:, None]) & (points < self.high[:, None])).all(-1)
 
     def unseen(self, size: int) -> torch.Tensor:
-        """Which pixels lie beyond the picture's border, shape (B, size, size), bool."""
+        """True for pixels beyond the picture's border, shape (B, size, size), bool."""
         centres = (torch.arange(size, device=self.half.device) + 0.5) * (2 / size) - 1
         columns, rows = (
             (centres < self.low[:, i, None]) | (centres > self.high[:, i, None]) for i in range(2)
@@ -166,7 +166,7 @@ class PeopleMaker:
         return torch.from_numpy(values).to(self.device, torch.float32)
 
     def state_dict(self) -> dict[str, Any]:
-        """What makes the next people what they are."""
+        """State of the generators, which makes the next people what they are."""
         return {"generator": self._rng.generator.get_state(), "poses": self._poses.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -215,7 +215,7 @@ class PeopleMaker:
         places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
         occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
         points = crop(noted[..., :2])
-        pixels = pixels_of((points + 1) * (self.size / 2), (self.size, self.size))
+        pixels = pixel_indices((points + 1) * (self.size / 2), (self.size, self.size))
         cover = self._cover * (stature / MEAN_STATURE)[:, None]
         hidden = behind_something(noted[..., 2], pixels, depth, cover)
         hidden |= occluders.hiding.flatten(1).gather(1, pixels)
@@ -280,8 +280,8 @@ class PeopleMaker:
         Args:
             vertices: Of the body, shape (B, V, 2) [m].
             points: Keypoints, shape (B, 24, 2) [m].
-            detected: Which of them a detector gives, shape (B, 24), bool.
-            labelled: Which people have labels, shape (B,), bool.
+            detected: True for those that a detector gives, shape (B, 24), bool.
+            labelled: True for people with labels, shape (B,), bool.
         """
         count, rng = len(vertices), self._rng
         low, high = vertices.amin(1), vertices.amax(1)

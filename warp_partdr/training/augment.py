@@ -27,7 +27,7 @@ _GREYS = 255.0
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How much examples are changed.
+    """Bounds of the changes to examples.
 
     Attributes:
         flip: Share of examples that are mirrored.
@@ -156,12 +156,12 @@ class Similarity:
 
 @lru_cache
 def mirror_order(names: tuple[str, ...]) -> np.ndarray:
-    """Where each name's mirror image is among them, shape (N,)."""
+    """Position of each name's mirror image among them, shape (N,)."""
     return np.array([names.index(mirror_name(name)) for name in names])
 
 
 def mirror_groups(labels: LabelSet) -> np.ndarray:
-    """What each group id becomes in a mirrored picture, 255 where the set has no such group, shape (256,), uint8."""
+    """Group ids in a mirrored picture by those before, 255 where the set has no such group, shape (256,), uint8."""
     owners = {frozenset(parts): group for group, parts in enumerate(labels.groups.values(), start=1)}
     table = np.full(256, IGNORE, dtype=np.uint8)
     table[BACKGROUND] = BACKGROUND

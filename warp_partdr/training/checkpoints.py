@@ -36,7 +36,7 @@ _EXPECTED = "a checkpoint of partdr train"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a checkpoint holds.
+    """Content of a checkpoint.
 
     Attributes:
         tensors: By file and name.
@@ -154,7 +154,7 @@ def load_optimizer(
 
 
 def process_state(own: dict[str, Any], device: torch.device) -> dict[str, Any]:
-    """What differs between processes: all global generators, and what else is a process' own, on the CPU."""
+    """State of one process: all global generators, and what else is its own, on the CPU."""
     kind, keys, *rest = np.random.get_state()  # noqa: NPY002  what others draw from is saved, too
     return {
         "torch": torch.get_rng_state(),

@@ -124,7 +124,7 @@ class TrainingConfig:
         return values
 
     def changes(self, before: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-        """What differs from an earlier config, as lines.
+        """Differences from an earlier config, as lines.
 
         Args:
             before: Its ``to_json``.

@@ -26,7 +26,7 @@ def normalise_jointly(model: nn.Module) -> nn.Module:
 
 
 class JointBatchNorm(nn.Module):
-    """What ``norm`` does, but with the statistics of all processes' samples while training.
+    """Batch normalisation as ``norm`` does it, but with the statistics of all processes' samples while training.
 
     Args:
         norm: With weight, bias, running statistics and a momentum; this module takes them over, under the same names.

@@ -43,11 +43,11 @@ _HIPS = [skeleton(MPJPE_SKELETON).landmarks.index(f"{side}_hip") for side in ("l
 
 @dataclass(frozen=True)
 class LabelData:
-    """Where people come from.
+    """Source of the people.
 
     Attributes:
         poses: Folder of motion capture, or a pose bank made of one (.npz); "" takes the packaged prior alone.
-        validation: How many held-out people errors are measured on.
+        validation: Number of held-out people that errors are measured on.
     """
 
     poses: str = ""
@@ -92,7 +92,7 @@ class LabelTask:
         return self._maker(self._config.batch_size)
 
     def samples(self, batch: PeopleBatch) -> int:
-        """How many people."""
+        """Number of people."""
         return len(batch.groups)
 
     def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:

@@ -1,4 +1,4 @@
-"""What a run says while it runs: a bar, lines on stderr, log.jsonl, TensorBoard and pictures."""
+"""Progress of a run: a bar, lines on stderr, log.jsonl, TensorBoard and pictures."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class RunLog:
         self._write(step, {"loss": terms, "rate": rates})
 
     def errors(self, step: int, errors: dict[str, float], sheet: Image.Image | None) -> None:
-        """What validation found."""
+        """Write the errors of a validation."""
         if self._silent:
             return
         self.say(f"step {step}  " + "  ".join(f"{name} {value:.4g}" for name, value in errors.items()))

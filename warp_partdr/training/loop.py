@@ -40,7 +40,7 @@ REPORT_FILE = "report.json"
 
 @dataclass(frozen=True)
 class Trained:
-    """How a run ended.
+    """Result of a run.
 
     Attributes:
         step: Steps done in all.
@@ -274,7 +274,7 @@ class _Run:
 
     @contextmanager
     def _set_aside(self) -> Iterator[None]:
-        """What isn't training: its time doesn't count as such."""
+        """Leave the time within out of the training's."""
         self.watch.settle()
         began = time.monotonic()
         yield

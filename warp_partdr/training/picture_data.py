@@ -1,4 +1,4 @@
-"""What EllipBodyNet is trained on: people of the data sets' readers, each cut out of its picture and augmented."""
+"""Examples for EllipBodyNet: people of the data sets' readers, each cut out of its picture and augmented."""
 
 from __future__ import annotations
 

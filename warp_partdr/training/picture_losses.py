@@ -1,4 +1,4 @@
-"""What EllipBodyNet learns from: the paper's losses (section 3.1), in the units of a fit's energy, and its heads' own.
+"""Losses of EllipBodyNet: the paper's (section 3.1), in the units of a fit's energy, and its heads' own.
 
 L_3D is the mean over the joints in square centimetres; L_proj and L_seg are sums, in pixels of a crop of 256 px, and
 L_l and L_t are sums in square millimetres. So with the paper's weights 1 : 1 : 1e-2 : 1e-3 : 1e-3 a joint that is 9 cm

@@ -39,7 +39,7 @@ _SHOWN = 8  # people on the contact sheet
 
 @dataclass(frozen=True)
 class PictureData:
-    """What is learnt from, and how.
+    """Data to learn from, and its changes.
 
     Attributes:
         sources: The data sets.
@@ -127,7 +127,7 @@ class PictureTask:
         return examples.to(device)
 
     def samples(self, batch: Examples) -> int:
-        """How many people."""
+        """Number of people."""
         return len(batch.pictures)
 
     def loss(self, model: torch.nn.Module, batch: Examples) -> dict[str, torch.Tensor]:
@@ -220,7 +220,7 @@ class PictureTask:
         return list(self._skipped)
 
     def state_dict(self) -> dict[str, Any]:
-        """How many people it has had."""
+        """Number of people that it has had."""
         return {"consumed": self._consumed}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

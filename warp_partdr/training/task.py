@@ -1,4 +1,4 @@
-"""What is trained: the protocol between the training loop and its tasks, and the tasks by name."""
+"""The protocol between the training loop and its tasks, and the tasks by name."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Task(Protocol):
         """The next training batch of ``config.batch_size`` samples: tensors in a dataclass, dict, tuple or list."""
 
     def samples(self, batch: Any) -> int:
-        """How many samples a batch holds."""
+        """Number of samples in a batch."""
 
     def loss(self, model: torch.nn.Module, batch: Any) -> dict[str, torch.Tensor]:
         """The terms, each with its weight, and "total", their sum: means over the batch, shape (), left on the device.
@@ -93,7 +93,7 @@ class Task(Protocol):
         """Samples that could not be read: name and reason, each once."""
 
     def state_dict(self) -> dict[str, Any]:
-        """What makes the next batches what they are: tensors and JSON, in dicts with names as keys."""
+        """State that makes the next batches what they are: tensors and JSON, in dicts with names as keys."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from such a state."""

@@ -49,7 +49,7 @@ class AnnyFit:
 
     @property
     def hypotheses(self) -> int:
-        """How many starts EllipBody's fit had."""
+        """Number of starts of EllipBody's fit."""
         return self.first.hypotheses
 
     @property

@@ -1,4 +1,4 @@
-"""What PartBench compares: what a fit sees, where it starts, what it draws, and whether hidden parts pull in depth."""
+"""Methods that PartBench compares, by input of the fit, start, renderer and z gradient of hidden parts."""
 
 from __future__ import annotations
 

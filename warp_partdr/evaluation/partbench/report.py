@@ -50,7 +50,7 @@ _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12
 
 
 def compare_to_targets(report: Report) -> list[str]:
-    """What was hoped for and what was found, a sentence each."""
+    """Compare figures with what was hoped for, and methods with one another, a sentence each."""
     pooled = report.pooled()
     found = []
     for level, figure, name, goal in TARGETS:

@@ -21,7 +21,7 @@ _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
 def source_name(level: str) -> str:
-    """What figures of a level are pooled under."""
+    """Name of a level's source, under which its figures are pooled."""
     return f"PartBench {VERSION}, {level}"
 
 
