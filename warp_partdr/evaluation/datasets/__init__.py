@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from ...inputs.sample import Sample, SmplFit
 from .folder import read_folder
-from .human36m import read_human36m
 from .lsp import read_lsp
-from .pw3d import read_pw3d
-from .spin import read_spin
+from .spin import read_human36m, read_pw3d, read_spin
 
 __all__ = ["Sample", "SmplFit", "read_folder", "read_human36m", "read_lsp", "read_pw3d", "read_spin"]

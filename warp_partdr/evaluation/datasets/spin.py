@@ -1,4 +1,6 @@
-"""The annotation arrays of SPIN (nkolot/SPIN) and the many projects after it: one ``.npz`` a data set, a row a person.
+"""Annotation arrays of SPIN (nkolot/SPIN) and the many projects after it, for Human3.6M, 3DPW and others.
+
+One ``.npz`` a data set, a row a person. 3DPW's own sequence files are pickles, which are not read.
 
 =========  =============  ============================================================================================
 array      shape          meaning
@@ -22,7 +24,7 @@ imgname, center and scale must be there, and 2D keypoints: here, or one JSON fil
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +37,6 @@ from ...inputs.keypoint_files import read_keypoints
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import read_parts
 from ...inputs.sample import Sample, SmplFit
-from .arrays import MAX_BYTES, Shape, check_arrays
 from .pictures import existing, read_mask
 
 # Human3.6M's head (its joint 15) and the top of the head in LSP are one landmark, and so are LSP's neck and MPII's
@@ -45,6 +46,10 @@ SPIN_JOINTS = (
     "left_shoulder left_elbow left_wrist neck head_top mid_hip neck spine head head_top nose left_eye right_eye "
     "left_ear right_ear"
 ).split()
+
+MAX_BYTES = 8 << 30  # of a file's arrays when unpacked; all of Human3.6M has less
+
+Shape = tuple[int | None, ...]
 
 _SHAPES: dict[str, Shape | None] = {  # of a row; None: text
     "imgname": None,
@@ -64,6 +69,52 @@ _REQUIRED = ("imgname", "center", "scale")
 _FORMATS = ("lsp14", "h36m17", "coco17")  # what ``part`` may be; all of them within the 24 joints
 _GENDERS = {"m": "male", "f": "female"}
 _BOX = 200.0  # [px] that ``scale`` is in units of
+# Files for ``expected`` in errors.
+_HUMAN36M = (
+    "an .npz of plain arrays: h36m_valid_protocol1.npz or h36m_valid_protocol2.npz, which SPIN's "
+    "datasets/preprocess/h36m.py makes from the poses and boxes of vision.imar.ro/human3.6m (docs/evaluation.md). "
+    "VideoPose3D's data_3d_h36m.npz and data_2d_h36m_*.npz hold pickles"
+)
+_PW3D = (
+    "3dpw_test.npz, an .npz of plain arrays that SPIN's datasets/preprocess/pw3d.py makes from 3DPW's sequenceFiles "
+    "(docs/evaluation.md)"
+)
+
+
+def read_human36m(
+    path: str | Path, *, pictures: str | Path | None = None, keypoints: str | Path | None = None
+) -> Iterator[Sample]:
+    """The people of one of SPIN's files of Human3.6M.
+
+    Args:
+        path: ``h36m_valid_protocol1.npz`` or another of this layout.
+        pictures: The folder that its imgname is relative to.
+        keypoints: Folder of 2D keypoints, one JSON file a picture; SPIN's validation files have none of their own.
+
+    Raises:
+        InputError: If a file or an array that is needed is missing or wrong.
+    """
+    return read_spin(path, source="Human3.6M", expected=_HUMAN36M, pictures=pictures, keypoints=keypoints)
+
+
+def read_pw3d(
+    path: str | Path, *, pictures: str | Path | None = None, keypoints: str | Path | None = None
+) -> Iterator[Sample]:
+    """The people of SPIN's file of 3DPW.
+
+    Args:
+        path: ``3dpw_test.npz`` or another of this layout.
+        pictures: The folder that its imgname is relative to.
+        keypoints: Folder of 2D keypoints, one JSON file a picture; SPIN's file has none of its own.
+
+    Raises:
+        InputError: If it is 3DPW's own folder or a pickle of it, or something is missing or wrong.
+    """
+    if Path(path).is_dir() or Path(path).suffix == ".pkl":
+        raise InputError(
+            f"{path}: 3DPW's sequence files are pickles, which could run code, so they are not read; expected {_PW3D}"
+        )
+    return read_spin(path, source="3DPW", expected=_PW3D, pictures=pictures, keypoints=keypoints)
 
 
 def read_spin(
@@ -94,7 +145,7 @@ def read_spin(
     arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
     if "pose" in arrays and arrays["pose"].ndim == 2 and arrays["pose"].shape[1] == 72:
         arrays["pose"] = arrays["pose"].reshape(-1, 24, 3)
-    rows = check_arrays(arrays, _SHAPES, path)
+    rows = _check_arrays(arrays, _SHAPES, path)
     if keypoints is None and not arrays.keys() & {"part", "openpose"}:
         raise InputError(
             f"{path}: no array part or openpose, so no 2D keypoints; expected them, or a folder of a detector's JSON "
@@ -130,6 +181,37 @@ def read_spin(
             picture=_picture(pictures, picture),
             box=(u - half, v - half, u + half, v + half),
         )
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, Shape | None], where: str | Path) -> int:
+    """Raise unless arrays have the same N first, and these shapes.
+
+    Args:
+        arrays: By name; those without a shape are not looked at.
+        shapes: Shape of one row by name, in which None takes any size; of finite numbers. None alone: rows of text.
+        where: The file, for errors.
+
+    Returns:
+        N.
+
+    Raises:
+        InputError: For the first array that does not fit.
+    """
+    rows = len(np.atleast_1d(next(iter(arrays.values()))))
+    for name in (name for name in arrays if name in shapes):
+        values, shape = arrays[name], shapes[name]
+        expected = (rows, *(shape or ()))
+        fits = values.ndim == len(expected) and all(
+            want in (None, have) for have, want in zip(values.shape, expected, strict=True)
+        )
+        if not fits:
+            sizes = ", ".join("*" if size is None else str(size) for size in expected)
+            raise InputError(f"{where}: {name}: shape {values.shape}; expected ({sizes})")
+        if shape is None and values.dtype.kind not in "US":
+            raise InputError(f"{where}: {name}: {values.dtype}; expected text")
+        if shape is not None and (values.dtype.kind not in "fiu" or not np.isfinite(values).all()):
+            raise InputError(f"{where}: {name}: {values.dtype}, or NaN or infinity in it; expected finite numbers")
+    return rows
 
 
 def _picture(folder: str | Path | None, name: str) -> Path | None:
