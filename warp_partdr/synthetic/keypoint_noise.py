@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..body.landmarks import mirror_name
+from ..body.landmarks import mirror_name, mirror_order
 from ..body.skeletons import skeleton
 from ..network.landmarks import LANDMARKS, network_keypoints
 from .noise import HIDDEN_CONFIDENCE, HIDDEN_NOISE, KEYPOINT_NOISE, SWAPPED_KEYPOINTS
@@ -41,7 +41,7 @@ class KeypointNoise:
         device = rng.device
         self._detectors = torch.stack([_seen_by(name) for name in _DETECTORS]).to(device)
         self._detector_weights = torch.tensor(list(_DETECTORS.values()), device=device)
-        self._mirror = torch.tensor([LANDMARKS.index(mirror_name(name)) for name in LANDMARKS], device=device)
+        self._mirror = torch.from_numpy(mirror_order(LANDMARKS)).to(device)
         self._swaps = torch.stack([_swapped_keypoints(joints) for joints in SWAPPED_KEYPOINTS]).to(device)
         self._confidence_odds = torch.tensor([0.4, 0.15, 0.1, 0.35], device=device)
 

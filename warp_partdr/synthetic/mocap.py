@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..body.landmarks import mirror_name
+from ..body.landmarks import mirror_order
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
 from ..body.template import NUM_PARTS, PART_NAMES
 from .poses import mean_body
@@ -61,7 +61,7 @@ class Clip:
 
     def mirrored(self) -> Clip:
         """The same with left and right exchanged."""
-        swap = [PART_NAMES.index(mirror_name(name)) for name in PART_NAMES]
+        swap = mirror_order(PART_NAMES)
         flip = np.outer([-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0])
         return Clip(
             self.name,

@@ -118,7 +118,7 @@ class PoseSampler:
         device: Where poses are made.
         seed: Of the random numbers.
         shares: Of the kinds.
-        pool: How many poses are made at once.
+        pool: Number of poses that are made at once.
     """
 
     def __init__(

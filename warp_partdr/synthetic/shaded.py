@@ -139,8 +139,8 @@ def _look(vertices: torch.Tensor, rng: TorchRng) -> Perspective:
     low, high = flat.amin(1), flat.amax(1)
     fill = rng.uniform(len(vertices), low=_FILL[0], high=_FILL[1])
     focal = (SIZE * fill / (high - low).amax(1))[:, None]
-    room = SIZE - focal * (high - low)
-    centre = room * rng.uniform(len(vertices), 2) - focal * low
+    free = SIZE - focal * (high - low)
+    centre = free * rng.uniform(len(vertices), 2) - focal * low
     return Perspective(focal.expand(-1, 2), centre)
 
 

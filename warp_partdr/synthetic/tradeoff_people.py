@@ -173,10 +173,10 @@ def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints
     )
     seen = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
     energy, gather = Energy(seen, prior=prior), LandmarkGather(JOINTS, "cpu")
-    wanted = _centred(joints).repeat(turns, 1, 1)
+    target = _centred(joints).repeat(turns, 1, 1)
 
     def lifted(bodies: BodyParameters) -> dict[str, torch.Tensor]:
-        off = (_centred(gather(bodies.posed())) - wanted).abs().sum((1, 2))
+        off = (_centred(gather(bodies.posed())) - target).abs().sum((1, 2))
         return {**energy(bodies), "lift": _LIFT_WEIGHT * REFERENCE_SIZE / 2 * off}
 
     found = refine(start, lifted, iterations=_LIFT_ITERATIONS, learning_rate=_LIFT_RATE)

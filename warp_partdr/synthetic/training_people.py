@@ -33,7 +33,7 @@ from .people import (
     statures,
     upright,
 )
-from .pose_sampler import PoseBank, PoseSampler, Shares
+from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng, exact_float32
 from .split import LEVELS, NUM_CELLS, held_out_cells
@@ -124,8 +124,7 @@ class PeopleMaker:
         device: Where everything happens.
         seed: Of the random numbers.
         held_out: People to test on instead of people to train on.
-        shares: Of the kinds of poses.
-        pool: How many poses are made at once.
+        pool: Number of poses that are made at once.
     """
 
     def __init__(
@@ -136,14 +135,13 @@ class PeopleMaker:
         device: torch.device | str = "cpu",
         seed: int = 0,
         held_out: bool = False,
-        shares: Shares | None = None,
         pool: int = 8192,
     ) -> None:
         self.size, self.device = size, torch.device(device)
         self.model = anny(self.device)
         self.mesh = anny_mesh(self.device)
         # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
-        self._poses = PoseSampler(poses, device=device, seed=seed << 20, shares=shares, pool=pool)
+        self._poses = PoseSampler(poses, device=device, seed=seed << 20, pool=pool)
         self._rng = TorchRng(seed << 20, self.device)
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import torch
 from PIL import Image
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
-from ..body.landmarks import mirror_name
+from ..body.landmarks import mirror_name, mirror_order
 from ..body.parameters import BodyParameters
 from ..body.rotations import rotation_from_6d, rotation_to_6d
 from ..body.template import PART_NAMES
@@ -152,12 +151,6 @@ class Similarity:
         # Pillow, too, has pixels' centres at a half.
         data = tuple(values.ravel().tolist())
         return image.transform((size, size), Image.Transform.AFFINE, data, resample, fillcolor=fill)
-
-
-@lru_cache
-def mirror_order(names: tuple[str, ...]) -> np.ndarray:
-    """Position of each name's mirror image among them, shape (N,)."""
-    return np.array([names.index(mirror_name(name)) for name in names])
 
 
 def mirror_groups(labels: LabelSet) -> np.ndarray:

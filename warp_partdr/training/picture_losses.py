@@ -38,7 +38,7 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     known = examples.has_joints * examples.has_joints[:, HIPS].prod(1, keepdim=True)
     apart = rooted(posed_landmarks(posed, JOINTS)) - rooted(examples.joints)
     seen = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(posed, LANDMARKS))[..., :2]
-    wanted = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
+    expected = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
     constants = template()
 
     def deviation(sizes: torch.Tensor, mean: Any) -> torch.Tensor:
@@ -46,7 +46,7 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
 
     return {
         "joints": (((apart * _CENTIMETRES).square().sum(2) * known).sum(1) / known.sum(1).clamp_min(1.0)).mean(),
-        "proj": ((seen - wanted).abs().sum(2) * examples.keypoints[..., 2]).sum(1).mean(),
+        "proj": ((seen - expected).abs().sum(2) * examples.keypoints[..., 2]).sum(1).mean(),
         "lengths": deviation(bodies.lengths, constants.mean_lengths),
         "thicknesses": deviation(bodies.thicknesses, constants.mean_thicknesses),
     }

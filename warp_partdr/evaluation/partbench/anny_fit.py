@@ -11,7 +11,6 @@ import torch
 from ...body.rotations import rotation_from_axis_angle
 from ...cameras import WeakPerspective
 from ...clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
-from ...clothing.mesh import detailed_mesh
 from ...clothing.model import Detailed
 from ...clothing.pose import pose_from_ellipbody
 from ...fit.fitting import fit_body
@@ -23,6 +22,7 @@ from ...inputs.part_labels import PartLabels
 from ...refinement.steps import rate_share
 from ...render.mesh import PartImage, draw_mesh, mesh_label_loss
 from ...render.options import DEFAULT_DEPTH_WEIGHT
+from ...synthetic.people import anny_mesh, coco_landmarks
 
 _SIZE = 128  # [px], side of the drawn crop
 _ITERATIONS = 60
@@ -63,7 +63,7 @@ class AnnyFit:
 
     def draw(self, image_size: tuple[int, int]) -> PartImage:
         """The body's 20 parts in the full picture."""
-        mesh = detailed_mesh(anny(self.camera.scale.device))
+        mesh = anny_mesh(self.camera.scale.device)
         return draw_mesh(self.body.vertices, mesh, self.camera, image_size)
 
 
@@ -83,9 +83,9 @@ def fit_anny(
     first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device)
     seen, model = first.observation, anny(first.posed.joints.device)
     assert seen.labels is not None
-    mesh = detailed_mesh(model).relabel(parts.label_set.part_groups)
+    mesh = anny_mesh(model.faces.device).relabel(parts.label_set.part_groups)
     target = resize_nearest(seen.labels, _SIZE)[None]
-    names = [f"coco_{name}" if f"coco_{name}" in model.landmark_names else name for name in seen.landmarks]
+    names = coco_landmarks(model, seen.landmarks)
 
     people = torch.tensor([[_START[name] for name in PHENOTYPE_ANCHORS]], device=model.faces.device)
     shape = anny_shape(people).detach().requires_grad_()
@@ -113,8 +113,8 @@ def fit_anny(
     for _ in range(_ITERATIONS):
         body = pose()
         places = camera(REFERENCE_SIZE).project(model.landmarks(body, names))[..., :2]
-        wanted = (seen.points + 1) * (REFERENCE_SIZE / 2)
-        proj = ((places - wanted).abs().sum(-1) * seen.confidence).sum()
+        expected = (seen.points + 1) * (REFERENCE_SIZE / 2)
+        proj = ((places - expected).abs().sum(-1) * seen.confidence).sum()
         seg = mesh_label_loss(
             body.vertices,
             mesh,
