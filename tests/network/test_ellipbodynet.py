@@ -28,8 +28,8 @@ from warp_partdr.training.config_files import make_config, read_config
 from warp_partdr.training.loop import run_training
 from warp_partdr.training.picture_data import JOINTS, Examples, Feed, Source, make_example
 from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, seg_term
-from warp_partdr.training.posed_landmarks import posed_landmarks
 from warp_partdr.training.picture_task import PictureTask
+from warp_partdr.training.predicted_bodies import posed_landmarks
 
 SIZE = 64
 TINY = {
@@ -176,7 +176,10 @@ def test_body_terms_are_their_formulas(examples):
     changed = replace(examples, joints=joints, has_joints=has_joints)
     terms = body_terms(prediction, changed)
 
-    found, pixels = posed_landmarks(posed, JOINTS)[3], prediction.bodies.camera(256).project(posed_landmarks(posed, LANDMARKS))
+    found, pixels = (
+        posed_landmarks(posed, JOINTS)[3],
+        prediction.bodies.camera(256).project(posed_landmarks(posed, LANDMARKS)),
+    )
     root, true_root = found[HIPS].mean(0), joints[3][HIPS].mean(0)
     squares = [
         float(((found[j] - root) - (joints[3, j] - true_root)).mul(100).square().sum())

@@ -1,10 +1,9 @@
 """Training of the networks.
 
-The loop (``loop``, with ``config``, ``schedule``, ``ema``, ``checkpoints``, ``trees``, ``watch``, ``guards``, ``logs``)
-knows its ``task`` by a protocol alone. There are two:
+The loop (``loop``, with ``config``, ``schedule``, ``ema``, ``checkpoints``, ``tensor_tree``, ``watch``, ``guards``,
+``logs``) knows its ``task`` by a protocol alone. There are two:
 
-* ``label_task``, ``label_losses``: the label network, on ``people`` made on the fly of ``poses`` (``mocap``), spoilt by
-  ``noise``; ``split`` keeps some apart, ``dice`` is where chance comes from.
+* ``label_task``, ``label_losses``: the label network, on people made on the fly (``synthetic.training_people``).
 * ``picture_task``, ``picture_losses``: EllipBodyNet, on ``picture_data`` of data sets, changed by ``augment``, or on
-  ``shaded_people``.
+  shaded people (``synthetic.shaded``).
 """

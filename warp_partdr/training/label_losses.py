@@ -9,7 +9,7 @@ from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..synthetic.training_people import PeopleBatch
-from .posed_landmarks import posed_landmarks
+from .predicted_bodies import posed_landmarks
 
 
 def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:

@@ -20,12 +20,12 @@ from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, po
 from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
 from ..network.predicted import Predicted
-from ..render.ellipsoids import draw_ellipsoids
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
 from ..synthetic.training_people import PeopleBatch, PeopleMaker
 from .label_losses import body_losses
+from .predicted_bodies import draw_bodies, weighted_losses
 from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
@@ -98,10 +98,7 @@ class LabelTask:
     def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:
         """The weighted terms of ``body_losses``, and their sum."""
         terms = body_losses(self._predict(model, batch), batch)
-        weighted = {
-            name: self._config.weights[name] * term for name, term in terms.items() if name not in self._left_out
-        }
-        return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
+        return weighted_losses(terms, self._config.weights, self._left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on held-out bodies in held-out poses."""
@@ -110,7 +107,7 @@ class LabelTask:
             predicted = self._predict(model, people)
             points = (predicted.posed().joints[:, _LSP], people.joints[:, _LSP])
             joints.append(torch.stack([mpjpe(*points, centre_on=_HIPS), pa_mpjpe(*points)]))
-            counts.append(confusion(_draw(predicted, people), people.parts, NUM_PARTS + 1).sum(0))
+            counts.append(confusion(draw_bodies(predicted, people.parts.shape[-1]), people.parts, NUM_PARTS + 1).sum(0))
         errors = torch.cat(joints, dim=1).mean(1) * 1000
         matrix = pooled(counts)
         return {
@@ -125,7 +122,7 @@ class LabelTask:
         from PIL import Image
 
         people = _first(self._held_out[0], _SHOWN)
-        drawn = _draw(self._predict(model, people), people)
+        drawn = draw_bodies(self._predict(model, people), people.parts.shape[-1])
         names = list(TRAINING_LABEL_SETS)
         sets = [names[which] for which in people.label_sets[:_SHOWN].tolist()]
         rows = ((people.groups, sets), (people.parts, [_PARTS] * _SHOWN), (drawn, [_PARTS] * _SHOWN))
@@ -173,12 +170,6 @@ class LabelTask:
         maker = self._make_maker(_VALIDATION_SEED, held_out=True)
         count = self._config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
-
-
-def _draw(predicted: Predicted, people: PeopleBatch) -> torch.Tensor:
-    """Part labels of predicted bodies, as large as the true ones."""
-    size = people.parts.shape[-1]
-    return draw_ellipsoids(predicted.posed(), predicted.camera(size), (size, size), validate=False).labels
 
 
 def _coloured(images: torch.Tensor, sets: Sequence[str]) -> np.ndarray:

@@ -24,7 +24,7 @@ from ..network.landmarks import LANDMARKS
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..render.options import Gradient
 from .picture_data import JOINTS, Examples
-from .posed_landmarks import posed_landmarks
+from .predicted_bodies import posed_landmarks
 
 HIPS = [JOINTS.index(f"{side}_hip") for side in ("left", "right")]  # whose middle joints are measured from
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre

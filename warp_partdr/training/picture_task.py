@@ -19,13 +19,12 @@ from ..inputs.sample import Sample
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
 from ..network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
-from ..render.ellipsoids import draw_ellipsoids
 from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .picture_data import JOINTS, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
-from .posed_landmarks import posed_landmarks
+from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
 from .task import PACKAGED_NETWORK
 
 if TYPE_CHECKING:
@@ -137,10 +136,7 @@ class PictureTask:
         if "seg" not in self._left_out:
             data = self._config.data
             terms["seg"] = seg_term(prediction, batch, size=data.render_size, gradient=data.gradient)
-        weighted = {
-            name: self._config.weights[name] * term for name, term in terms.items() if name not in self._left_out
-        }
-        return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
+        return weighted_losses(terms, self._config.weights, self._left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on the sources that are for validation; none without such."""
@@ -160,7 +156,7 @@ class PictureTask:
             apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
             places.append(apart[examples.keypoints[..., 2] > 0])
             size = examples.groups.shape[-1]
-            drawn, segmented = _draw(prediction, size), prediction.part_labels(size)
+            drawn, segmented = draw_bodies(prediction.bodies, size), prediction.part_labels(size)
             for part_groups, chosen in label_sets(examples):
                 table = torch.tensor([0, *part_groups], dtype=torch.uint8, device=device)
                 classes = 1 + max(group for group in part_groups if group != IGNORE)
@@ -190,7 +186,9 @@ class PictureTask:
         prediction = model(shown)
         size = shown.shape[-1]
         photos = shown.permute(0, 2, 3, 1).cpu().numpy()
-        drawn, segmented = (labels.cpu().numpy() for labels in (_draw(prediction, size), prediction.part_labels(size)))
+        drawn, segmented = (
+            labels.cpu().numpy() for labels in (draw_bodies(prediction.bodies, size), prediction.part_labels(size))
+        )
         over = np.where(drawn[..., None] > 0, PART_COLOURS[drawn] // 4 * 3 + photos // 4, photos)
         rows = (photos, over, PART_COLOURS[segmented])
         return Image.fromarray(np.concatenate([np.concatenate(list(row), axis=1) for row in rows]))
@@ -237,9 +235,3 @@ class PictureTask:
                 except InputError as error:
                     self._skipped[f"{sample.source} {sample.name}: {error}"] = None
         return [Examples.cat(found[first : first + _BATCH]) for first in range(0, len(found), _BATCH)]
-
-
-def _draw(prediction: PicturePrediction, size: int) -> torch.Tensor:
-    """Part labels of the bodies, shape (B, size, size)."""
-    bodies = prediction.bodies
-    return draw_ellipsoids(bodies.posed(), bodies.camera(size), (size, size), validate=False).labels
