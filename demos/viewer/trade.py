@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..bench.plan import GRADIENTS
-from ..bench.tradeoff_gradient import gradient_error, true_gradient
-from ..bench.tradeoff_plan import Setting
+from ..bench.renderers import GRADIENTS
+from ..bench.tradeoff.gradient import gradient_error, true_gradient
+from ..bench.tradeoff.plan import Setting
 from ..inputs.observation import REFERENCE_SIZE
 from ..render.subdivisions import silhouette_error
 from ..synthetic.tradeoff_people import ELLIPBODY, People, draw_truth

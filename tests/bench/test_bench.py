@@ -14,31 +14,11 @@ import warp as wp
 from PIL import Image
 from rich.console import Console
 
-from warp_partdr.bench import kernels, peers
-from warp_partdr.bench.chart import draw_chart
-from warp_partdr.bench.kernels import run_kernels
-from warp_partdr.bench.launches import (
-    Launched,
-    _capture_pieces,
-    _run_first,
-    count_bytes,
-    observe_launches,
-    time_kernels,
-)
-from warp_partdr.bench.machine import about, copy_bandwidth
-from warp_partdr.bench.plan import (
-    EXACT,
-    GRADIENT,
-    LABELS,
-    MESH,
-    MINIMISE,
-    PARTDR,
-    REFINEMENT,
-    TORCH_GRADIENT,
-    Plan,
-    make_plan,
-)
-from warp_partdr.bench.report import (
+from warp_partdr.bench.kernels import measure, peers
+from warp_partdr.bench.kernels.chart import draw_chart
+from warp_partdr.bench.kernels.measure import run_kernels
+from warp_partdr.bench.kernels.plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_GRADIENT, Plan, make_plan
+from warp_partdr.bench.kernels.report import (
     GROUPS,
     KERNELS,
     PEER_ROWS,
@@ -51,9 +31,19 @@ from warp_partdr.bench.report import (
     print_report,
     save_json,
 )
-from warp_partdr.bench.runs import ExactRun, MeshRun, RefinementRun
-from warp_partdr.bench.scene import Scene
-from warp_partdr.bench.start import Start
+from warp_partdr.bench.kernels.runs import ExactRun, MeshRun, RefinementRun
+from warp_partdr.bench.kernels.scene import Scene
+from warp_partdr.bench.kernels.start import Start
+from warp_partdr.bench.launches import (
+    Launched,
+    _capture_pieces,
+    _run_first,
+    count_bytes,
+    observe_launches,
+    time_kernels,
+)
+from warp_partdr.bench.machine import about, copy_bandwidth
+from warp_partdr.bench.renderers import EXACT, MESH, PARTDR
 from warp_partdr.bench.timing import Timing, capture, repeat, time_calls, time_graph
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
@@ -316,17 +306,17 @@ def test_command_times_the_papers_targets() -> None:
 
 def test_a_missing_peer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     absent = peers.Peer("no_such_package", ("cpu", "cuda"), peers.Drtk)
-    monkeypatch.setattr(kernels, "PEERS", {"Absent": absent})
+    monkeypatch.setattr(measure, "PEERS", {"Absent": absent})
     report = Report("cpu", {}, 1.0)
-    assert list(kernels._peer_jobs(small_plan("cpu"), report)) == []
+    assert list(measure._peer_jobs(small_plan("cpu"), report)) == []
     assert report.remarks == ["Absent: not timed, no_such_package is not installed"]
 
 
 def test_a_peer_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
     broken = peers.Peer("json", ("cpu", "cuda"), peers.Drtk)  # which has no drtk inside
-    monkeypatch.setattr(kernels, "PEERS", {**peers.PEERS, "Broken": broken})
+    monkeypatch.setattr(measure, "PEERS", {**peers.PEERS, "Broken": broken})
     report = Report(device, {}, 1.0)
-    assert kernels._time_peer(small_plan(device), report, "Broken", 1) == []
+    assert measure._time_peer(small_plan(device), report, "Broken", 1) == []
     assert len(report.remarks) == 1
     assert report.remarks[0].startswith("Broken: not timed, it failed: ModuleNotFoundError")
 
@@ -383,7 +373,7 @@ def test_table_names_machine_rows_and_remarks(report: Report) -> None:
 def test_command_leaves_json_and_picture(
     report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(kernels, "run_kernels", lambda plan, progress: report)
+    monkeypatch.setattr(measure, "run_kernels", lambda plan, progress: report)
     bench.bench_kernels(device=device, quick=True, out=tmp_path / "new")
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == [
         f"bench-kernels-{device}.json",
@@ -426,13 +416,13 @@ def test_json_of_nothing(tmp_path: Path) -> None:
 
 
 def test_starts_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernels, "time_starts", lambda device: (Start(1.0, 5.0), Start(2.0, 0.5)))
-    rows = kernels._time_starts(small_plan("cpu"))
+    monkeypatch.setattr(measure, "time_starts", lambda device: (Start(1.0, 5.0), Start(2.0, 0.5)))
+    rows = measure._time_starts(small_plan("cpu"))
     assert [row.timing.median for row in rows] == [2.0, 5.0, 0.5]
     assert {row.group for row in rows} == {STARTS}
 
 
 @pytest.mark.slow
 def test_a_cold_start_takes_longer_than_a_warm_one(device: str) -> None:
-    cold, warm = kernels.time_starts(device)
+    cold, warm = measure.time_starts(device)
     assert cold.first_call > 1.5 * warm.first_call > 0

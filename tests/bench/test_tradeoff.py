@@ -13,15 +13,15 @@ import torch
 from PIL import Image
 from rich.console import Console
 
-from warp_partdr.bench.plan import COVERAGE, EXACT, PARTDR
+from warp_partdr.bench.renderers import COVERAGE, EXACT, PARTDR
 from warp_partdr.bench.timing import Timing
-from warp_partdr.bench.tradeoff import run_tradeoff
-from warp_partdr.bench.tradeoff_chart import draw_chart
-from warp_partdr.bench.tradeoff_fits import refine_all, score
-from warp_partdr.bench.tradeoff_gradient import gradient_error, true_gradient
-from warp_partdr.bench.tradeoff_plan import DISTANCE, FAR, ITERATIONS, NAMES, NEAR, SIZE, Plan, Setting, make_plan
-from warp_partdr.bench.tradeoff_report import FLOAT32, FLOAT64, Report, findings, front, save_json
-from warp_partdr.bench.tradeoff_tables import NOTES, TABLE_WIDTH, print_report
+from warp_partdr.bench.tradeoff.chart import draw_chart
+from warp_partdr.bench.tradeoff.fits import refine_all, score
+from warp_partdr.bench.tradeoff.gradient import gradient_error, true_gradient
+from warp_partdr.bench.tradeoff.measure import run_tradeoff
+from warp_partdr.bench.tradeoff.plan import DISTANCE, FAR, ITERATIONS, NAMES, NEAR, SIZE, Plan, Setting, make_plan
+from warp_partdr.bench.tradeoff.report import FLOAT32, FLOAT64, Report, findings, front, save_json
+from warp_partdr.bench.tradeoff.tables import NOTES, TABLE_WIDTH, print_report
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
@@ -209,7 +209,7 @@ def replace_times(report: Report, key: tuple[str, int], seconds: float) -> Repor
 def test_command_leaves_json_and_picture(
     report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("warp_partdr.bench.tradeoff.run_tradeoff", lambda plan, progress: report)
+    monkeypatch.setattr("warp_partdr.bench.tradeoff.measure.run_tradeoff", lambda plan, progress: report)
     bench.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
     names = [f"bench-tradeoff-{device}.{kind}" for kind in ("json", "png")]
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names

@@ -19,8 +19,8 @@ from ..render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_los
 from ..render.mesh import mesh_label_loss
 from ..render.options import Gradient
 from ..render.part_mesh import PartMesh, ellipbody_mesh
-from .kernels import Progress
-from .scene import Scene
+from .kernels.measure import Progress
+from .kernels.scene import Scene
 from .timing import Timing, peak_memory, repeat, wall_time
 
 if TYPE_CHECKING:

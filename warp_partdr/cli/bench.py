@@ -54,10 +54,10 @@ def bench_kernels(
 ) -> None:
     """Time kernels; see ``_KERNELS_HELP``."""
     where = _begin(device, out)
-    from ..bench.chart import draw_chart
-    from ..bench.kernels import run_kernels
-    from ..bench.plan import make_plan
-    from ..bench.report import TABLE_WIDTH, print_report, save_json
+    from ..bench.kernels.chart import draw_chart
+    from ..bench.kernels.measure import run_kernels
+    from ..bench.kernels.plan import make_plan
+    from ..bench.kernels.report import TABLE_WIDTH, print_report, save_json
     from .progress import FitProgress
 
     with FitProgress() as progress:
@@ -73,8 +73,8 @@ def bench_kernels(
 def bench_savings(device: _Device = "auto", out: _Out = _OUT) -> None:
     """Time savings; see ``_SAVINGS_HELP``."""
     where = _begin(device, out)
+    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
-    from ..bench.report import TABLE_WIDTH
     from ..bench.savings import print_savings, run_savings, save_savings
     from ..kernels.launch import set_num_threads
     from .progress import FitProgress
@@ -96,11 +96,11 @@ def bench_tradeoff(
 ) -> None:
     """Measure the trade; see ``_TRADEOFF_HELP``."""
     where = _begin(device, out)
-    from ..bench.tradeoff import run_tradeoff
-    from ..bench.tradeoff_chart import draw_chart
-    from ..bench.tradeoff_plan import make_plan
-    from ..bench.tradeoff_report import save_json
-    from ..bench.tradeoff_tables import TABLE_WIDTH, print_report
+    from ..bench.tradeoff.chart import draw_chart
+    from ..bench.tradeoff.measure import run_tradeoff
+    from ..bench.tradeoff.plan import make_plan
+    from ..bench.tradeoff.report import save_json
+    from ..bench.tradeoff.tables import TABLE_WIDTH, print_report
     from .progress import FitProgress
 
     with FitProgress() as progress:

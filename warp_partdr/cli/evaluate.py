@@ -150,8 +150,8 @@ def _evaluate(
 
     from rich.console import Console
 
+    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
-    from ..bench.report import TABLE_WIDTH
     from ..evaluation.evaluate import METHODS, evaluate, one_thread, tables
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder

@@ -61,8 +61,8 @@ def partbench(
 
     from rich.console import Console
 
+    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
-    from ..bench.report import TABLE_WIDTH
     from ..evaluation.evaluate import evaluate, one_thread, tables
     from ..evaluation.partbench.methods import METHODS, QUICK, choose_methods
     from ..evaluation.partbench.report import compare_to_targets, write_report

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..body.parameters import BodyParameters
-from ..inputs.observation import REFERENCE_SIZE, resize_nearest
-from ..refinement.steps import SHAPE_RATE
-from ..synthetic.tradeoff_people import TRUTH_SIZE, People
-from .plan import COVERAGE
-from .tradeoff_plan import Setting
+from ...body.parameters import BodyParameters
+from ...inputs.observation import REFERENCE_SIZE, resize_nearest
+from ...refinement.steps import SHAPE_RATE
+from ...synthetic.tradeoff_people import TRUTH_SIZE, People
+from ..renderers import COVERAGE
+from .plan import Setting
 
 # Adam moves lengths and thicknesses [m] that much slower than angles [rad]: so one of their units counts as less.
 _STEPS = {"lengths": SHAPE_RATE, "thicknesses": SHAPE_RATE}

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..cameras import WeakPerspective
-from ..render.mesh import draw_mesh, mesh_label_loss
-from ..render.part_mesh import PartMesh
+from ...cameras import WeakPerspective
+from ...render.mesh import draw_mesh, mesh_label_loss
+from ...render.part_mesh import PartMesh
 
 _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..synthetic.tradeoff_people import ANNY, ELLIPBODY
-from .tradeoff_plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, SIZE, Setting
-from .tradeoff_report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, Report, findings, front
+from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from .plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, SIZE, Setting
+from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, Report, findings, front
 
 if TYPE_CHECKING:
     from rich.console import Console

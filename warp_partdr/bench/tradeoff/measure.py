@@ -10,24 +10,24 @@ from typing import get_args
 
 import torch
 
-from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
-from ..body.posing import LandmarkGather
-from ..evaluation.evaluate import Method, evaluate
-from ..evaluation.partbench.samples import partbench_samples
-from ..fit.options import FitOptions
-from ..fit.stages import Quality
-from ..refinement.energy import Weights
-from ..refinement.stepper import Refinement
-from ..render.renderers import RendererMesh
-from ..synthetic.tradeoff_people import JOINTS, People, make_people
-from .machine import about
-from .plan import LEVELS
-from .tradeoff_fits import own_part_f1, refine_all, score, time_iteration
-from .tradeoff_gradient import gradient_error, true_gradient
-from .tradeoff_plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
-from .tradeoff_report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, Fit, Gradient, Precision, Report
-from .tradeoff_report import LABELS_ALONE as SEES_LABELS_ALONE
+from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior
+from ...body.posing import LandmarkGather
+from ...evaluation.evaluate import Method, evaluate
+from ...evaluation.partbench.samples import partbench_samples
+from ...fit.options import FitOptions
+from ...fit.stages import Quality
+from ...refinement.energy import Weights
+from ...refinement.stepper import Refinement
+from ...render.renderers import RendererMesh
+from ...synthetic.tradeoff_people import JOINTS, People, make_people
+from ..machine import about
+from ..renderers import LEVELS
+from .fits import own_part_f1, refine_all, score, time_iteration
+from .gradient import gradient_error, true_gradient
+from .plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
+from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, Fit, Gradient, Precision, Report
+from .report import LABELS_ALONE as SEES_LABELS_ALONE
 
 Progress = Callable[[str, int, int], None]
 

@@ -1,6 +1,7 @@
 """How long the first call takes: with an empty kernel cache, which compiles, and with what that left behind.
 
-``python -m warp_partdr.bench.start DEVICE`` prints the seconds of imports and of the first call in a fresh process.
+``python -m warp_partdr.bench.kernels.start DEVICE`` prints the seconds of imports and of the first call in a fresh
+process.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ def main() -> None:
     import torch
     import warp as wp
 
-    from ..body.parameters import BodyParameters
-    from ..render.ellipsoids import ellipsoid_label_loss
+    from ...body.parameters import BodyParameters
+    from ...render.ellipsoids import ellipsoid_label_loss
 
     wp.config.log_level = wp.LOG_ERROR
     imported = time.perf_counter()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..body.pose_prior import PosePrior
-from ..inputs.observation import Observation
-from ..refinement.energy import Energy, Weights
-from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
-from .plan import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
+from ...body.pose_prior import PosePrior
+from ...inputs.observation import Observation
+from ...refinement.energy import Energy, Weights
+from ...render.renderers import Renderer, RendererEllipsoids, RendererMesh
+from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
 
 NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the order of tables and legends
 SIZE, ITERATIONS, DISTANCE = 256, 50, 0.15  # what stays the same while others change

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics import bootstrap
-from ..synthetic.tradeoff_people import ANNY, ELLIPBODY
-from .plan import LEVELS
-from .timing import Timing
-from .tradeoff_fits import Scores
-from .tradeoff_gradient import GradientError
-from .tradeoff_plan import DISTANCE, Setting
+from ...metrics import bootstrap
+from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ..renderers import LEVELS
+from ..timing import Timing
+from .fits import Scores
+from .gradient import GradientError
+from .plan import DISTANCE, Setting
 
 KEYPOINTS_TOO, LABELS_ALONE = "keypoints and labels", "labels alone"
 CONVERGED = 0.85  # part F1 of an EllipBody that a refinement has found

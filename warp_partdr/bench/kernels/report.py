@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .timing import Timing
+from ..timing import Timing
 
 if TYPE_CHECKING:
     from rich.console import Console

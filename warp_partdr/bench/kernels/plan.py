@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..render.options import Gradient
+from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 MINIMISE = "50 iterations, one target, with set-up"
-EXACT, COVERAGE, PARTDR, MESH = "exact, edges", "exact, coverage", "exact, PartDR", "mesh E1"
-GRADIENTS: dict[str, Gradient] = {EXACT: "edges", COVERAGE: "coverage", PARTDR: "partdr"}  # of the exact renderer
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
-LEVELS = {f"mesh E{level}": level for level in range(4)}  # of the mesh
 
 
 @dataclass(frozen=True)

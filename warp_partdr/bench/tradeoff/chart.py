@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..synthetic.tradeoff_people import ANNY, ELLIPBODY
-from .plan import COVERAGE, EXACT, PARTDR
-from .tradeoff_plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
-from .tradeoff_report import Report, front
+from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ..renderers import COVERAGE, EXACT, PARTDR
+from .plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
+from .report import Report, front
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -10,22 +10,22 @@ from functools import partial
 import numpy as np
 import torch
 
-from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
-from ..body.posing import LandmarkGather
-from ..body.template import NUM_PARTS
-from ..cameras import WeakPerspective
-from ..metrics import accuracy, confusion, pa_mpjpe, part_f1
-from ..refinement.captured import CapturedRefinement
-from ..refinement.energy import Energy, Weights
-from ..refinement.stepper import Refinement
-from ..refinement.steps import Refined
-from ..render.mesh import draw_mesh
-from ..render.part_mesh import ellipbody_mesh
-from ..render.renderers import RendererMesh
-from ..synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
-from .timing import Timing, time_calls
-from .tradeoff_plan import RATE, Setting
+from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior
+from ...body.posing import LandmarkGather
+from ...body.template import NUM_PARTS
+from ...cameras import WeakPerspective
+from ...metrics import accuracy, confusion, pa_mpjpe, part_f1
+from ...refinement.captured import CapturedRefinement
+from ...refinement.energy import Energy, Weights
+from ...refinement.stepper import Refinement
+from ...refinement.steps import Refined
+from ...render.mesh import draw_mesh
+from ...render.part_mesh import ellipbody_mesh
+from ...render.renderers import RendererMesh
+from ...synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
+from ..timing import Timing, time_calls
+from .plan import RATE, Setting
 
 _SCORED = TRUTH_SIZE // 3  # [px], side of the pictures that are compared
 _TIMED_PEOPLE, _TIMED_ITERATIONS = 4, 5

@@ -9,37 +9,24 @@ from typing import Any
 
 import torch
 
-from ..body.parameters import BodyParameters
-from ..refinement.energy import Energy
-from ..refinement.refine import refine
-from ..refinement.stepper import Refinement
-from ..refinement.steps import Refined
-from ..render.ellipsoids import Ellipsoids, ellipsoid_label_loss
-from ..render.mesh import mesh_label_loss
-from ..render.part_mesh import ellipbody_mesh
-from .launches import count_bytes, observe_launches, time_kernels
-from .machine import about, copy_bandwidth
+from ...body.parameters import BodyParameters
+from ...refinement.energy import Energy
+from ...refinement.refine import refine
+from ...refinement.stepper import Refinement
+from ...refinement.steps import Refined
+from ...render.ellipsoids import Ellipsoids, ellipsoid_label_loss
+from ...render.mesh import mesh_label_loss
+from ...render.part_mesh import ellipbody_mesh
+from ..launches import count_bytes, observe_launches, time_kernels
+from ..machine import about, copy_bandwidth
+from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
+from ..timing import Timing, capture, peak_memory, time_calls, time_graph
 from .peers import OURS, PEERS, MeshView
-from .plan import (
-    COVERAGE,
-    EXACT,
-    GRADIENT,
-    GRADIENTS,
-    LABELS,
-    LEVELS,
-    MESH,
-    MINIMISE,
-    PARTDR,
-    REFINEMENT,
-    TORCH_ITSELF,
-    TORCH_REFINEMENT,
-    Plan,
-)
+from .plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_ITSELF, TORCH_REFINEMENT, Plan
 from .report import KERNELS, OTHERS, PEER_ROWS, STARTS, TARGETS, Report, Row
 from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, RefinementRun
 from .scene import Scene
 from .start import time_starts
-from .timing import Timing, capture, peak_memory, time_calls, time_graph
 
 Progress = Callable[[str, int, int], None]
 

@@ -13,25 +13,25 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..body.ellipbody import bone_tree
-from ..cameras import WeakPerspective
-from ..interop.arrays import contiguous, warp_array
-from ..kernels import kinematics
-from ..kernels.ellipsoids.picture import launch_draw
-from ..kernels.ellipsoids.silhouette import Seen, launch_see
-from ..kernels.labels import LabelTarget
-from ..kernels.mesh import push_xy, push_z, rasterize
-from ..kernels.mesh.triangles import ImageArrays, MeshArrays
-from ..kernels.refine.state import EllipsoidArrays
-from ..kernels.side_stream import launch_side_by_side
-from ..refinement.captured import CapturedRefinement
-from ..refinement.steps import LEARNING_RATE
-from ..render.captured import CapturedEllipsoids
-from ..render.ellipsoids import ellipsoid_label_loss
-from ..render.mesh import mesh_label_loss
-from ..render.options import DEFAULT_DEPTH_WEIGHT, Gradient
-from ..render.part_mesh import ellipbody_mesh
-from ..render.renderers import RendererEllipsoids
+from ...body.ellipbody import bone_tree
+from ...cameras import WeakPerspective
+from ...interop.arrays import contiguous, warp_array
+from ...kernels import kinematics
+from ...kernels.ellipsoids.picture import launch_draw
+from ...kernels.ellipsoids.silhouette import Seen, launch_see
+from ...kernels.labels import LabelTarget
+from ...kernels.mesh import push_xy, push_z, rasterize
+from ...kernels.mesh.triangles import ImageArrays, MeshArrays
+from ...kernels.refine.state import EllipsoidArrays
+from ...kernels.side_stream import launch_side_by_side
+from ...refinement.captured import CapturedRefinement
+from ...refinement.steps import LEARNING_RATE
+from ...render.captured import CapturedEllipsoids
+from ...render.ellipsoids import ellipsoid_label_loss
+from ...render.mesh import mesh_label_loss
+from ...render.options import DEFAULT_DEPTH_WEIGHT, Gradient
+from ...render.part_mesh import ellipbody_mesh
+from ...render.renderers import RendererEllipsoids
 from .scene import LABELS, Scene
 
 _VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}

@@ -7,17 +7,17 @@ from functools import cached_property
 
 import torch
 
-from ..body.labels import label_set
-from ..body.parameters import BodyParameters
-from ..body.pose_prior import PosePrior
-from ..body.posing import LandmarkGather, Posed
-from ..body.skeletons import skeleton
-from ..cameras import WeakPerspective
-from ..inputs.observation import Observation
-from ..refinement.energy import Energy
-from ..render.ellipsoids import draw_ellipsoids
-from ..render.options import Gradient
-from ..render.renderers import RendererEllipsoids
+from ...body.labels import label_set
+from ...body.parameters import BodyParameters
+from ...body.pose_prior import PosePrior
+from ...body.posing import LandmarkGather, Posed
+from ...body.skeletons import skeleton
+from ...cameras import WeakPerspective
+from ...inputs.observation import Observation
+from ...refinement.energy import Energy
+from ...render.ellipsoids import draw_ellipsoids
+from ...render.options import Gradient
+from ...render.renderers import RendererEllipsoids
 
 LABELS = label_set("ellipbody20")
 _BEND, _MOVE = 0.2, 0.1  # [rad] of each joint: from the rest pose, and from there to the target
