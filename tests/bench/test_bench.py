@@ -15,24 +15,28 @@ from PIL import Image
 from rich.console import Console
 
 from warp_partdr.bench.kernels import measure, peers
-from warp_partdr.bench.kernels.chart import draw_chart
+from warp_partdr.bench.kernels.chart import draw_kernel_chart
 from warp_partdr.bench.kernels.measure import run_kernels
-from warp_partdr.bench.kernels.plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_GRADIENT, Plan, make_plan
+from warp_partdr.bench.kernels.plan import (
+    GRADIENT,
+    LABELS,
+    MINIMISE,
+    REFINEMENT,
+    TORCH_GRADIENT,
+    KernelPlan,
+    plan_kernels,
+)
 from warp_partdr.bench.kernels.report import (
     GROUPS,
     KERNELS,
     PEER_ROWS,
     STARTS,
-    TABLE_WIDTH,
     TARGETS,
-    Report,
-    Row,
-    format_time,
-    print_report,
-    save_json,
+    KernelReport,
+    TimedRow,
+    print_kernels,
 )
-from warp_partdr.bench.kernels.runs import ExactRun, MeshRun, RefinementRun
-from warp_partdr.bench.kernels.scene import Scene
+from warp_partdr.bench.kernels.runs import ExactRun, MeshRun, refined_once
 from warp_partdr.bench.kernels.start import Start
 from warp_partdr.bench.launches import (
     Launched,
@@ -44,6 +48,8 @@ from warp_partdr.bench.launches import (
 )
 from warp_partdr.bench.machine import about, copy_bandwidth
 from warp_partdr.bench.renderers import EXACT, MESH, PARTDR
+from warp_partdr.bench.report import TABLE_WIDTH, format_time, save_figures
+from warp_partdr.bench.scene import BenchScene
 from warp_partdr.bench.timing import Timing, capture, repeat, time_calls, time_graph
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
@@ -75,9 +81,9 @@ class FakeClock:
         return self.now
 
 
-def small_plan(device: str) -> Plan:
+def small_plan(device: str) -> KernelPlan:
     """All that a real one has, on pictures of few pixels."""
-    return Plan(
+    return KernelPlan(
         device=device,
         size=SIZE,
         targets=(
@@ -96,7 +102,7 @@ def small_plan(device: str) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def report(device: str) -> Report:
+def report(device: str) -> KernelReport:
     return run_kernels(small_plan(device))
 
 
@@ -201,10 +207,10 @@ def test_a_graph_is_timed(device: str) -> None:
 
 
 def test_bandwidth_and_images() -> None:
-    row = Row(TARGETS, "a", "b", 8, 256, "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000)
+    row = TimedRow(TARGETS, "a", "b", 8, 256, "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000)
     assert row.images_per_second == pytest.approx(4000)
     assert row.bandwidth_share(6e9) == pytest.approx(0.25)  # 1.5 GB/s of 6
-    nothing = Row(KERNELS, "a", "b", 8, 256, "kernel", Timing((-1e-9,)), moved=5)  # a difference within the noise
+    nothing = TimedRow(KERNELS, "a", "b", 8, 256, "kernel", Timing((-1e-9,)), moved=5)  # a difference within the noise
     assert nothing.images_per_second is nothing.bandwidth_share(1e9) is nothing.fastest is None
 
 
@@ -230,11 +236,11 @@ def test_machine_and_versions(device: str) -> None:
 
 
 def test_scene_is_a_tenth_of_the_picture_and_not_yet_the_target(device: str) -> None:
-    scene = Scene.random(4, 256, device)
+    scene = BenchScene.random(4, 256, device)
     assert 0.08 < float((scene.targets > 0).float().mean()) < 0.12
     shown = draw_ellipsoids(scene.posed, scene.camera, (256, 256)).labels
     assert 0.1 < float((shown != scene.targets).sum() / (scene.targets > 0).sum()) < 0.8
-    again = Scene.random(4, 256, device)
+    again = BenchScene.random(4, 256, device)
     assert torch.equal(scene.targets, again.targets)
     assert len({bytes(target.cpu().numpy()) for target in scene.targets}) == 4
     assert float(scene.points.abs().max()) < 1.5
@@ -242,23 +248,23 @@ def test_scene_is_a_tenth_of_the_picture_and_not_yet_the_target(device: str) -> 
 
 @pytest.mark.parametrize("gradient", ["coverage", "partdr"])
 def test_exact_runs_compute_what_the_library_does(device: str, gradient: str) -> None:
-    ExactRun(Scene.random(3, SIZE, device), gradient).check()
+    ExactRun(BenchScene.random(3, SIZE, device), gradient).check()
 
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_mesh_runs_compute_what_the_library_does(device: str, level: int) -> None:
-    MeshRun(Scene.random(3, SIZE, device), level).check()
+    MeshRun(BenchScene.random(3, SIZE, device), level).check()
 
 
 def test_a_wrong_run_is_not_timed(device: str) -> None:
-    run = MeshRun(Scene.random(1, SIZE, device), 0)
+    run = MeshRun(BenchScene.random(1, SIZE, device), 0)
     run._losses = wp.zeros_like(run._losses)
     run.gradient = run.labels
     with pytest.raises(AssertionError):
         run.check()
 
 
-def test_every_row_is_there(report: Report, device: str) -> None:
+def test_every_row_is_there(report: KernelReport, device: str) -> None:
     plan = small_plan(device)
     for what, name, batch in plan.targets:
         row = report.find(what, name, batch, SIZE)
@@ -276,26 +282,26 @@ def test_every_row_is_there(report: Report, device: str) -> None:
 
 
 def test_iterations_leave_bodies_where_they_are(device: str) -> None:
-    run = RefinementRun(Scene.random(2, SIZE, device), "coverage", learning_rate=0.0)
-    before = run._fused._parameters.clone()
-    history = run._fused._history.clone()
+    run = refined_once(BenchScene.random(2, SIZE, device), "coverage", learning_rate=0.0)
+    before = run._parameters.clone()
+    history = run._history.clone()
     assert (history > 0).all()
     for _ in range(100):  # more than a run has
         run.iterate()
     wp.synchronize_device(device)
-    assert torch.equal(run._fused._parameters, before)
-    assert torch.equal(run._fused._history, history)
+    assert torch.equal(run._parameters, before)
+    assert torch.equal(run._history, history)
 
 
 def test_command_times_the_papers_targets() -> None:
-    cpu = set(make_plan("cpu", quick=True).targets)
+    cpu = set(plan_kernels("cpu", quick=True).targets)
     for batch in (1, 16):
         assert {(GRADIENT, EXACT, batch), (GRADIENT, MESH, batch), (REFINEMENT, EXACT, batch)} <= cpu
-    cuda = set(make_plan("cuda").targets)
+    cuda = set(plan_kernels("cuda").targets)
     assert {(GRADIENT, EXACT, batch) for batch in (1, 128, 1024)} <= cuda
     assert {(GRADIENT, MESH, 128), (LABELS, EXACT, 128), (LABELS, MESH, 128), (TORCH_GRADIENT, EXACT, 1)} <= cuda
     assert {(REFINEMENT, EXACT, 1), (REFINEMENT, EXACT, 1024)} <= cuda
-    full = make_plan("cuda")
+    full = plan_kernels("cuda")
     assert full.start
     assert not {(*row, full.size) for row in full.targets} & set(full.others)  # nothing twice
     assert len(set(full.others)) == len(full.others)
@@ -307,7 +313,7 @@ def test_command_times_the_papers_targets() -> None:
 def test_a_missing_peer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     absent = peers.Peer("no_such_package", ("cpu", "cuda"), peers.Drtk)
     monkeypatch.setattr(measure, "PEERS", {"Absent": absent})
-    report = Report("cpu", {}, 1.0)
+    report = KernelReport("cpu", {}, 1.0)
     assert list(measure._peer_jobs(small_plan("cpu"), report)) == []
     assert report.remarks == ["Absent: not timed, no_such_package is not installed"]
 
@@ -315,20 +321,20 @@ def test_a_missing_peer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_peer_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
     broken = peers.Peer("json", ("cpu", "cuda"), peers.Drtk)  # which has no drtk inside
     monkeypatch.setattr(measure, "PEERS", {**peers.PEERS, "Broken": broken})
-    report = Report(device, {}, 1.0)
+    report = KernelReport(device, {}, 1.0)
     assert measure._time_peer(small_plan(device), report, "Broken", 1) == []
     assert len(report.remarks) == 1
     assert report.remarks[0].startswith("Broken: not timed, it failed: ModuleNotFoundError")
 
 
-def test_our_renderer_is_timed_as_peers_are(report: Report) -> None:
+def test_our_renderer_is_timed_as_peers_are(report: KernelReport) -> None:
     rows = [row for row in report.rows if row.group == PEER_ROWS and row.renderer == peers.OURS]
     assert [row.name for row in rows] == [LABELS, GRADIENT]
     assert [row.agreement for row in rows] == [1.0, 1.0]
 
 
 def view(batch: int = 2) -> peers.MeshView:
-    scene = Scene.random(batch, 48, "cpu")
+    scene = BenchScene.random(batch, 48, "cpu")
     points = scene.camera.project(scene.posed.vertices(1)).contiguous()
     return peers.MeshView(points, ellipbody_mesh(1), scene.targets)
 
@@ -356,9 +362,9 @@ def test_embree_sees_what_we_see() -> None:
 # --- what is left behind -------------------------------------------------------------------------------------------
 
 
-def test_table_names_machine_rows_and_remarks(report: Report) -> None:
+def test_table_names_machine_rows_and_remarks(report: KernelReport) -> None:
     console = Console(width=TABLE_WIDTH, file=StringIO())
-    print_report(report, console)
+    print_kernels(report, console)
     said = console.file.getvalue()
     assert report.machine["warp"] in said
     assert report.machine["machine"] in said
@@ -371,7 +377,11 @@ def test_table_names_machine_rows_and_remarks(report: Report) -> None:
 
 
 def test_command_leaves_json_and_picture(
-    report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    report: KernelReport,
+    device: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(measure, "run_kernels", lambda plan, progress: report)
     bench.bench_kernels(device=device, quick=True, out=tmp_path / "new")
@@ -401,17 +411,20 @@ def test_out_that_is_a_file_is_said(tmp_path: Path) -> None:
 
 def test_chart_marks_every_batch(tmp_path: Path) -> None:
     """Each B has a shape of its own, in black, grey and white alone."""
-    rows = [Row(TARGETS, LABELS, EXACT, batch, 256, "graph", Timing((batch * 1e-4,))) for batch in (1, 8, 128, 1024)]
-    chart = np.asarray(draw_chart(Report("cpu", about(), 1e9, rows)))
+    rows = [
+        TimedRow(TARGETS, LABELS, EXACT, batch, 256, "graph", Timing((batch * 1e-4,))) for batch in (1, 8, 128, 1024)
+    ]
+    chart = np.asarray(draw_kernel_chart(KernelReport("cpu", about(), 1e9, rows)))
     assert (chart.min(2) == chart.max(2)).all()
-    fewer = np.asarray(draw_chart(Report("cpu", about(), 1e9, rows[:3])))
+    fewer = np.asarray(draw_kernel_chart(KernelReport("cpu", about(), 1e9, rows[:3])))
     assert fewer.shape == chart.shape
     assert (fewer != chart).any()
-    assert np.asarray(draw_chart(Report("cpu", about(), 1e9))).min() < 255  # nothing was timed, and it says so
+    nothing = np.asarray(draw_kernel_chart(KernelReport("cpu", about(), 1e9)))
+    assert nothing.min() < 255  # nothing was timed, and it says so
 
 
 def test_json_of_nothing(tmp_path: Path) -> None:
-    save_json(Report("cpu", {}, 1.0), tmp_path / "a.json")
+    save_figures(KernelReport("cpu", {}, 1.0).as_dict(), tmp_path / "a.json")
     assert json.loads((tmp_path / "a.json").read_text())["rows"] == []
 
 

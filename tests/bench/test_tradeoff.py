@@ -14,14 +14,25 @@ from PIL import Image
 from rich.console import Console
 
 from warp_partdr.bench.renderers import COVERAGE, EXACT, PARTDR
+from warp_partdr.bench.report import TABLE_WIDTH, save_figures
 from warp_partdr.bench.timing import Timing
-from warp_partdr.bench.tradeoff.chart import draw_chart
-from warp_partdr.bench.tradeoff.fits import refine_all, score
+from warp_partdr.bench.tradeoff.chart import draw_tradeoff_chart
+from warp_partdr.bench.tradeoff.fits import refine_all, score_bodies
 from warp_partdr.bench.tradeoff.gradient import gradient_error, true_gradient
 from warp_partdr.bench.tradeoff.measure import run_tradeoff
-from warp_partdr.bench.tradeoff.plan import DISTANCE, FAR, ITERATIONS, NAMES, NEAR, SIZE, Plan, Setting, make_plan
-from warp_partdr.bench.tradeoff.report import FLOAT32, FLOAT64, Report, findings, front, save_json
-from warp_partdr.bench.tradeoff.tables import NOTES, TABLE_WIDTH, print_report
+from warp_partdr.bench.tradeoff.plan import (
+    DISTANCE,
+    FAR,
+    ITERATIONS,
+    NAMES,
+    NEAR,
+    SIZE,
+    Setting,
+    TradeoffPlan,
+    plan_tradeoff,
+)
+from warp_partdr.bench.tradeoff.report import FLOAT32, FLOAT64, TradeoffReport, front, mesh_gains
+from warp_partdr.bench.tradeoff.tables import NOTES, print_tradeoff
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
@@ -42,9 +53,9 @@ def own(crowds: tuple[People, People], device: str) -> People:
 
 
 @pytest.fixture(scope="module")
-def report(device: str) -> Report:
+def report(device: str) -> TradeoffReport:
     """A run of everything that there is, with as little of it as can be."""
-    return run_tradeoff(Plan(device, 1, 1, (32, SIZE), (2, ITERATIONS), (DISTANCE,), (DISTANCE,), 0.01, 0))
+    return run_tradeoff(TradeoffPlan(device, 1, 1, (32, SIZE), (2, ITERATIONS), (DISTANCE,), (DISTANCE,), 0.01, 0))
 
 
 def test_true_labels_are_the_float64_reference(crowds: tuple[People, People]) -> None:
@@ -73,13 +84,13 @@ def test_annys_are_seen_as_large_as_their_ellipbodies(crowds: tuple[People, Peop
     for people in crowds:
         assert people.labels.unique().tolist()[-1] == 20
         assert (people.points.abs() < 1).float().mean() > 0.95
-        exact = score(people.bodies, people)
+        exact = score_bodies(people.bodies, people)
         assert (exact.joint_error < (1e-3 if people.name == ELLIPBODY else 10)).all()  # of Annys, the nearest there is
         assert (exact.part_f1 > (0.999 if people.name == ELLIPBODY else 0.5)).all()
 
 
 def test_starts_are_as_far_off_as_they_say(own: People) -> None:
-    errors = [score(own.starts(distance), own).joint_error.mean() for distance in (0.0, NEAR, DISTANCE, FAR)]
+    errors = [score_bodies(own.starts(distance), own).joint_error.mean() for distance in (0.0, NEAR, DISTANCE, FAR)]
     assert errors == sorted(errors)
     assert errors[0] < 60  # sizes are the mean adult's
     turned = (own.starts(DISTANCE).rotations - own.bodies.rotations).std()
@@ -133,7 +144,7 @@ def test_refinements_come_nearer(own: People, name: str) -> None:
     setting = Setting(name, 64, 12)
     bodies, seconds = refine_all(setting, own, start)
     assert seconds > 0
-    before, after = score(start, own), score(bodies, own)
+    before, after = score_bodies(start, own), score_bodies(bodies, own)
     assert (after.part_f1 > before.part_f1).all()
     if setting.renderer == "mesh":  # where one observation holds all
         for person in range(len(own)):
@@ -151,7 +162,7 @@ def test_front_is_what_nothing_beats() -> None:
 
 
 @pytest.mark.slow
-def test_report_has_every_setting(report: Report) -> None:
+def test_report_has_every_setting(report: TradeoffReport) -> None:
     assert set(report.times) == {(name, size) for name in NAMES for size in (32, SIZE)}
     for setting in report.settings():
         for truth in (ELLIPBODY, ANNY):
@@ -165,34 +176,34 @@ def test_report_has_every_setting(report: Report) -> None:
 
 
 @pytest.mark.slow
-def test_tables_json_and_chart(report: Report, tmp_path: Path) -> None:
+def test_tables_json_and_chart(report: TradeoffReport, tmp_path: Path) -> None:
     out = StringIO()
-    print_report(report, Console(file=out, width=TABLE_WIDTH))
+    print_tradeoff(report, Console(file=out, width=TABLE_WIDTH))
     said = out.getvalue()
     for wanted in (*NAMES, report.machine["machine"], NOTES[0][:60], "float64", "labels alone"):
         assert wanted in said
     assert "…" not in said  # no column is cut
-    assert len(findings(report)) == 12  # of either truth, three steps, two ways to count
-    save_json(report, tmp_path / "a.json")
+    assert len(mesh_gains(report)) == 12  # of either truth, three steps, two ways to count
+    save_figures(report.as_dict(), tmp_path / "a.json")
     data = json.loads((tmp_path / "a.json").read_text())
     assert data["machine"] == report.machine
     assert len(data["fits"]) == len(report.fits)
     assert data["times"][0]["seconds"] > 0
-    chart = np.asarray(draw_chart(report))
+    chart = np.asarray(draw_tradeoff_chart(report))
     assert chart.shape[1] > 1200
     grey = chart.astype(float).mean(2)
     assert (grey < 100).sum() > 2000  # lines and letters are there without colour, too
 
 
 def test_chart_of_nothing() -> None:
-    assert np.asarray(draw_chart(Report("cpu", {"warp": "1"}))).min() < 255
+    assert np.asarray(draw_tradeoff_chart(TradeoffReport("cpu", {"warp": "1"}))).min() < 255
 
 
 @pytest.mark.slow
-def test_dearer_and_worse_is_not_marked(report: Report) -> None:
+def test_dearer_and_worse_is_not_marked(report: TradeoffReport) -> None:
     slow = replace_times(report, (PARTDR, 32), 100.0)
     out = StringIO()
-    print_report(slow, Console(file=out, width=TABLE_WIDTH))
+    print_tradeoff(slow, Console(file=out, width=TABLE_WIDTH))
     lines = [line.split() for line in out.getvalue().splitlines()]
     row = next(line for line in lines if line[:3] == ["exact,", "PartDR", "32"])
     assert row[3] == "1e+05"
@@ -201,13 +212,17 @@ def test_dearer_and_worse_is_not_marked(report: Report) -> None:
         assert "*" not in row[5]
 
 
-def replace_times(report: Report, key: tuple[str, int], seconds: float) -> Report:
+def replace_times(report: TradeoffReport, key: tuple[str, int], seconds: float) -> TradeoffReport:
     return replace(report, times={**report.times, key: Timing((seconds,))})
 
 
 @pytest.mark.slow
 def test_command_leaves_json_and_picture(
-    report: Report, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    report: TradeoffReport,
+    device: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("warp_partdr.bench.tradeoff.measure.run_tradeoff", lambda plan, progress: report)
     bench.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
@@ -222,7 +237,7 @@ def test_command_leaves_json_and_picture(
 
 
 def test_quick_plan_is_smaller() -> None:
-    quick, full = make_plan("cpu", quick=True), make_plan("cpu")
+    quick, full = plan_tradeoff("cpu", quick=True), plan_tradeoff("cpu")
     assert quick.ellipbodies < full.ellipbodies
     assert set(quick.sizes) < set(full.sizes)
     assert {SIZE} <= set(quick.sizes)  # which the tables beside the first one are about

@@ -13,7 +13,8 @@ from rich.console import Console
 from scenes import draw_on_screen, loss_on_screen, refine_by_autograd
 
 from warp_partdr import label_set
-from warp_partdr.bench.savings import print_savings, run_savings, save_savings
+from warp_partdr.bench.report import save_figures
+from warp_partdr.bench.savings import print_savings, run_savings, savings_as_dict
 from warp_partdr.body.labels import LabelSet
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
@@ -288,7 +289,7 @@ def test_savings_are_timed(device, tmp_path, capsys):
     assert all((row.memory_before is None) == (device == "cpu") for row in rows)
     print_savings(rows, {"machine": "any"}, Console(width=200))
     assert "region of interest" in capsys.readouterr().out
-    save_savings(rows, {"machine": "any"}, tmp_path / "savings.json")
+    save_figures(savings_as_dict(rows, {"machine": "any"}), tmp_path / "savings.json")
     assert len(json.loads((tmp_path / "savings.json").read_text())["rows"]) == len(rows)
 
 

@@ -1,4 +1,4 @@
-"""What a function launches: the kernels by name, the memory they are given, and the time that each of them takes.
+"""Kernels that a function launches: their names, the memory they are given, and the time that each of them takes.
 
 Warp has no hook for launches, so ``wp.launch`` is replaced while the function runs.
 """
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .timing import Timing, capture, graph_sample, repeat, wall_time
+from .timing import Timing, capture, graph_sample, repeat, time_in_turn
 
 _RUNS_IN_GRAPH = 10  # one replay of one small kernel is shorter than CUDA's clock is exact
 
@@ -66,7 +66,7 @@ def observe_launches(run: Callable[[], object]) -> list[Launched]:
 
 
 def time_kernels(run: Callable[[], None], device: str, budget: float) -> list[tuple[Launched, Timing]]:
-    """How much each kernel adds to a run, in its place and on the data it finds there.
+    """Time that each kernel adds to a run, in its place and on the data it finds there.
 
     What clears memory counts for the kernel that follows.
 
@@ -83,14 +83,7 @@ def time_kernels(run: Callable[[], None], device: str, budget: float) -> list[tu
 def _time_pieces(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
     """For the CPU, where clocks are noisy and a graph starts in a microsecond: a graph of each kernel, one by one."""
     pieces = [partial(wp.capture_launch, graph) for graph in _capture_pieces(run, device)]
-    samples: list[list[float]] = []
-
-    def sample() -> list[float]:
-        samples.append([wall_time(piece, device) for piece in pieces])
-        return [sum(samples[-1])]
-
-    repeat(sample, budget * count)
-    return [Timing(seconds) for seconds in zip(*samples[1:], strict=True)]  # the first does not count
+    return time_in_turn(pieces, device, budget * count)
 
 
 def _capture_pieces(run: Callable[[], None], device: str) -> list[wp.Graph]:

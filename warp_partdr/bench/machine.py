@@ -1,10 +1,11 @@
-"""Which machine and which versions a figure belongs to."""
+"""The machine and the versions that a figure belongs to."""
 
 from __future__ import annotations
 
 import os
 import platform
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -17,7 +18,7 @@ _COPIED = {"cpu": 1 << 26, "cuda": 1 << 29}  # [bytes], several times the caches
 
 
 def about(device: str = "cpu") -> dict[str, str]:
-    """Where and with what something was measured, by name."""
+    """Machine and versions by name."""
     processor = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")  # Linux says the name nowhere else.
     if cpuinfo.exists():
@@ -37,6 +38,11 @@ def about(device: str = "cpu") -> dict[str, str]:
         "torch": torch.__version__,
         "python": platform.python_version(),
     }
+
+
+def in_words(machine: Mapping[str, str]) -> str:
+    """What ``about`` says, in a line."""
+    return ", ".join(value if key == "machine" else f"{key} {value}" for key, value in machine.items())
 
 
 def copy_bandwidth(device: str, budget: float) -> float:

@@ -1,13 +1,11 @@
-"""``partdr bench savings``: what it saves to model only what a scene requires, one row a saving."""
+"""``partdr bench savings``: time and memory saved by modelling only what a scene requires, one row a saving."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -15,13 +13,16 @@ from ..body.labels import label_set
 from ..body.parameters import BodyParameters
 from ..body.template import PART_NAMES
 from ..cameras import Crop, WeakPerspective
+from ..fit.fitting import Progress
 from ..render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from ..render.mesh import mesh_label_loss
 from ..render.options import Gradient
 from ..render.part_mesh import PartMesh, ellipbody_mesh
-from .kernels.measure import Progress
-from .kernels.scene import Scene
-from .timing import Timing, peak_memory, repeat, wall_time
+from .jobs import run_jobs
+from .machine import in_words
+from .report import make_table, print_tables
+from .scene import BenchScene
+from .timing import Timing, peak_memory, time_in_turn
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,9 +40,9 @@ class Saving:
     """One thing that need not be modelled.
 
     Attributes:
-        name: What is saved.
-        whole: What is modelled otherwise.
-        needed: What is modelled instead.
+        name: Of the thing saved.
+        whole: Modelled otherwise.
+        needed: Modelled instead.
         before: Time of ``whole``.
         after: Time of ``needed``.
         base: Time of the same call with nothing in it that could be saved, 0 where that means nothing.
@@ -75,9 +76,7 @@ class _Case:
     base: Call | None = None
 
 
-def run_savings(
-    device: str, *, budget: float = 1.0, progress: Progress = lambda name, done, total: None
-) -> list[Saving]:
+def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None = None) -> list[Saving]:
     """Time each saving.
 
     Args:
@@ -85,38 +84,27 @@ def run_savings(
         budget: Of each of the two or three figures of a row [s].
         progress: Called with (name, rows done, rows in all).
     """
-    cases, rows = list(_cases(device)), []
-    for index, case in enumerate(cases):
-        progress(case.name, index, len(cases))
+    rows: list[Saving] = []
+
+    def add(case: _Case) -> None:
         (whole, before), (needed, after) = case.whole, case.needed
         calls = [before, after] + ([] if case.base is None else [case.base])
-        timings = _time_in_turn(calls, device, budget * len(calls))
+        timings = time_in_turn(calls, device, budget * len(calls))
         base = Timing((0.0,)) if case.base is None else timings[2]
         memory = [peak_memory(call, device) for call in (before, after)]
         rows.append(Saving(case.name, whole, needed, timings[0], timings[1], base, memory[0], memory[1]))
-    progress("done", len(cases), len(cases))
+
+    run_jobs([(case.name, partial(add, case)) for case in _cases(device)], progress)
     return rows
 
 
-def _time_in_turn(calls: list[Call], device: str, budget: float) -> list[Timing]:
-    """Each once in every turn, so that what disturbs the machine disturbs them alike."""
-    turns: list[list[float]] = []
-
-    def turn() -> list[float]:
-        turns.append([wall_time(call, device) for call in calls])
-        return [sum(turns[-1])]
-
-    repeat(turn, budget)
-    return [Timing(tuple(seconds)) for seconds in zip(*turns[1:], strict=True)]
-
-
 def _cases(device: str) -> Iterator[_Case]:
-    scene = Scene.random(_BATCH["cpu" if device == "cpu" else "cuda"], _SIZE, device)
+    scene = BenchScene.random(_BATCH["cpu" if device == "cpu" else "cuda"], _SIZE, device)
     yield from _body_cases(scene)
     yield from _sphere_cases(scene.batch_size, device)
 
 
-def _body_cases(scene: Scene) -> Iterator[_Case]:
+def _body_cases(scene: BenchScene) -> Iterator[_Case]:
     camera, targets = scene.camera, scene.targets
     posed = Ellipsoids(*[t.detach() for t in (scene.posed.centres, scene.posed.axes, scene.posed.semi_axes)])
     vertices = scene.posed.vertices(1).detach()
@@ -233,7 +221,7 @@ def _silhouette_mesh(device: torch.device) -> PartMesh:
     return ellipbody_mesh(1, device=device).relabel(label_set("full1").part_groups)
 
 
-def _loss_of_body(scene: Scene, frozen: tuple[str, ...]) -> object:
+def _loss_of_body(scene: BenchScene, frozen: tuple[str, ...]) -> object:
     bodies = scene.bodies.leaves(frozen)
     loss = ellipsoid_label_loss(bodies.posed(), bodies.camera(_SIZE), scene.targets, validate=False)[0]
     return torch.autograd.grad(loss.sum(), [bodies.tensors()[name] for name in BodyParameters.free(frozen)])
@@ -250,41 +238,48 @@ def _in_larger_picture(
     return camera.in_full(Crop(start, start, 1.0, (_SIZE, _SIZE))), labels
 
 
-def print_savings(rows: list[Saving], machine: dict[str, str], console: Console) -> None:
+_HEADINGS = (
+    *("what", "whole", "needed"),
+    *("whole [ms]", "needed [ms]", "nothing [ms]", "left", "whole [MB]", "needed [MB]"),
+)
+
+
+def print_savings(rows: Sequence[Saving], machine: Mapping[str, str], console: Console) -> None:
     """A table."""
-    from rich.table import Table
-
-    on_cuda = rows[0].memory_before is not None
-    table = Table(title="Model only what a scene requires: L_seg and its gradient through torch, medians")
-    for heading in ("what", "whole", "needed"):
-        table.add_column(heading)
-    headings = ("whole [ms]", "needed [ms]", "nothing [ms]", "left")
-    for heading in (*headings, "whole [MB]", "needed [MB]") if on_cuda else headings:
-        table.add_column(heading, justify="right")
-    for row in rows:
-        base = f"{1e3 * row.base.median:.2f}" if row.base.median else ""
-        times = f"{1e3 * row.before.median:.2f}", f"{1e3 * row.after.median:.2f}", base, f"{100 * row.share:.0f} %"
-        memory = [f"{size / 1e6:.1f}" for size in (row.memory_before, row.memory_after) if size is not None]
-        table.add_row(row.name, row.whole, row.needed, *times, *memory)
-    console.print(table)
-    console.print("left: needed over whole, each less the time of a scene without parts, where that was taken.")
-    console.print(", ".join(f"{key} {value}" for key, value in machine.items()))
-
-
-def save_savings(rows: list[Saving], machine: dict[str, str], path: Path) -> None:
-    """The same as JSON, in seconds and bytes."""
-    data = [
-        {
-            "name": row.name,
-            "whole": row.whole,
-            "needed": row.needed,
-            "whole_s": row.before.median,
-            "needed_s": row.after.median,
-            "nothing_s": row.base.median,
-            "left": row.share,
-            "whole_bytes": row.memory_before,
-            "needed_bytes": row.memory_after,
-        }
+    cells = [
+        [
+            row.name,
+            row.whole,
+            row.needed,
+            f"{1e3 * row.before.median:.2f}",
+            f"{1e3 * row.after.median:.2f}",
+            f"{1e3 * row.base.median:.2f}" if row.base.median else "",
+            f"{100 * row.share:.0f} %",
+            *("" if size is None else f"{size / 1e6:.1f}" for size in (row.memory_before, row.memory_after)),
+        ]
         for row in rows
     ]
-    path.write_text(json.dumps({"machine": machine, "rows": data}, indent=2) + "\n", encoding="utf-8")
+    title = "Model only what a scene requires: L_seg and its gradient through torch, medians"
+    note = "left: needed over whole, each less the time of a scene without parts, where that was taken."
+    print_tables([in_words(machine)], [make_table(title, _HEADINGS, cells, left=(0, 1, 2))], [], [note], console)
+
+
+def savings_as_dict(rows: Sequence[Saving], machine: Mapping[str, str]) -> dict[str, Any]:
+    """For JSON: seconds and bytes."""
+    return {
+        "machine": machine,
+        "rows": [
+            {
+                "name": row.name,
+                "whole": row.whole,
+                "needed": row.needed,
+                "whole_s": row.before.median,
+                "needed_s": row.after.median,
+                "nothing_s": row.base.median,
+                "left": row.share,
+                "whole_bytes": row.memory_before,
+                "needed_bytes": row.memory_after,
+            }
+            for row in rows
+        ],
+    }

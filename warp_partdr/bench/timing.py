@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -68,6 +68,18 @@ def time_calls(call: Callable[[], object], device: str, budget: float, clock: Cl
     return repeat(lambda: [wall_time(call, device, clock)], budget, clock)
 
 
+def time_in_turn(calls: Sequence[Callable[[], object]], device: str, budget: float) -> list[Timing]:
+    """Wall time of calls, each once in every turn, so that what disturbs the machine disturbs them alike."""
+    turns: list[list[float]] = []
+
+    def turn() -> list[float]:
+        turns.append([wall_time(call, device) for call in calls])
+        return [sum(turns[-1])]
+
+    repeat(turn, budget)
+    return [Timing(seconds) for seconds in zip(*turns[1:], strict=True)]  # the first does not count
+
+
 def peak_memory(call: Callable[[], object], device: str) -> int | None:
     """What torch holds at most during a call, beside what it held before [bytes]; None on the CPU device."""
     if wp.get_device(device).is_cpu:
@@ -98,7 +110,7 @@ def capture(launch: Callable[[], None], device: str, times: int = 1) -> wp.Graph
 
 
 def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:
-    """What ``repeat`` calls to time replays."""
+    """A sample of replays for ``repeat``."""
     if wp.get_device(device).is_cpu:
         return lambda: [wall_time(lambda: wp.capture_launch(graph), device)]
 

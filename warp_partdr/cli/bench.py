@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,6 +13,7 @@ from ..errors import InputError
 from ..interop.devices import choose_device
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
     from rich.console import Console
 
 bench = typer.Typer(help="How fast this machine is, and what speed costs.", no_args_is_help=True)
@@ -54,38 +57,33 @@ def bench_kernels(
 ) -> None:
     """Time kernels; see ``_KERNELS_HELP``."""
     where = _begin(device, out)
-    from ..bench.kernels.chart import draw_chart
+    from ..bench.kernels.chart import draw_kernel_chart
     from ..bench.kernels.measure import run_kernels
-    from ..bench.kernels.plan import make_plan
-    from ..bench.kernels.report import TABLE_WIDTH, print_report, save_json
+    from ..bench.kernels.plan import plan_kernels
+    from ..bench.kernels.report import print_kernels
     from .progress import FitProgress
 
     with FitProgress() as progress:
-        report = run_kernels(make_plan(where, quick=quick), progress)
-    files = [_file(out, "kernels", where, kind) for kind in ("json", "png")]
-    save_json(report, files[0])
-    draw_chart(report).save(files[1])
-    print_report(report, _console(TABLE_WIDTH))
-    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
+        report = run_kernels(plan_kernels(where, quick=quick), progress)
+    files = _save(out, f"kernels-{where}", report.as_dict(), draw_kernel_chart(report))
+    _show(partial(print_kernels, report), files)
 
 
 @bench.command("savings", help=_SAVINGS_HELP)
 def bench_savings(device: _Device = "auto", out: _Out = _OUT) -> None:
     """Time savings; see ``_SAVINGS_HELP``."""
     where = _begin(device, out)
-    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
-    from ..bench.savings import print_savings, run_savings, save_savings
+    from ..bench.savings import print_savings, run_savings, savings_as_dict
     from ..kernels.launch import set_num_threads
     from .progress import FitProgress
 
     set_num_threads(1)  # shares of time are of one core's
     with FitProgress() as progress:
         rows = run_savings(where, progress=progress)
-    file, machine = _file(out, "savings", where, "json"), about(where)
-    save_savings(rows, machine, file)
-    print_savings(rows, machine, _console(TABLE_WIDTH))
-    typer.echo(f"{file} holds the same figures")
+    machine = about(where)
+    files = _save(out, f"savings-{where}", savings_as_dict(rows, machine))
+    _show(partial(print_savings, rows, machine), files)
 
 
 @bench.command("tradeoff", help=_TRADEOFF_HELP)
@@ -96,20 +94,16 @@ def bench_tradeoff(
 ) -> None:
     """Measure the trade; see ``_TRADEOFF_HELP``."""
     where = _begin(device, out)
-    from ..bench.tradeoff.chart import draw_chart
+    from ..bench.tradeoff.chart import draw_tradeoff_chart
     from ..bench.tradeoff.measure import run_tradeoff
-    from ..bench.tradeoff.plan import make_plan
-    from ..bench.tradeoff.report import save_json
-    from ..bench.tradeoff.tables import TABLE_WIDTH, print_report
+    from ..bench.tradeoff.plan import plan_tradeoff
+    from ..bench.tradeoff.tables import print_tradeoff
     from .progress import FitProgress
 
     with FitProgress() as progress:
-        report = run_tradeoff(make_plan(where, quick=quick), progress)
-    files = [_file(out, "tradeoff", where, kind) for kind in ("json", "png")]
-    save_json(report, files[0])
-    draw_chart(report).save(files[1])
-    print_report(report, _console(TABLE_WIDTH))
-    typer.echo(f"{files[0]} and {files[1]} hold the same figures")
+        report = run_tradeoff(plan_tradeoff(where, quick=quick), progress)
+    files = _save(out, f"tradeoff-{where}", report.as_dict(), draw_tradeoff_chart(report))
+    _show(partial(print_tradeoff, report), files)
 
 
 def _begin(device: str, out: Path) -> str:
@@ -128,12 +122,21 @@ def _begin(device: str, out: Path) -> str:
     return where
 
 
-def _file(out: Path, name: str, device: str, kind: str) -> Path:
-    return out / f"bench-{name}-{device.replace(':', '')}.{kind}"
+def _save(out: Path, name: str, figures: dict[str, Any], chart: Image | None = None) -> list[Path]:
+    """Write bench-NAME.json, and bench-NAME.png where there is a chart; return them."""
+    from ..bench.report import save_figures
+
+    path = out / f"bench-{name.replace(':', '')}"
+    files = [path.with_suffix(".json")]
+    save_figures(figures, files[0])
+    if chart is not None:
+        files.append(path.with_suffix(".png"))
+        chart.save(files[1])
+    return files
 
 
-def _console(width: int) -> Console:
-    """As wide as the table, whatever the screen is."""
-    from rich.console import Console
+def _show(print_figures: Callable[[Console], None], files: list[Path]) -> None:
+    from ..bench.report import wide_console
 
-    return Console(width=max(Console().width, width), highlight=False)
+    print_figures(wide_console())
+    typer.echo(f"{' and '.join(map(str, files))} {'holds' if len(files) == 1 else 'hold'} the same figures")

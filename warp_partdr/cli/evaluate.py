@@ -148,10 +148,8 @@ def _evaluate(
     if not people:
         raise InputError("the data set: nobody in it; expected at least one person")
 
-    from rich.console import Console
-
-    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
+    from ..bench.report import wide_console
     from ..evaluation.evaluate import METHODS, evaluate, one_thread, tables
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder
@@ -175,7 +173,7 @@ def _evaluate(
     with FitProgress() as progress:
         report = evaluate(people, methods, jobs=jobs, device=where, progress=progress)
 
-    console = Console(width=max(Console().width, TABLE_WIDTH), highlight=False)
+    console = wide_console()
     for table in tables(report):
         console.print(table)
     if all(sample.joints is None and sample.target is None for sample in people):

@@ -59,10 +59,8 @@ def partbench(
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs: {jobs}; expected 1 or more")
 
-    from rich.console import Console
-
-    from ..bench.kernels.report import TABLE_WIDTH
     from ..bench.machine import about
+    from ..bench.report import wide_console
     from ..evaluation.evaluate import evaluate, one_thread, tables
     from ..evaluation.partbench.methods import METHODS, QUICK, choose_methods
     from ..evaluation.partbench.report import compare_to_targets, write_report
@@ -84,7 +82,7 @@ def partbench(
         samples = partbench_samples(people or (QUICK_PEOPLE if quick else PEOPLE), levels)
         report = evaluate(samples, methods, jobs=processes, device=where, progress=progress)
 
-    console = Console(width=max(Console().width, TABLE_WIDTH), highlight=False)
+    console = wide_console()
     for table in tables(report):
         console.print(table)
     for finding in compare_to_targets(report):

@@ -1,4 +1,4 @@
-"""``partdr bench kernels``: every kernel and the whole iteration, on one device."""
+"""Times of every kernel, of both renderers and of the whole iteration, on one device."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from ...body.parameters import BodyParameters
+from ...fit.fitting import Progress
 from ...refinement.energy import Energy
 from ...refinement.refine import refine
 from ...refinement.stepper import Refinement
@@ -17,52 +18,54 @@ from ...refinement.steps import Refined
 from ...render.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import ellipbody_mesh
+from ..jobs import run_jobs
 from ..launches import count_bytes, observe_launches, time_kernels
 from ..machine import about, copy_bandwidth
 from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
+from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
 from .peers import OURS, PEERS, MeshView
-from .plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_ITSELF, TORCH_REFINEMENT, Plan
-from .report import KERNELS, OTHERS, PEER_ROWS, STARTS, TARGETS, Report, Row
-from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, RefinementRun
-from .scene import Scene
+from .plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_ITSELF, TORCH_REFINEMENT, KernelPlan
+from .report import KERNELS, OTHERS, PEER_ROWS, STARTS, TARGETS, KernelReport, TimedRow
+from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, refined_once
 from .start import time_starts
 
-Progress = Callable[[str, int, int], None]
+_Rows = Callable[[], list[TimedRow]]
 
 
-def run_kernels(plan: Plan, progress: Progress = lambda name, done, total: None) -> Report:
+def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> KernelReport:
     """Time all of a plan.
 
     Raises:
         AssertionError: If what would be timed is not what the library computes.
     """
-    report = Report(plan.device, about(plan.device), copy_bandwidth(plan.device, plan.budget))
+    report = KernelReport(plan.device, about(plan.device), copy_bandwidth(plan.device, plan.budget))
+
+    def add(job: _Rows) -> None:
+        report.rows += job()
+        gc.collect()  # buffers of large batches, before the next job makes its own
+
     jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, report)]
     if plan.start:
         jobs.append(("cold and warm start", partial(_time_starts, plan)))
-    for index, (name, job) in enumerate(jobs):
-        progress(name, index, len(jobs))
-        report.rows += job()
-        gc.collect()  # buffers of large batches, before the next job makes its own
-    progress("done", len(jobs), len(jobs))
+    run_jobs([(name, partial(add, job)) for name, job in jobs], progress)
     return report
 
 
-_Jobs = Iterator[tuple[str, Callable[[], list[Row]]]]
+_Jobs = Iterator[tuple[str, _Rows]]
 
 
-def _render_jobs(plan: Plan) -> _Jobs:
+def _render_jobs(plan: KernelPlan) -> _Jobs:
     wanted = [(TARGETS, what, name, batch, plan.size) for what, name, batch in plan.targets]
     wanted += [(OTHERS, *row) for row in plan.others]
     for group, what, name, batch, size in wanted:
         yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, what, name, batch, size)
 
 
-def _time(plan: Plan, group: str, what: str, name: str, batch: int, size: int) -> list[Row]:
+def _time(plan: KernelPlan, group: str, what: str, name: str, batch: int, size: int) -> list[TimedRow]:
     """One row, of a renderer or of the refinement."""
-    scene = Scene.random(batch, size, plan.device)
-    row = partial(Row, group, what, name, batch, size)
+    scene = BenchScene.random(batch, size, plan.device)
+    row = partial(TimedRow, group, what, name, batch, size)
     if what in (LABELS, GRADIENT):
         run = _renderer(scene, name)
         run.check()
@@ -71,18 +74,15 @@ def _time(plan: Plan, group: str, what: str, name: str, batch: int, size: int) -
         timing = time_graph(capture(launch, plan.device), plan.device, plan.budget)
         return [row("graph", timing, sum(launched.bytes for launched in launches), count_bytes(launches))]
     if what == REFINEMENT:
-        refinement = RefinementRun(scene, GRADIENTS[name])
-        launches = observe_launches(refinement.iterate)
-        timing = time_calls(refinement.refine, plan.device, plan.budget)
+        fused = refined_once(scene, GRADIENTS[name])
+        launches = observe_launches(fused.iterate)
+        timing = time_calls(partial(fused.refine, scene.bodies), plan.device, plan.budget)
         moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
         return [row("call", timing, moved, count_bytes(launches))]
     call = _torch_gradient(scene, name)
     if what in (TORCH_REFINEMENT, MINIMISE):
-        given, energy = scene.bodies, scene.energies(GRADIENTS[name])[0]
-        if what == TORCH_REFINEMENT:
-            call = partial(_refine_by_autograd, given, energy)
-        else:
-            call = partial(refine, given, energy, iterations=NUM_ITERATIONS)
+        refine_all = _refine_by_autograd if what == TORCH_REFINEMENT else partial(refine, iterations=NUM_ITERATIONS)
+        call = partial(refine_all, scene.bodies, scene.energies(GRADIENTS[name])[0])
     timing = time_calls(call, plan.device, plan.budget)
     return [row("call", timing, memory=peak_memory(call, plan.device))]
 
@@ -91,11 +91,11 @@ def _refine_by_autograd(bodies: BodyParameters, energy: Energy) -> Refined:
     return Refinement(bodies, energy, iterations=NUM_ITERATIONS).run()
 
 
-def _renderer(scene: Scene, name: str) -> ExactRun | MeshRun:
+def _renderer(scene: BenchScene, name: str) -> ExactRun | MeshRun:
     return ExactRun(scene, GRADIENTS[name]) if name in GRADIENTS else MeshRun(scene, LEVELS[name])
 
 
-def _torch_gradient(scene: Scene, name: str) -> Callable[[], object]:
+def _torch_gradient(scene: BenchScene, name: str) -> Callable[[], object]:
     """L_seg and its gradient through autograd: with respect to posed ellipsoids, or to projected vertices."""
     posed, camera, targets = scene.posed, scene.camera, scene.targets
     if name in GRADIENTS:
@@ -135,23 +135,23 @@ class _Nothing(torch.autograd.Function):
         return centres * grad_loss[:, None, None]
 
 
-def _kernel_jobs(plan: Plan) -> _Jobs:
+def _kernel_jobs(plan: KernelPlan) -> _Jobs:
     for batch in plan.kernels:
         for name, make in _KERNEL_RUNS.items():
             yield f"kernels, {name}, B = {batch}", partial(_time_kernels, plan, name, make, batch)
 
 
-def _time_kernels(plan: Plan, name: str, make: _MakeRun, batch: int) -> list[Row]:
-    run = make(Scene.random(batch, plan.size, plan.device))
+def _time_kernels(plan: KernelPlan, name: str, make: _MakeRun, batch: int) -> list[TimedRow]:
+    run = make(BenchScene.random(batch, plan.size, plan.device))
     return [
-        Row(KERNELS, kernel.name, name, batch, plan.size, "kernel", timing, kernel.bytes)
+        TimedRow(KERNELS, kernel.name, name, batch, plan.size, "kernel", timing, kernel.bytes)
         for kernel, timing in time_kernels(run, plan.device, plan.budget)
     ]
 
 
-_MakeRun = Callable[[Scene], Callable[[], None]]
+_MakeRun = Callable[[BenchScene], Callable[[], None]]
 _KERNEL_RUNS: dict[str, _MakeRun] = {
-    f"iteration, {EXACT}": lambda scene: RefinementRun(scene, GRADIENTS[EXACT], learning_rate=0.0).iterate,
+    f"iteration, {EXACT}": lambda scene: refined_once(scene, GRADIENTS[EXACT], learning_rate=0.0).iterate,
     COVERAGE: lambda scene: _renderer(scene, COVERAGE).gradient,
     PARTDR: lambda scene: _renderer(scene, PARTDR).gradient,
     MESH: lambda scene: _renderer(scene, MESH).gradient,
@@ -159,17 +159,17 @@ _KERNEL_RUNS: dict[str, _MakeRun] = {
 }
 
 
-def _time_starts(plan: Plan) -> list[Row]:
+def _time_starts(plan: KernelPlan) -> list[TimedRow]:
     cold, warm = time_starts(plan.device)
     durations = {
         "imports": warm.imports,
         "first call, no kernel compiled": cold.first_call,
         "first call, kernels compiled before": warm.first_call,
     }
-    return [Row(STARTS, name, EXACT, 0, 0, "process", Timing((seconds,))) for name, seconds in durations.items()]
+    return [TimedRow(STARTS, name, EXACT, 0, 0, "process", Timing((seconds,))) for name, seconds in durations.items()]
 
 
-def _peer_jobs(plan: Plan, report: Report) -> _Jobs:
+def _peer_jobs(plan: KernelPlan, report: KernelReport) -> _Jobs:
     peers = {name: peer for name, peer in PEERS.items() if torch.device(plan.device).type in peer.devices}
     for name, peer in peers.items():
         if not peer.is_installed:
@@ -179,8 +179,8 @@ def _peer_jobs(plan: Plan, report: Report) -> _Jobs:
             yield f"{name}, B = {batch}", partial(_time_peer, plan, report, name, batch)
 
 
-def _time_peer(plan: Plan, report: Report, name: str, batch: int) -> list[Row]:
-    scene, mesh = Scene.random(batch, plan.size, plan.device), ellipbody_mesh(LEVELS[MESH], device=plan.device)
+def _time_peer(plan: KernelPlan, report: KernelReport, name: str, batch: int) -> list[TimedRow]:
+    scene, mesh = BenchScene.random(batch, plan.size, plan.device), ellipbody_mesh(LEVELS[MESH], device=plan.device)
     points = scene.camera.project(scene.posed.vertices(LEVELS[MESH])).detach().contiguous()
     view = MeshView(points, mesh, scene.targets)
     leaf = points.clone().requires_grad_()
@@ -193,7 +193,7 @@ def _time_peer(plan: Plan, report: Report, name: str, batch: int) -> list[Row]:
         rows = []
         for what, call in calls.items():
             timing, memory = time_calls(call, plan.device, plan.budget), peak_memory(call, plan.device)
-            row = Row(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
+            row = TimedRow(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
             rows.append(row)
         return rows
     except Exception as error:  # whatever somebody else's package raises

@@ -25,7 +25,7 @@ _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
 
 @dataclass(frozen=True)
 class MeshView:
-    """What a peer is given.
+    """The scene that a peer draws.
 
     Attributes:
         vertices: Projected (u [px], v [px], z [m]), shape (B, V, 3).
@@ -210,7 +210,7 @@ class Peer:
 
     @property
     def is_installed(self) -> bool:
-        """Whether it can be imported, as far as one can tell without doing so."""
+        """True if it can be imported, as far as one can tell without doing so."""
         return find_spec(self.package) is not None
 
 

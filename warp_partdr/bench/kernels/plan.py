@@ -1,4 +1,4 @@
-"""What ``partdr bench kernels`` times: the paper's targets first, then other renderers, batches and sizes."""
+"""The plan of ``partdr bench kernels``: the paper's targets first, then other renderers, batches and sizes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what i
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What is timed.
+class KernelPlan:
+    """Rows to time.
 
     Attributes:
         device: "cpu" or "cuda:0".
@@ -37,8 +37,8 @@ class Plan:
     start: bool = True
 
 
-def make_plan(device: str, *, quick: bool = False) -> Plan:
-    """What the command times on "cpu" or on a CUDA device."""
+def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
+    """The rows that the command times on "cpu" or on a CUDA device."""
     size = 256
     batches: tuple[int, ...] = (1, 16)
     middle = 16
@@ -54,7 +54,7 @@ def make_plan(device: str, *, quick: bool = False) -> Plan:
         *((TORCH_GRADIENT, name, 1) for name in (EXACT, MESH)),
     )
     if quick:
-        return Plan(device, size, targets, (), (1,), (1,), 0.1, start=False)
+        return KernelPlan(device, size, targets, (), (1,), (1,), 0.1, start=False)
     grid = [
         *((LABELS, name, batch, size) for name in (EXACT, *LEVELS) for batch in batches),
         *((GRADIENT, name, batch, size) for name in (*GRADIENTS, *LEVELS) for batch in batches),
@@ -69,4 +69,4 @@ def make_plan(device: str, *, quick: bool = False) -> Plan:
     ]
     first = {(what, name, batch, size) for what, name, batch in targets}
     others = tuple(row for row in (*grid, *sizes, *more) if row not in first)
-    return Plan(device, size, targets, others, (1, middle), (1, middle), 0.4)
+    return KernelPlan(device, size, targets, others, (1, middle), (1, middle), 0.4)

@@ -1,13 +1,12 @@
-"""Figures as a table on the screen and as JSON on disk."""
+"""Figures of ``partdr bench kernels``: a row for each thing that was timed."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..machine import in_words
+from ..report import format_time, make_table, print_tables
 from ..timing import Timing
 
 if TYPE_CHECKING:
@@ -20,8 +19,6 @@ KERNELS = "Kernels, each in its place in a run"
 STARTS = "Starts"
 PEER_ROWS = "Peers: the same mesh, the same target"
 GROUPS = (TARGETS, OTHERS, KERNELS, STARTS, PEER_ROWS)
-
-TABLE_WIDTH = 165  # [characters]; narrower ones lose columns
 
 NOTES = (
     "The spread is the interquartile range. graph: one replay of a captured graph, on the device's clock; call: from "
@@ -36,17 +33,17 @@ NOTES = (
 
 
 @dataclass(frozen=True)
-class Row:
+class TimedRow:
     """One thing that was timed.
 
     Attributes:
         group: One of ``GROUPS``.
         name: What was run.
-        renderer: With which renderer.
-        batch: B, how many bodies; 0 where that means nothing.
+        renderer: By its name.
+        batch: B, the number of bodies; 0 where that means nothing.
         size: Side of the picture [px]; 0 where that means nothing.
         how: "graph", "call", "kernel" or "process", see ``NOTES``.
-        timing: How long it took.
+        timing: Its durations.
         moved: Size of the arrays given to kernels, each once a kernel [bytes].
         memory: Size of the same arrays, each once in all; of calls into torch, its peak [bytes].
         agreement: Share of pixels with the same label as our picture of the same mesh: of peers.
@@ -81,7 +78,7 @@ class Row:
 
 
 @dataclass
-class Report:
+class KernelReport:
     """All that was measured.
 
     Attributes:
@@ -95,15 +92,10 @@ class Report:
     device: str
     machine: dict[str, str]
     copy_bandwidth: float
-    rows: list[Row] = field(default_factory=list)
+    rows: list[TimedRow] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    @property
-    def heading(self) -> str:
-        """Machine and versions in a line."""
-        return ", ".join(f"{key} {value}" for key, value in self.machine.items())
-
-    def find(self, name: str, renderer: str, batch: int, size: int) -> Row | None:
+    def find(self, name: str, renderer: str, batch: int, size: int) -> TimedRow | None:
         """The row of a run, if there is one; kernels and peers aside."""
         wanted = (name, renderer, batch, size)
         for row in self.rows:
@@ -122,7 +114,7 @@ class Report:
             "notes": list(NOTES),
         }
 
-    def _row_as_dict(self, row: Row) -> dict[str, Any]:
+    def _row_as_dict(self, row: TimedRow) -> dict[str, Any]:
         return {
             "group": row.group,
             "name": row.name,
@@ -142,79 +134,40 @@ class Report:
         }
 
 
-def save_json(report: Report, path: Path) -> None:
-    """Write all figures."""
-    path.write_text(json.dumps(report.as_dict(), indent=1) + "\n", encoding="utf-8")
+_HEADINGS = (
+    *("", "renderer", "B", "px", "", "median", "spread", "fastest"),
+    *("images/s", "moved [MB]", "of a copy", "memory [MB]", "agrees"),
+)
+_WORDS = (0, 1, 4)  # columns
 
 
-def print_report(report: Report, console: Console) -> None:
+def print_kernels(report: KernelReport, console: Console) -> None:
     """A table for each group of rows."""
-    from rich.markup import escape
-
-    console.print(escape(report.heading))
-    console.print(f"A copy within the device reads and writes {report.copy_bandwidth / 1e9:.4g} GB/s")
+    copies = f"A copy within the device reads and writes {report.copy_bandwidth / 1e9:.4g} GB/s"
+    tables = []
     for group in GROUPS:
-        rows = [row for row in report.rows if row.group == group]
-        if rows:
-            console.print()
-            console.print(_table(group, rows, report.copy_bandwidth))
-    console.print()
-    for line in (*report.remarks, *NOTES):
-        console.print(escape(line), style="dim" if line in NOTES else None)
+        cells = [_cells(row, report.copy_bandwidth) for row in report.rows if row.group == group]
+        tables.append(make_table(group, _HEADINGS, cells, left=_WORDS))
+    print_tables([in_words(report.machine), copies], tables, report.remarks, NOTES, console)
 
 
-def _table(group: str, rows: Sequence[Row], copy_bandwidth: float) -> Any:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(title=group, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    columns = [
-        "",
-        "renderer",
-        "B",
-        "px",
-        "",
-        "median",
-        "spread",
-        "fastest",
-        "images/s",
-        "moved [MB]",
-        "of a copy",
-        "memory [MB]",
-        "agrees",
+def _cells(row: TimedRow, copy_bandwidth: float) -> list[str]:
+    several = len(row.timing.seconds) > 1
+    return [
+        row.name,
+        row.renderer,
+        str(row.batch or ""),
+        str(row.size or ""),
+        row.how,
+        format_time(row.timing.median),
+        format_time(row.timing.spread) if several else "",
+        format_time(row.fastest) if row.fastest is not None and several else "",
+        _number(row.images_per_second),
+        _number(row.moved, 1e-6),
+        _percent(row.bandwidth_share(copy_bandwidth), 0),
+        _number(row.memory, 1e-6),
+        _percent(row.agreement, 3),
     ]
-    cells = [
-        [
-            row.name,
-            row.renderer,
-            str(row.batch or ""),
-            str(row.size or ""),
-            row.how,
-            format_time(row.timing.median),
-            format_time(row.timing.spread) if len(row.timing.seconds) > 1 else "",
-            format_time(row.fastest) if row.fastest is not None and len(row.timing.seconds) > 1 else "",
-            _number(row.images_per_second),
-            _number(row.moved, 1e-6),
-            _percent(row.bandwidth_share(copy_bandwidth), 0),
-            _number(row.memory, 1e-6),
-            _percent(row.agreement, 3),
-        ]
-        for row in rows
-    ]
-    used = [index for index in range(len(columns)) if any(line[index] for line in cells)]
-    for index in used:
-        table.add_column(columns[index], justify="left" if index in (0, 1, 4) else "right", no_wrap=True)
-    for line in cells:
-        table.add_row(*(line[index] for index in used))
-    return table
-
-
-def format_time(seconds: float) -> str:
-    """In the unit that suits: "12.3 µs", "4.56 ms", "7.89 s"."""
-    for unit, scale in (("s", 1.0), ("ms", 1e-3)):
-        if abs(seconds) >= scale:
-            return f"{seconds / scale:.3g} {unit}" if abs(seconds) < 1e3 * scale else f"{seconds / scale:.0f} {unit}"
-    return f"{max(seconds, 0.0) * 1e6:.3g} µs"
 
 
 def _number(value: float | None, scale: float = 1.0) -> str:

@@ -1,4 +1,4 @@
-"""What is timed on fixed buffers: both renderers, kinematics, and an iteration of the refinement.
+"""Runs on fixed buffers: both renderers, kinematics, and an iteration of the refinement.
 
 Nothing here allocates while it runs, so that all of it can be captured and replayed.
 """
@@ -32,7 +32,7 @@ from ...render.mesh import mesh_label_loss
 from ...render.options import DEFAULT_DEPTH_WEIGHT, Gradient
 from ...render.part_mesh import ellipbody_mesh
 from ...render.renderers import RendererEllipsoids
-from .scene import LABELS, Scene
+from ..scene import LABELS, BenchScene
 
 _VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}
 _POISON = 77
@@ -43,7 +43,7 @@ _SUBDIVISIONS = 1  # of the mesh that kinematics places
 class ExactRun:
     """The exact renderer."""
 
-    def __init__(self, scene: Scene, gradient: Gradient) -> None:
+    def __init__(self, scene: BenchScene, gradient: Gradient) -> None:
         posed, batch = scene.posed, scene.batch_size
         self._scene, self._gradient = scene, gradient
         ellipsoids = EllipsoidArrays()
@@ -114,7 +114,7 @@ class ExactRun:
 class MeshRun:
     """The mesh renderer, from projected vertices."""
 
-    def __init__(self, scene: Scene, subdivisions: int) -> None:
+    def __init__(self, scene: BenchScene, subdivisions: int) -> None:
         self._scene, self._subdivisions = scene, subdivisions
         device = scene.targets.device
         self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
@@ -198,7 +198,7 @@ class MeshRun:
 class KinematicsRun:
     """Posing, mesh vertices, and the adjoints of both."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: BenchScene) -> None:
         bodies, posed = scene.bodies, scene.posed
         where = wp.device_from_torch(scene.targets.device)
         self._tree = bone_tree(where.alias, wp.float32, _SUBDIVISIONS)
@@ -229,24 +229,13 @@ class KinematicsRun:
         )
 
 
-class RefinementRun:
-    """The fused refinement with the exact renderer.
+def refined_once(scene: BenchScene, gradient: Gradient, learning_rate: float = LEARNING_RATE) -> CapturedRefinement:
+    """The captured refinement with the exact renderer, once done: ``iterate`` repeats its last iteration.
 
     With a learning rate of 0 the bodies stay where they are, and every iteration does the same.
     """
-
-    def __init__(self, scene: Scene, gradient: Gradient, learning_rate: float = LEARNING_RATE) -> None:
-        self._bodies = scene.bodies
-        energies = scene.energies(gradient)
-        self._fused = CapturedRefinement(
-            energies, scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
-        )
-        self.refine()
-
-    def refine(self) -> None:
-        """All iterations, from the start."""
-        self._fused.refine(self._bodies)
-
-    def iterate(self) -> None:
-        """The last iteration once more, with the bodies where ``refine`` left them."""
-        self._fused.iterate()
+    captured = CapturedRefinement(
+        scene.energies(gradient), scene.batch_size, iterations=NUM_ITERATIONS, learning_rate=learning_rate
+    )
+    captured.refine(scene.bodies)
+    return captured

@@ -1,4 +1,4 @@
-"""How long the first call takes: with an empty kernel cache, which compiles, and with what that left behind.
+"""Time of the first call: with an empty kernel cache, which compiles, and with what that left behind.
 
 ``python -m warp_partdr.bench.kernels.start DEVICE`` prints the seconds of imports and of the first call in a fresh
 process.
@@ -47,8 +47,8 @@ def _start(device: str, cache: str) -> Start:
     return Start(*json.loads(done.stdout.splitlines()[-1]))
 
 
-def main() -> None:
-    """Time this process."""
+def time_this_process() -> None:
+    """Print the seconds of imports and of the first call, as JSON."""
     begin = time.perf_counter()
     import torch
     import warp as wp
@@ -68,4 +68,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    time_this_process()

@@ -1,41 +1,42 @@
-"""The trade as one picture: time an iteration against what is wrong after it, a line for each renderer and gradient."""
+"""Time an iteration against what is wrong after it: a line for each renderer and gradient."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ..drawing import WHITE, Canvas, Colour, Point, log_ticks
+from ..machine import in_words
 from ..renderers import COVERAGE, EXACT, PARTDR
 from .plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
-from .report import Report, front
+from .report import TradeoffReport, front
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-    from PIL.ImageDraw import ImageDraw
-    from PIL.ImageFont import FreeTypeFont, ImageFont
 
-    _Font = FreeTypeFont | ImageFont
-
-_SMOOTH = 2  # drawn so much larger, for smooth marks
+_COLUMNS = 3
 _WIDTH, _HEIGHT = 470, 360  # [px] of a panel's axes
 _LEFT, _TOP, _RIGHT, _BOTTOM = 64, 44, 22, 58  # [px] around them
+_PANEL = _LEFT + _WIDTH + _RIGHT, _TOP + _HEIGHT + _BOTTOM
 _HEAD = 112  # [px] above all panels
 _FONT = 14  # [px]
 _GRID, _GREY, _FRONT = (225, 225, 225), (120, 120, 120), (200, 200, 200)
+_FRONT_WIDTH = 9  # [px]
 _MARKS = (4.0, 5.5, 7.0, 8.5)  # [px] half sizes, from the smallest picture or the fewest iterations
 
 
 @dataclass(frozen=True)
 class _Style:
-    """How a line looks: told apart by colour, and without it by shape, filling and dashes."""
+    """A line's looks: told apart by colour, and without it by shape, filling and dashes."""
 
-    colour: tuple[int, int, int]
+    colour: Colour
     shape: str
     filled: bool
     dash: tuple[int, ...] = ()  # [px] on, off, ...
@@ -58,112 +59,80 @@ class _Panel:
 
     title: str
     across: str
-    lines: dict[str, list[tuple[float, float]]]  # time [ms], what is wrong or right
+    lines: dict[str, list[Point]]  # time [ms], what is wrong or right
     sizes: tuple[int, ...]
     higher_is_better: bool
     logarithmic: bool = False  # the upright axis
 
 
-def draw_chart(report: Report) -> Image:
+_Value = Callable[[Setting], float | None]
+
+
+def draw_tradeoff_chart(report: TradeoffReport) -> Image:
     """Part F1, joint error and gradient error over time: EllipBodies above, Annys and whole refinements below."""
-    from PIL import Image as PilImage
-    from PIL import ImageDraw, ImageFont
-
     panels = _panels(report)
-    columns = 3
-    width = columns * (_LEFT + _WIDTH + _RIGHT)
-    height = _HEAD + math.ceil(len(panels) / columns) * (_TOP + _HEIGHT + _BOTTOM)
-    image = PilImage.new("RGB", (width * _SMOOTH, height * _SMOOTH), "white")
-    draw = ImageDraw.Draw(image)
-    font, bold = (ImageFont.load_default(size * _SMOOTH) for size in (_FONT, _FONT + 2))
-    _draw_head(draw, report, panels, font)
+    rows = math.ceil(len(panels) / _COLUMNS)
+    canvas = Canvas(_COLUMNS * _PANEL[0], _HEAD + rows * _PANEL[1], _FONT)
+    _draw_head(canvas, report, panels[0].sizes)
     for index, panel in enumerate(panels):
-        left = (index % columns) * (_LEFT + _WIDTH + _RIGHT) + _LEFT
-        _draw_panel(draw, (left, _HEAD + index // columns * (_TOP + _HEIGHT + _BOTTOM) + _TOP), panel, font, bold)
-    return image.resize((width, height), PilImage.Resampling.BOX)
+        row, column = divmod(index, _COLUMNS)
+        _draw_panel(canvas, (column * _PANEL[0] + _LEFT, _HEAD + row * _PANEL[1] + _TOP), panel)
+    return canvas.image()
 
 
-def _panels(report: Report) -> list[_Panel]:
+def _panels(report: TradeoffReport) -> list[_Panel]:
     sizes = tuple(sorted({size for _, size in report.times}))
     counts = tuple(sorted({fit.setting.iterations for fit in report.fits}))
-    across = "time an iteration, one body [ms]"
 
-    def by_size(value: Callable[[Setting], float | None]) -> dict[str, list[tuple[float, float]]]:
-        lines: dict[str, list[tuple[float, float]]] = {}
-        for setting in report.settings():
-            found = value(setting)
-            if found is not None:
-                lines.setdefault(setting.name, []).append((1e3 * report.time(setting), found))
-        return lines
+    def lines(value: _Value, settings: Sequence[Setting], *, whole: bool) -> dict[str, list[Point]]:
+        found: dict[str, list[Point]] = {}
+        for setting in settings:
+            figure = value(setting)
+            if figure is not None:
+                iterations = setting.iterations if whole else 1
+                found.setdefault(setting.name, []).append((1e3 * iterations * report.time(setting), figure))
+        return found
 
-    def part_f1(truth: str) -> Callable[[Setting], float | None]:
-        def value(setting: Setting) -> float | None:
-            fit = report.fit(truth, setting)
-            return None if fit is None else float(fit.scores.part_f1.mean())
-
-        return value
-
-    def joint_error(truth: str) -> Callable[[Setting], float | None]:
-        def value(setting: Setting) -> float | None:
-            fit = report.fit(truth, setting)
-            return None if fit is None else float(fit.scores.joint_error.mean())
-
-        return value
+    def score(truth: str, name: str, setting: Setting) -> float | None:
+        fit = report.fit(truth, setting)
+        return None if fit is None else float(getattr(fit.scores, name).mean())
 
     def angle(setting: Setting) -> float | None:
         error = report.gradient(setting)
         return None if error is None else float(np.median(error.angle))
 
+    def by_size(title: str, value: _Value, *, better: bool, log: bool = False) -> _Panel:
+        shown = lines(value, report.settings(), whole=False)
+        return _Panel(title, "time an iteration, one body [ms]", shown, sizes, better, log)
+
+    panels = []
     after = f"after {ITERATIONS} iterations"
-    whole: dict[str, list[tuple[float, float]]] = {}
-    for name in NAMES:
-        for count in counts:
-            setting = Setting(name, SIZE, count)
-            fit = report.fit(ELLIPBODY, setting)
-            if fit is not None:
-                whole.setdefault(name, []).append((1e3 * count * report.time(setting), fit.scores.part_f1.mean()))
-    return [
-        _Panel(f"EllipBody: part F1 {after}", across, by_size(part_f1(ELLIPBODY)), sizes, True),
-        _Panel(
-            f"EllipBody: joint error, PA-MPJPE [mm], {after}", across, by_size(joint_error(ELLIPBODY)), sizes, False
-        ),
-        _Panel(f"EllipBody: gradient's error [°], {DISTANCE} rad off", across, by_size(angle), sizes, False, True),
-        _Panel(f"Anny: part F1 {after}", across, by_size(part_f1(ANNY)), sizes, True),
-        _Panel(f"Anny: joint error, PA-MPJPE [mm], {after}", across, by_size(joint_error(ANNY)), sizes, False),
-        _Panel(
-            f"EllipBody: part F1 at {SIZE} px after {', '.join(map(str, counts))} iterations",
-            "time of all iterations, one body [ms]",
-            whole,
-            counts,
-            True,
-        ),
-    ]
+    for truth in (ELLIPBODY, ANNY):
+        part_f1, joint_error = (partial(score, truth, name) for name in ("part_f1", "joint_error"))
+        panels += [
+            by_size(f"{truth}: part F1 {after}", part_f1, better=True),
+            by_size(f"{truth}: joint error, PA-MPJPE [mm], {after}", joint_error, better=False),
+        ]
+    panels.insert(2, by_size(f"{ELLIPBODY}: gradient's error [°], {DISTANCE} rad off", angle, better=False, log=True))
+    settings = [Setting(name, SIZE, count) for name in NAMES for count in counts]
+    title = f"{ELLIPBODY}: part F1 at {SIZE} px after {', '.join(map(str, counts))} iterations"
+    whole = lines(partial(score, ELLIPBODY, "part_f1"), settings, whole=True)
+    return [*panels, _Panel(title, "time of all iterations, one body [ms]", whole, counts, True)]
 
 
-def _draw_head(draw: ImageDraw, report: Report, panels: Sequence[_Panel], font: _Font) -> None:
-    draw.text(
-        _at(16, 8),
-        ", ".join(value if key == "machine" else f"{key} {value}" for key, value in report.machine.items()),
-        "black",
-        font,
-    )
+def _draw_head(canvas: Canvas, report: TradeoffReport, sizes: Sequence[int]) -> None:
+    canvas.text(16, 8, in_words(report.machine), "la")
     x = 16.0
     for name, style in _STYLES.items():
-        _draw_line(draw, [(x, 46), (x + 46, 46)], style)
-        _draw_mark(draw, x + 23, 46, 5.5, style)
-        draw.text(_at(x + 54, 46), name, "black", font, anchor="lm")
-        x += 54 + font.getlength(name) / _SMOOTH + 26
-    x = 16.0
-    sizes = panels[0].sizes
-    draw.text(_at(x, 80), "marks grow with the picture:", "black", font, anchor="lm")
-    x += font.getlength("marks grow with the picture:") / _SMOOTH + 16
+        _draw_line(canvas, [(x, 46), (x + 46, 46)], style)
+        _draw_mark(canvas, (x + 23, 46), 5.5, style)
+        x += 54 + canvas.text(x + 54, 46, name) + 26
+    x = 16 + canvas.text(16, 80, "marks grow with the picture:") + 16
     for size, half in zip(sizes, _halves(len(sizes)), strict=True):
-        _draw_mark(draw, x, 80, half, _STYLES[EXACT])
-        draw.text(_at(x + 14, 80), f"{size} px", "black", font, anchor="lm")
-        x += 14 + font.getlength(f"{size} px") / _SMOOTH + 20
-    draw.line([*_at(x, 80), *_at(x + 46, 80)], fill=_FRONT, width=9 * _SMOOTH)
-    text = "front: nothing is as fast and better; faster is to the left"
-    draw.text(_at(x + 54, 80), text, "black", font, anchor="lm")
+        _draw_mark(canvas, (x, 80), half, _STYLES[EXACT])
+        x += 14 + canvas.text(x + 14, 80, f"{size} px") + 20
+    canvas.line([(x, 80), (x + 46, 80)], _FRONT, _FRONT_WIDTH)
+    canvas.text(x + 54, 80, "front: nothing is as fast and better; faster is to the left")
 
 
 def _halves(count: int) -> list[float]:
@@ -171,10 +140,10 @@ def _halves(count: int) -> list[float]:
     return [_MARKS[round(index * (len(_MARKS) - 1) / max(count - 1, 1))] for index in range(count)]
 
 
-def _draw_panel(draw: ImageDraw, corner: tuple[float, float], panel: _Panel, font: _Font, bold: _Font) -> None:
+def _draw_panel(canvas: Canvas, corner: Point, panel: _Panel) -> None:
     left, top = corner
     points = [point for line in panel.lines.values() for point in line]
-    draw.text(_at(left, top - 10), panel.title, "black", bold, anchor="ls")
+    canvas.text(left, top - 10, panel.title, "ls", bold=True)
     if not points:
         return
     low, high = (math.log10(function(time for time, _ in points)) for function in (min, max))
@@ -182,38 +151,35 @@ def _draw_panel(draw: ImageDraw, corner: tuple[float, float], panel: _Panel, fon
     ticks, scale = _upright([value for _, value in points], panel.logarithmic)
     bottom_value, top_value = scale(ticks[0]), scale(ticks[-1])
 
-    def place(point: tuple[float, float]) -> tuple[float, float]:
+    def place(point: Point) -> Point:
         across = (math.log10(point[0]) - low) / (high - low)
         up = (scale(point[1]) - bottom_value) / (top_value - bottom_value)
         return left + _WIDTH * across, top + _HEIGHT * (1 - up)
 
     for tick in ticks:
         _, y = place((1.0, tick))
-        draw.line([*_at(left, y), *_at(left + _WIDTH, y)], fill=_GRID, width=_SMOOTH)
-        draw.text(_at(left - 6, y), f"{tick:.4g}", "black", font, anchor="rm")
-    for power in range(math.floor(low), math.ceil(high) + 1):
-        for digit in range(1, 10):
-            value = digit * 10.0**power
-            if low <= math.log10(value) <= high:
-                x, _ = place((value, ticks[0]))
-                draw.line([*_at(x, top), *_at(x, top + _HEIGHT)], fill=_GRID, width=_SMOOTH)
-                if digit in (1, 2, 5):
-                    draw.text(_at(x, top + _HEIGHT + 6), f"{value:.4g}", "black", font, anchor="ma")
-    draw.rectangle([*_at(left, top), *_at(left + _WIDTH, top + _HEIGHT)], outline=_GREY, width=_SMOOTH)
-    draw.text(_at(left + _WIDTH / 2, top + _HEIGHT + 28), panel.across, "black", font, anchor="ma")
+        canvas.line([(left, y), (left + _WIDTH, y)], _GRID)
+        canvas.text(left - 6, y, f"{tick:.4g}", "rm")
+    for digit, value in log_ticks(low, high):
+        x, _ = place((value, ticks[0]))
+        canvas.line([(x, top), (x, top + _HEIGHT)], _GRID)
+        if digit in (1, 2, 5):
+            canvas.text(x, top + _HEIGHT + 6, f"{value:.4g}", "ma")
+    canvas.frame((left, top), (left + _WIDTH, top + _HEIGHT), _GREY)
+    canvas.text(left + _WIDTH / 2, top + _HEIGHT + 28, panel.across, "ma")
 
     sign = -1 if panel.higher_is_better else 1
     best = sorted(points[index] for index in front([(time, sign * value) for time, value in points]))
-    draw.line([xy for point in best for xy in _at(*place(point))], fill=_FRONT, width=9 * _SMOOTH, joint="curve")
+    canvas.line([place(point) for point in best], _FRONT, _FRONT_WIDTH)
     for name, line in panel.lines.items():
         placed = [place(point) for point in line]
-        _draw_line(draw, placed, _STYLES[name])
+        _draw_line(canvas, placed, _STYLES[name])
         for point, half in zip(placed, _halves(len(panel.sizes)), strict=False):
-            _draw_mark(draw, *point, half, _STYLES[name])
+            _draw_mark(canvas, point, half, _STYLES[name])
 
 
 def _upright(values: Sequence[float], logarithmic: bool) -> tuple[list[float], Callable[[float], float]]:
-    """Ticks from below the least to above the greatest value, and how the axis places a value."""
+    """Ticks from below the least to above the greatest value, and the function that places a value on the axis."""
     if logarithmic:
         decades = range(math.floor(math.log10(min(values))) - 1, math.ceil(math.log10(max(values))) + 1)
         all_ticks = [digit * 10.0**power for power in decades for digit in (1, 2, 5)]
@@ -229,7 +195,7 @@ def _upright(values: Sequence[float], logarithmic: bool) -> tuple[list[float], C
     return (ticks, math.log10) if logarithmic else (ticks, float)
 
 
-def _draw_line(draw: ImageDraw, points: Sequence[tuple[float, float]], style: _Style) -> None:
+def _draw_line(canvas: Canvas, points: Sequence[Point], style: _Style) -> None:
     """A polyline with the style's dashes, which run on around its corners."""
     dash = style.dash or (1_000_000, 0)
     left, index = float(dash[0]), 0
@@ -237,29 +203,14 @@ def _draw_line(draw: ImageDraw, points: Sequence[tuple[float, float]], style: _S
         length, done = math.hypot(x1 - x0, y1 - y0), 0.0
         while done < length:
             step = min(left, length - done)
-            a, b = done / length, (done + step) / length
             if index % 2 == 0:
-                ends = (x0 + a * (x1 - x0), y0 + a * (y1 - y0)), (x0 + b * (x1 - x0), y0 + b * (y1 - y0))
-                draw.line([*_at(*ends[0]), *_at(*ends[1])], fill=style.colour, width=2 * _SMOOTH)
+                shares = done / length, (done + step) / length
+                canvas.line([(x0 + share * (x1 - x0), y0 + share * (y1 - y0)) for share in shares], style.colour, 2)
             done, left = done + step, left - step
             if left <= 0:
                 index = (index + 1) % len(dash)
                 left = float(dash[index])
 
 
-def _draw_mark(draw: ImageDraw, x: float, y: float, half: float, style: _Style) -> None:
-    fill = style.colour if style.filled else (255, 255, 255)
-    if style.shape == "circle":
-        box = [*_at(x - half, y - half), *_at(x + half, y + half)]
-        draw.ellipse(box, fill=fill, outline=style.colour, width=2 * _SMOOTH)
-        return
-    corners = {
-        "square": ((x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)),
-        "triangle": ((x, y - half), (x + half, y + half), (x - half, y + half)),
-        "diamond": ((x, y - half), (x + half, y), (x, y + half), (x - half, y)),
-    }[style.shape]
-    draw.polygon([_at(*corner) for corner in corners], fill=fill, outline=style.colour, width=2 * _SMOOTH)
-
-
-def _at(x: float, y: float) -> tuple[float, float]:
-    return x * _SMOOTH, y * _SMOOTH
+def _draw_mark(canvas: Canvas, place: Point, half: float, style: _Style) -> None:
+    canvas.mark(place, style.shape, half, style.colour if style.filled else WHITE, style.colour, 2)

@@ -1,4 +1,4 @@
-"""Refinements of people of known truth: how near they end, and how long an iteration takes."""
+"""Refinements of people of known truth: their errors, and the time of an iteration."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TIMED_PEOPLE, _TIMED_ITERATIONS = 4, 5
 
 @dataclass(frozen=True)
 class Scores:
-    """How near bodies are to the truth, an array of shape (N,) each.
+    """Nearness of bodies to the truth, an array of shape (N,) each.
 
     Attributes:
         part_f1: Of 20 parts and background, of exact ellipsoids at 512 px.
@@ -46,7 +46,7 @@ class Scores:
     joint_error: np.ndarray
 
 
-def score(bodies: BodyParameters, people: People) -> Scores:
+def score_bodies(bodies: BodyParameters, people: People) -> Scores:
     """Compare a body for each person with the truth."""
     counts = confusion(draw_truth(bodies, _SCORED), _true_labels(people), NUM_PARTS + 1)
     joints = LandmarkGather(JOINTS, bodies.shift.device)(bodies.posed())
@@ -63,7 +63,7 @@ def own_part_f1(bodies: BodyParameters, people: People, subdivisions: int) -> np
 
 
 def _true_labels(people: People) -> torch.Tensor:
-    """What lies at the centres of the compared pictures' pixels."""
+    """Labels at the centres of the compared pictures' pixels."""
     return people.labels[:, 1::3, 1::3]
 
 

@@ -1,4 +1,4 @@
-"""How far each estimator's gradient of L_seg is from the derivative of the area that shows a wrong label."""
+"""Error of each estimator's gradient of L_seg against the derivative of the area that shows a wrong label."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""``partdr bench tradeoff``: what accuracy a picture size, a renderer and its gradient buy, and for how much time."""
+"""Accuracy and time of every setting, from the same starts to the same people."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import get_args
 
 import torch
@@ -15,29 +16,28 @@ from ...body.pose_prior import PosePrior
 from ...body.posing import LandmarkGather
 from ...evaluation.evaluate import Method, evaluate
 from ...evaluation.partbench.samples import partbench_samples
+from ...fit.fitting import Progress
 from ...fit.options import FitOptions
 from ...fit.stages import Quality
-from ...refinement.energy import Weights
 from ...refinement.stepper import Refinement
 from ...render.renderers import RendererMesh
 from ...synthetic.tradeoff_people import JOINTS, People, make_people
+from ..jobs import Job, run_jobs
 from ..machine import about
 from ..renderers import LEVELS
-from .fits import own_part_f1, refine_all, score, time_iteration
+from .fits import own_part_f1, refine_all, score_bodies, time_iteration
 from .gradient import gradient_error, true_gradient
-from .plan import DISTANCE, ITERATIONS, LABELS_ALONE, NAMES, PRECISION_NAMES, RATE, SIZE, Plan, Setting
-from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, Fit, Gradient, Precision, Report
-from .report import LABELS_ALONE as SEES_LABELS_ALONE
-
-Progress = Callable[[str, int, int], None]
+from .plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, RATE, WITHOUT_KEYPOINTS, Setting, TradeoffPlan
+from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, LABELS_ALONE, Fit, Precision, TradeoffReport
 
 _LEVELS = ("clean", "realistic")  # of PartBench
 
 
-def run_tradeoff(plan: Plan, progress: Progress = lambda name, done, total: None) -> Report:
+def run_tradeoff(plan: TradeoffPlan, progress: Progress | None = None) -> TradeoffReport:
     """Measure all of a plan."""
-    report = Report(plan.device, about(plan.device))
-    progress("making people", 0, 1)
+    report = TradeoffReport(plan.device, about(plan.device))
+    if progress is not None:
+        progress("making people", 0, 1)
     own, annys = (people.to(plan.device) for people in make_people(plan.ellipbodies, plan.annys))
     jobs = [
         *_time_jobs(plan, report, own),
@@ -46,17 +46,11 @@ def run_tradeoff(plan: Plan, progress: Progress = lambda name, done, total: None
         *_precision_jobs(report, own),
         *_quality_jobs(plan, report),
     ]
-    for index, (name, job) in enumerate(jobs):
-        progress(name, index, len(jobs))
-        job()
-    progress("done", len(jobs), len(jobs))
+    run_jobs(jobs, progress)
     return report
 
 
-_Jobs = Iterator[tuple[str, Callable[[], None]]]
-
-
-def _time_jobs(plan: Plan, report: Report, people: People) -> _Jobs:
+def _time_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> Iterator[Job]:
     start = people.starts(DISTANCE)
 
     def work(name: str, size: int) -> None:
@@ -67,54 +61,45 @@ def _time_jobs(plan: Plan, report: Report, people: People) -> _Jobs:
             yield f"time, {name}, {size} px", partial(work, name, size)
 
 
-def _fit_jobs(plan: Plan, report: Report, crowds: tuple[People, ...]) -> _Jobs:
+def _fit_jobs(plan: TradeoffPlan, report: TradeoffReport, crowds: tuple[People, ...]) -> Iterator[Job]:
     """All settings from the middle distance; from the others, and with labels alone, fewer."""
-    for name in NAMES:
-        for size in plan.sizes:
-            for iterations in plan.iterations:
-                setting = Setting(name, size, iterations)
-                far = [distance for distance in plan.distances if iterations == ITERATIONS or distance == DISTANCE]
-                for people in crowds:
-                    for distance in far:
-                        yield (
-                            f"{people.name}, {name}, {size} px",
-                            partial(_fit, report, people, setting, distance, KEYPOINTS_TOO, None),
-                        )
-                        if size == SIZE and iterations == ITERATIONS:
-                            yield (
-                                f"{people.name}, {name}, labels alone",
-                                partial(_fit, report, people, setting, distance, SEES_LABELS_ALONE, LABELS_ALONE),
-                            )
+    settings = (Setting(*each) for each in product(NAMES, plan.sizes, plan.iterations))
+    for setting, people, distance in product(settings, crowds, plan.distances):
+        if setting.iterations == ITERATIONS or distance == DISTANCE:
+            job = partial(_fit, report, people, setting, distance)
+            yield f"{people.name}, {setting.name}, {setting.size} px", partial(job, KEYPOINTS_TOO)
+            if setting == Setting(setting.name):
+                yield f"{people.name}, {setting.name}, labels alone", partial(job, LABELS_ALONE)
 
 
-def _fit(report: Report, people: People, setting: Setting, distance: float, seen: str, weights: Weights | None) -> None:
+def _fit(report: TradeoffReport, people: People, setting: Setting, distance: float, seen: str) -> None:
+    weights = WITHOUT_KEYPOINTS if seen == LABELS_ALONE else None
     bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
     own = None
     if isinstance(setting.renderer, RendererMesh) and setting == Setting(setting.name):
         own = own_part_f1(bodies, people, LEVELS[setting.name])
-    report.fits.append(Fit(people.name, seen, setting, distance, score(bodies, people), own, seconds))
+    report.fits.append(Fit(people.name, seen, setting, distance, score_bodies(bodies, people), own, seconds))
 
 
-def _gradient_jobs(plan: Plan, report: Report, people: People) -> _Jobs:
+def _gradient_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> Iterator[Job]:
     def work(distance: float) -> None:
         bodies = people.starts(distance)
         true = true_gradient(people, bodies)
         for name in NAMES:
             for size in plan.sizes:
                 setting = Setting(name, size)
-                error = gradient_error(setting, people, bodies, true)
-                report.gradients.append(Gradient(setting, distance, error))
+                report.gradients[name, size, distance] = gradient_error(setting, people, bodies, true)
 
     for distance in plan.gradient_distances:
         yield f"gradients, {distance} rad off", partial(work, distance)
 
 
-def _precision_jobs(report: Report, people: People) -> _Jobs:
+def _precision_jobs(report: TradeoffReport, people: People) -> Iterator[Job]:
     for name in PRECISION_NAMES:
         yield f"numbers, {name}", partial(_compare_numbers, report, people, Setting(name))
 
 
-def _compare_numbers(report: Report, people: People, setting: Setting) -> None:
+def _compare_numbers(report: TradeoffReport, people: People, setting: Setting) -> None:
     """The same refinement with posing, losses and Adam in float32 and in float64; kernels draw in float32."""
     start, gather = people.starts(DISTANCE), LandmarkGather(JOINTS, people.labels.device)
     found: dict[str, BodyParameters] = {}
@@ -130,7 +115,7 @@ def _compare_numbers(report: Report, people: People, setting: Setting) -> None:
         bodies = _cast(bodies, torch.float32)
         moved = 1000 * (gather(bodies.posed()) - reference).norm(dim=-1).mean()
         report.precisions.append(
-            Precision(setting.name, numbers, score(bodies, people), float(moved), seconds[numbers])
+            Precision(setting.name, numbers, score_bodies(bodies, people), float(moved), seconds[numbers])
         )
 
 
@@ -150,7 +135,7 @@ def _cast(bodies: BodyParameters, kind: torch.dtype) -> BodyParameters:
     return BodyParameters(**{name: tensor.to(kind) for name, tensor in bodies.tensors().items()})
 
 
-def _quality_jobs(plan: Plan, report: Report) -> _Jobs:
+def _quality_jobs(plan: TradeoffPlan, report: TradeoffReport) -> Iterator[Job]:
     """Whole fits, one person at a time, so that none is slowed by another."""
 
     def work(level: str) -> None:

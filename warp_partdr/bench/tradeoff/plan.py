@@ -1,4 +1,4 @@
-"""What ``partdr bench tradeoff`` runs: which renderers, gradients, picture sizes and iterations, from which starts."""
+"""The plan of ``partdr bench tradeoff``: renderers, gradients, picture sizes, iterations and starts."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the orde
 SIZE, ITERATIONS, DISTANCE = 256, 50, 0.15  # what stays the same while others change
 NEAR, FAR = 0.05, 0.3
 RATE = 0.02  # of Adam: between those of a fit's stages
-LABELS_ALONE = Weights(proj=0.0)
+WITHOUT_KEYPOINTS = Weights(proj=0.0)
 PRECISION_NAMES = ("mesh E1", PARTDR, COVERAGE)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a user chooses for a refinement.
+    """A user's choices for a refinement.
 
     Attributes:
         name: One of ``NAMES``.
@@ -34,17 +34,17 @@ class Setting:
 
     @property
     def renderer(self) -> Renderer:
-        """What draws."""
+        """The object that draws."""
         return RendererMesh(LEVELS[self.name]) if self.name in LEVELS else RendererEllipsoids(GRADIENTS[self.name])
 
     def energy(self, seen: Observation, prior: PosePrior, weights: Weights | None = None) -> Energy:
-        """What the refinement minimises."""
+        """The energy that the refinement minimises."""
         return Energy(seen, self.size, weights or Weights(), prior, self.renderer)
 
 
 @dataclass(frozen=True)
-class Plan:
-    """How much is run.
+class TradeoffPlan:
+    """Amount of what is run.
 
     Attributes:
         device: "cpu" or a CUDA device.
@@ -52,7 +52,7 @@ class Plan:
         annys: People who are Annys.
         sizes: Sides of the picture [px].
         iterations: Steps of Adam; each number is a run of its own, for the rate falls along all of a run.
-        distances: How far starts are off the truth [rad].
+        distances: Of starts from the truth [rad].
         gradient_distances: The same, of bodies whose gradients are compared [rad].
         budget: For timing a setting [s].
         fits: People whom ``fit_body`` fits at each quality; 0: none.
@@ -69,8 +69,8 @@ class Plan:
     fits: int = 20
 
 
-def make_plan(device: str, *, quick: bool = False) -> Plan:
+def plan_tradeoff(device: str, *, quick: bool = False) -> TradeoffPlan:
     """All of it, or what takes less than a minute on two cores."""
     if quick:
-        return Plan(device, 3, 3, (64, 256), (10, 50), (DISTANCE,), (DISTANCE,), 0.05, 1)
-    return Plan(device)
+        return TradeoffPlan(device, 3, 3, (64, 256), (10, 50), (DISTANCE,), (DISTANCE,), 0.05, 1)
+    return TradeoffPlan(device)

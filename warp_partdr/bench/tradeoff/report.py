@@ -1,12 +1,10 @@
-"""Figures of ``partdr bench tradeoff``: what was measured, which settings no other one beats, and JSON on disk."""
+"""Figures of ``partdr bench tradeoff``, and the settings that no other one beats."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,11 +27,11 @@ class Fit:
     """One setting's refinements of some people.
 
     Attributes:
-        truth: Whose.
+        truth: ``ELLIPBODY`` or ``ANNY``.
         seen: ``KEYPOINTS_TOO`` or ``LABELS_ALONE``.
-        setting: With what.
-        distance: How far starts were off [rad].
-        scores: How near they came.
+        setting: Their renderer, gradient, picture size and iterations.
+        distance: Of starts from the truth [rad].
+        scores: Their nearness to the truth.
         own_part_f1: Of meshes, the part F1 of the mesh itself, shape (N,).
         seconds: That an iteration took for each of all bodies at once.
     """
@@ -53,15 +51,6 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Gradient:
-    """One setting's gradients, of EllipBodies, at a distance from the truth [rad]."""
-
-    setting: Setting
-    distance: float
-    error: GradientError
-
-
-@dataclass(frozen=True)
 class Precision:
     """A refinement in torch with numbers of a kind, and how far its joints end from float32's [mm], mean."""
 
@@ -73,7 +62,7 @@ class Precision:
 
 
 @dataclass
-class Report:
+class TradeoffReport:
     """All that was measured.
 
     Attributes:
@@ -81,7 +70,7 @@ class Report:
         machine: Machine and versions by name.
         times: Of an iteration, of one body, by renderer and picture size.
         fits: All refinements.
-        gradients: All gradients.
+        gradients: Of EllipBodies, by renderer, picture size and distance from the truth [rad].
         precisions: Other numbers than float32.
         qualities: Figures of whole fits (``scoring.summarise``) by PartBench's level and quality.
     """
@@ -90,7 +79,7 @@ class Report:
     machine: dict[str, str]
     times: dict[tuple[str, int], Timing] = field(default_factory=dict)
     fits: list[Fit] = field(default_factory=list)
-    gradients: list[Gradient] = field(default_factory=list)
+    gradients: dict[tuple[str, int, float], GradientError] = field(default_factory=dict)
     precisions: list[Precision] = field(default_factory=list)
     qualities: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
@@ -105,9 +94,7 @@ class Report:
 
     def gradient(self, setting: Setting, distance: float = DISTANCE) -> GradientError | None:
         """The gradients of a setting, if they were found; its iterations do not matter."""
-        wanted = (setting.name, setting.size, distance)
-        rows = (row for row in self.gradients if (row.setting.name, row.setting.size, row.distance) == wanted)
-        return next((row.error for row in rows), None)
+        return self.gradients.get((setting.name, setting.size, distance))
 
     def settings(self) -> list[Setting]:
         """Those of the main table."""
@@ -130,13 +117,13 @@ class Report:
             "fits": [_fit_as_dict(fit) for fit in self.fits],
             "gradients": [
                 {
-                    "renderer": row.setting.name,
-                    "size_px": row.setting.size,
-                    "distance_rad": row.distance,
-                    "angle_deg": _numbers(row.error.angle),
-                    "length_ratio": _numbers(row.error.ratio),
+                    "renderer": name,
+                    "size_px": size,
+                    "distance_rad": distance,
+                    "angle_deg": _numbers(error.angle),
+                    "length_ratio": _numbers(error.ratio),
                 }
-                for row in self.gradients
+                for (name, size, distance), error in self.gradients.items()
             ],
             "precisions": [
                 {
@@ -149,7 +136,7 @@ class Report:
                 for row in self.precisions
             ],
             "qualities": self.qualities,
-            "found": findings(self),
+            "found": mesh_gains(self),
         }
 
 
@@ -179,13 +166,8 @@ def _fit_as_dict(fit: Fit) -> dict[str, Any]:
     }
 
 
-def save_json(report: Report, path: Path) -> None:
-    """Write all figures."""
-    path.write_text(json.dumps(report.as_dict(), indent=1) + "\n", encoding="utf-8")
-
-
 def front(points: Sequence[tuple[float, float]]) -> set[int]:
-    """Which points (time, error) no other one beats: none is at most as slow and at most as wrong, and less of one."""
+    """Indices of points (time, error) that no other beats: at most as slow, at most as wrong, and less of one."""
     return {
         index
         for index, (time, error) in enumerate(points)
@@ -193,8 +175,8 @@ def front(points: Sequence[tuple[float, float]]) -> set[int]:
     }
 
 
-def findings(report: Report) -> list[str]:
-    """What the ladder E0 to E3 and the exact ellipsoids gain, step by step, on the same people: one line each."""
+def mesh_gains(report: TradeoffReport) -> list[str]:
+    """Part F1 that a mesh of the next level gains, E0 to E3, on the same people: one line a step."""
     said = []
     for truth in (ELLIPBODY, ANNY):
         fits = [report.fit(truth, Setting(name)) for name in LEVELS]

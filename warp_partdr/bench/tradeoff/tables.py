@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
+from ..machine import in_words
+from ..report import make_table, print_tables
 from .plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, SIZE, Setting
-from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, Report, findings, front
+from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, TradeoffReport, front, mesh_gains
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
-
-TABLE_WIDTH = 150  # [characters]
 
 NOTES = (
     "Time an iteration: of one body's refinement without its set-up, as the library does it: exact ellipsoids in one "
@@ -25,178 +24,146 @@ NOTES = (
     "Gradient: of L_seg against the derivative of the area with a wrong label, medians; length as a multiple of it.",
     f"Found: EllipBodies with a part F1 of {CONVERGED} or more at the end. *: no other setting is as fast and as good.",
 )
+_RENDERER = "renderer, gradient"
 
 
-def print_report(report: Report, console: Console) -> None:
+def print_tradeoff(report: TradeoffReport, console: Console) -> None:
     """The table of settings, then what iterations, starts, numbers and qualities change."""
-    from rich.markup import escape
-
-    console.print(escape(", ".join(f"{key} {value}" for key, value in report.machine.items())))
-    for table in (
+    tables = (
         _settings_table(report),
         _iterations_table(report),
         _starts_table(report),
         _gradients_table(report),
         _precisions_table(report),
         _qualities_table(report),
-    ):
-        if table.row_count:
-            console.print()
-            console.print(table)
-    console.print()
-    for line in findings(report):
-        console.print(escape(line))
-    for line in NOTES:
-        console.print(escape(line), style="dim")
+    )
+    print_tables([in_words(report.machine)], tables, mesh_gains(report), NOTES, console)
 
 
-def _table(title: str, columns: Iterable[str], left: int = 1) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+_SETTING_COLUMNS = (  # heading, format, and which values are best: the least (1), the greatest (-1), or none is (0)
+    ("EllipBody: part F1", "{:.3f}", -1),
+    ("joints [mm]", "{:.1f}", 1),
+    ("found", "{:.0%}", 0),
+    ("Anny: part F1", "{:.3f}", -1),
+    ("joints [mm]", "{:.1f}", 1),
+    ("gradient off [°]", "{:.1f}", 1),
+    ("length", "{:.2f}", 0),
+)
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index < left else "right", no_wrap=index < left)
-    return table
 
-
-def _settings_table(report: Report) -> Table:
-    columns = [
-        "renderer, gradient",
-        "px",
-        "an iteration [ms]",
-        "in a batch [ms]",
-        "EllipBody: part F1",
-        "joints [mm]",
-        "found",
-        "Anny: part F1",
-        "joints [mm]",
-        "gradient off [°]",
-        "length",
-    ]
-    table = _table(f"{ITERATIONS} iterations from starts {DISTANCE} rad off", columns)
+def _settings_table(report: TradeoffReport) -> Table:
+    headings = [_RENDERER, "px", "an iteration [ms]", "in a batch [ms]"]
+    headings += [heading for heading, _, _ in _SETTING_COLUMNS]
+    title = f"{ITERATIONS} iterations from starts {DISTANCE} rad off"
     settings = report.settings()
-    values: list[list[float]] = []
+    figures = []
     for setting in settings:
         own, anny = report.fit(ELLIPBODY, setting), report.fit(ANNY, setting)
         gradient = report.gradient(setting)
         if own is None or anny is None or gradient is None:
-            return table
-        values.append(
+            return make_table(title, headings, [])
+        figures.append(
             [
                 own.scores.part_f1.mean(),
                 own.scores.joint_error.mean(),
                 own.found,
                 anny.scores.part_f1.mean(),
                 anny.scores.joint_error.mean(),
-                float(np.median(gradient.angle)),
-                float(np.median(gradient.ratio)),
+                np.median(gradient.angle),
+                np.median(gradient.ratio),
                 own.seconds,
             ]
         )
-    signs = {0: -1, 1: 1, 3: -1, 4: 1, 5: 1}  # of what is wrong, where less or more is better
-    best = {
-        column: front([(report.time(each), sign * row[column]) for each, row in zip(settings, values, strict=True)])
-        for column, sign in signs.items()
-    }
-    forms = ("{:.3f}", "{:.1f}", "{:.0%}", "{:.3f}", "{:.1f}", "{:.1f}", "{:.2f}")
-    for index, (setting, row) in enumerate(zip(settings, values, strict=True)):
-        cells = [
-            form.format(row[column]) + ("*" if index in best.get(column, ()) else " ")
-            for column, form in enumerate(forms)
-        ]
-        table.add_row(
-            setting.name,
-            str(setting.size),
-            f"{1e3 * report.time(setting):.3g}",
-            f"{1e3 * row[-1]:.3g}",
-            *cells,
-            end_section=setting.size == max(size for _, size in report.times),
-        )
-    return table
+    times = [report.time(setting) for setting in settings]
+    rows = [
+        [setting.name, str(setting.size), f"{1e3 * time:.3g}", f"{1e3 * values[-1]:.3g}"]
+        for setting, time, values in zip(settings, times, figures, strict=True)
+    ]
+    for column, (_, form, sign) in enumerate(_SETTING_COLUMNS):
+        points = [(time, sign * values[column]) for time, values in zip(times, figures, strict=True)]
+        best = front(points) if sign else ()
+        for index, (row, values) in enumerate(zip(rows, figures, strict=True)):
+            row.append(form.format(values[column]) + ("*" if index in best else " "))
+    return make_table(title, headings, rows, sections=True)
 
 
-def _cell(fit: Fit | None) -> str:
-    return "" if fit is None else f"{fit.scores.part_f1.mean():.3f}, {fit.scores.joint_error.mean():.0f} mm"
+def _cell(fit: Fit) -> str:
+    return f"{fit.scores.part_f1.mean():.3f}, {fit.scores.joint_error.mean():.0f} mm"
 
 
-def _iterations_table(report: Report) -> Table:
+def _iterations_table(report: TradeoffReport) -> Table:
     counts = sorted({fit.setting.iterations for fit in report.fits})
-    table = _table(
-        f"EllipBody: part F1 and joints after so many iterations at {SIZE} px, from {DISTANCE} rad off",
-        ["renderer, gradient", *map(str, counts)],
-    )
+    rows = []
     for name in NAMES:
         fits = [report.fit(ELLIPBODY, Setting(name, SIZE, count)) for count in counts]
         if all(fits):
-            table.add_row(name, *map(_cell, fits))
-    return table
-
-
-def _starts_table(report: Report) -> Table:
-    distances = sorted({fit.distance for fit in report.fits})
-    table = _table(
-        f"EllipBody: part F1, joints, found, {ITERATIONS} iterations at {SIZE} px, by distance of the start [rad]",
-        ["renderer, gradient", "sees", *map(str, distances)],
-        left=2,
+            rows.append([name, *(_cell(fit) for fit in fits if fit is not None)])
+    return make_table(
+        f"EllipBody: part F1 and joints after so many iterations at {SIZE} px, from {DISTANCE} rad off",
+        [_RENDERER, *map(str, counts)],
+        rows,
     )
+
+
+def _starts_table(report: TradeoffReport) -> Table:
+    distances = sorted({fit.distance for fit in report.fits})
+    rows = []
     for seen in (KEYPOINTS_TOO, LABELS_ALONE):
         for name in NAMES:
             fits = [report.fit(ELLIPBODY, Setting(name), distance, seen) for distance in distances]
             if all(fits):
-                table.add_row(name, seen, *[f"{_cell(fit)}, {fit.found:.0%}" for fit in fits if fit is not None])
-    return table
-
-
-def _gradients_table(report: Report) -> Table:
-    distances = sorted({row.distance for row in report.gradients})
-    sizes = sorted({row.setting.size for row in report.gradients})
-    table = _table(
-        "Gradient: angle [°] and length, medians, by distance [rad]",
-        ["renderer, gradient", "px", *map(str, distances)],
+                rows.append([name, seen, *(f"{_cell(fit)}, {fit.found:.0%}" for fit in fits if fit is not None)])
+    return make_table(
+        f"EllipBody: part F1, joints, found, {ITERATIONS} iterations at {SIZE} px, by distance of the start [rad]",
+        [_RENDERER, "sees", *map(str, distances)],
+        rows,
+        left=(0, 1),
     )
+
+
+def _gradients_table(report: TradeoffReport) -> Table:
+    sizes = sorted({size for _, size, _ in report.gradients})
+    distances = sorted({distance for _, _, distance in report.gradients})
+    rows = []
     for name in NAMES:
         for size in sizes:
-            errors = [report.gradient(Setting(name, size), distance) for distance in distances]
+            errors = [report.gradients.get((name, size, distance)) for distance in distances]
             cells = [f"{np.median(each.angle):.1f}, {np.median(each.ratio):.2f}" for each in errors if each is not None]
-            table.add_row(name, str(size), *cells, end_section=size == sizes[-1])
-    return table
+            rows.append([name, str(size), *cells])
+    title = "Gradient: angle [°] and length, medians, by distance [rad]"
+    return make_table(title, [_RENDERER, "px", *map(str, distances)], rows, sections=True)
 
 
-def _precisions_table(report: Report) -> Table:
-    table = _table(
-        f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px",
-        ["renderer, gradient", "numbers", "part F1", "joints [mm]", "joints moved [mm]", "an iteration [ms]"],
-        left=2,
-    )
-    for name in PRECISION_NAMES:
-        for row in report.precisions:
-            if row.name == name:
-                table.add_row(
-                    row.name,
-                    row.numbers,
-                    f"{row.scores.part_f1.mean():.4f}",
-                    f"{row.scores.joint_error.mean():.2f}",
-                    f"{row.moved:.2f}",
-                    f"{1e3 * row.seconds:.3g}",
-                )
-    return table
+def _precisions_table(report: TradeoffReport) -> Table:
+    rows = [
+        [
+            row.name,
+            row.numbers,
+            f"{row.scores.part_f1.mean():.4f}",
+            f"{row.scores.joint_error.mean():.2f}",
+            f"{row.moved:.2f}",
+            f"{1e3 * row.seconds:.3g}",
+        ]
+        for name in PRECISION_NAMES
+        for row in report.precisions
+        if row.name == name
+    ]
+    headings = [_RENDERER, "numbers", "part F1", "joints [mm]", "joints moved [mm]", "an iteration [ms]"]
+    return make_table(f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px", headings, rows, left=(0, 1))
 
 
-def _qualities_table(report: Report) -> Table:
-    table = _table(
-        "Whole fits of PartBench's people",
-        ["quality", "level", "part F1", "foreground F1", "joints, PA [mm]", "time [s]"],
-        left=2,
-    )
-    for level, qualities in report.qualities.items():
-        for quality, figures in qualities.items():
-            table.add_row(
-                quality,
-                level,
-                f"{figures['part_f1']:.3f}",
-                f"{figures['foreground_f1']:.3f}",
-                f"{figures['pa_mpjpe_mm']:.1f}",
-                f"{figures['seconds']:.2f}",
-            )
-    return table
+def _qualities_table(report: TradeoffReport) -> Table:
+    rows = [
+        [
+            quality,
+            level,
+            f"{figures['part_f1']:.3f}",
+            f"{figures['foreground_f1']:.3f}",
+            f"{figures['pa_mpjpe_mm']:.1f}",
+            f"{figures['seconds']:.2f}",
+        ]
+        for level, qualities in report.qualities.items()
+        for quality, figures in qualities.items()
+    ]
+    headings = ["quality", "level", "part F1", "foreground F1", "joints, PA [mm]", "time [s]"]
+    return make_table("Whole fits of PartBench's people", headings, rows, left=(0, 1))

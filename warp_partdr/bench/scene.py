@@ -1,4 +1,4 @@
-"""What is drawn: bodies in random poses, each compared with itself in a slightly different pose."""
+"""Bodies in random poses to be timed, each compared with itself in a slightly different pose."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from functools import cached_property
 
 import torch
 
-from ...body.labels import label_set
-from ...body.parameters import BodyParameters
-from ...body.pose_prior import PosePrior
-from ...body.posing import LandmarkGather, Posed
-from ...body.skeletons import skeleton
-from ...cameras import WeakPerspective
-from ...inputs.observation import Observation
-from ...refinement.energy import Energy
-from ...render.ellipsoids import draw_ellipsoids
-from ...render.options import Gradient
-from ...render.renderers import RendererEllipsoids
+from ..body.labels import label_set
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..body.posing import LandmarkGather, Posed
+from ..body.skeletons import skeleton
+from ..cameras import WeakPerspective
+from ..inputs.observation import Observation
+from ..refinement.energy import Energy
+from ..render.ellipsoids import draw_ellipsoids
+from ..render.options import Gradient
+from ..render.renderers import RendererEllipsoids
 
 LABELS = label_set("ellipbody20")
 _BEND, _MOVE = 0.2, 0.1  # [rad] of each joint: from the rest pose, and from there to the target
@@ -25,11 +25,11 @@ _LOG_SCALE = -0.1  # so that a body covers a tenth of the picture
 
 
 @dataclass(frozen=True)
-class Scene:
+class BenchScene:
     """B bodies and B targets.
 
     Attributes:
-        bodies: Where a refinement starts.
+        bodies: Starts of a refinement.
         targets: Labels wanted of each body, shape (B, size, size), uint8.
         points: Keypoints wanted of each body (COCO), -1 to 1, shape (B, 17, 2).
         size: Side of the picture [px].
@@ -41,7 +41,7 @@ class Scene:
     size: int
 
     @classmethod
-    def random(cls, batch_size: int, size: int, device: str) -> Scene:
+    def random(cls, batch_size: int, size: int, device: str) -> BenchScene:
         """The same for the same arguments, on any device."""
         generator = torch.Generator().manual_seed(0)
         mean = BodyParameters.mean(batch_size, device=device)
