@@ -416,7 +416,7 @@ def test_shaded_people(people):
 
 
 def test_learns_pictures_by_heart(tmp_path):
-    """A short version of ``benchmarks/overfit_pictures.py``."""
+    """Four pictures, a hundred steps: the network can take in what it is shown."""
     config = make_config(
         {
             "task": "ellipbodynet",
