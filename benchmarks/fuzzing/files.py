@@ -1,0 +1,165 @@
+"""Files, whole and damaged."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from safetensors.numpy import save
+
+from fuzzing.chance import Chance
+from fuzzing.fits import person
+from warp_partdr import label_set
+from warp_partdr.clothing import smpl
+from warp_partdr.clothing.load import load_model
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.part_labels import read_parts, read_photo
+from warp_partdr.network.checkpoint import load_label_network, save_label_network
+from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
+from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.regressor import RegressorConfig
+from warp_partdr.results.body_file import BodyFile, load_body
+
+SMALL_NETWORK = LabelNetworkConfig(
+    size=64, channels=(4, 8, 8, 8, 8), places=2, keypoint_features=8, regressor=RegressorConfig(width=16)
+)
+
+
+def saved(write: Callable[[io.BytesIO], Any]) -> bytes:
+    buffer = io.BytesIO()
+    write(buffer)
+    return buffer.getvalue()
+
+
+@lru_cache
+def body_file() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {
+        "global_orient": np.eye(3, dtype=np.float32),
+        "translation": np.zeros(3, dtype=np.float32),
+        "rotations": np.tile(np.eye(3, dtype=np.float32), (20, 1, 1)),
+        "lengths": rng.uniform(0.2, 0.5, 12).astype(np.float32),
+        "thicknesses": rng.uniform(0.1, 0.2, 15).astype(np.float32),
+        "camera_scale": np.float32(100.0),
+        "camera_translation": np.float32([20.0, 30.0]),
+        "image_size": np.array([96, 80]),
+    }
+
+
+def try_body_file(chance: Chance) -> Any:
+    arrays = {name: chance.array(value) for name, value in body_file().items()}
+    if chance.rng.random() < 0.5:
+        path = chance.folder / "body.npz"
+        BodyFile(**arrays).save(path)
+        data = path.read_bytes()
+    else:
+        data = saved(lambda file: np.savez(file, format=np.array("warp-partdr body 1"), **body_file()))
+    loaded = load_body(chance.file("body.npz", data))
+    return vars(loaded), loaded.camera(), loaded.body("cpu").numpy()
+
+
+def try_keypoint_file(chance: Chance) -> Any:
+    rows = [[*map(float, point), 0.9] for point in person(chance.device)[0].points]
+    flat = [number for row in rows for number in row]
+    data = chance.one(
+        [
+            {"format": "coco17", "keypoints": rows},
+            {"people": [{"pose_keypoints_2d": flat + flat[:24]}]},
+            {"annotations": [{"keypoints": flat, "image_id": 1}]},
+            [{"keypoints": [row[:2] for row in rows], "keypoint_scores": [0.5] * 17}],
+            rows,
+            [rows, rows],
+        ]
+    )
+    text = json.dumps(chance.json(data)).encode()
+    path = chance.file("keypoints.json", text) if chance.rng.random() < 0.4 else chance.folder / "keypoints.json"
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_bytes(text)
+    people = read_keypoints(path, chance.one(["coco17", "lsp", "x"]) if chance.spoils() else None)
+    return [(one.points, one.confidence) for one in people]
+
+
+def try_part_file(chance: Chance) -> Any:
+    labels = chance.array(person(chance.device)[1])
+    if chance.rng.random() < 0.5:
+        image = Image.fromarray(person(chance.device)[1])
+        kind = chance.one(["png", "jpeg", "gif"]) if chance.spoils() else "png"
+        path = chance.file("parts.png", saved(lambda file: image.save(file, kind)))
+    else:
+        if chance.rng.random() < 0.3:
+            maps = np.moveaxis(np.eye(21, dtype=np.float32)[person(chance.device)[1][::8, ::8]], -1, 0)
+            labels = chance.array(maps)
+        pickled = chance.spoils()
+        data = saved(lambda file: np.save(file, np.array([{}]) if pickled else labels, allow_pickle=True))
+        path = chance.file("parts.npy", data)
+    parts = read_parts(path, label_set(chance.one(["ellipbody20", "ellipbody20", "lsp6"])))
+    return parts.groups, parts.maps
+
+
+def try_photo(chance: Chance) -> Any:
+    image = Image.fromarray(chance.rng.integers(0, 256, (6, 5, 3)).astype(np.uint8))
+    kind = chance.one(["png", "jpeg", "webp", "tiff", "bmp"])
+    return read_photo(chance.file(f"photo.{kind}", saved(lambda file: image.save(file, kind))))
+
+
+@lru_cache
+def smpl_arrays() -> dict[str, np.ndarray]:
+    """A made-up model of a few vertices, of SMPL's layout."""
+    rng = np.random.default_rng(0)
+    joints, vertices, faces = 24, 60, 30
+    parents = np.array([-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21])
+    weights = rng.random((vertices, joints))
+    return {
+        "v_template": rng.normal(size=(vertices, 3)),
+        "shapedirs": rng.normal(size=(vertices, 3, 10)),
+        "posedirs": rng.normal(size=(vertices, 3, 9 * (joints - 1))),
+        "J_regressor": rng.dirichlet(np.ones(vertices), joints),
+        "weights": weights / weights.sum(1, keepdims=True),
+        "kintree_table": np.stack([parents, np.arange(joints)]),
+        "f": rng.integers(0, vertices, (faces, 3)),
+    }
+
+
+def try_model_file(chance: Chance) -> Any:
+    arrays = {name: chance.array(value) for name, value in smpl_arrays().items() if not chance.spoils()}
+    assert set(smpl.ARRAYS) >= set(arrays)
+    kind = chance.one(["npz", "npz", "safetensors"])
+    if kind == "npz":
+        data = saved(lambda file: np.savez(file, **arrays))
+    else:
+        kept = {name: np.ascontiguousarray(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        data = save({name: array for name, array in kept.items() if array.dtype.kind in "fiu"})
+    path = chance.file(f"model.{chance.one(['pkl', 'txt', '']) if chance.spoils() else kind}", data)
+    model = load_model(path, num_shapes=chance.number(None, 3, 10, 11))
+    detailed = model.rest(torch.zeros(1, model.num_shapes))
+    return detailed.vertices, detailed.joints
+
+
+@lru_cache
+def network_file() -> bytes:
+    """A label network, small and untrained."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "network.safetensors"
+        save_label_network(path, LabelNetwork(SMALL_NETWORK).state_dict(), SMALL_NETWORK, {"steps": 0})
+        return path.read_bytes()
+
+
+def try_network_file(chance: Chance) -> Any:
+    data = network_file()
+    if chance.spoils():
+        length = int.from_bytes(data[:8], "little") + 8
+        head = chance.rng.random() < 0.5  # else any byte, which is most likely a weight
+        data = chance.damaged(data[:length]) + data[length:] if head else chance.damaged(data)
+    network = load_label_network(chance.file("network.safetensors", data))
+    shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
+    predicted = network(shares, keypoints)
+    return predicted.orientation, predicted.rotations
