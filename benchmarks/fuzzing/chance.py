@@ -15,17 +15,12 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 SIZES = [(8, 8), (1, 1), (5, 12), (24, 16)]
 
 _DTYPES = [
-    torch.float64,
-    torch.float16,
-    torch.bfloat16,
-    torch.int32,
-    torch.int64,
-    torch.uint8,
-    torch.bool,
-    torch.complex64,
+    *(torch.float64, torch.float16, torch.bfloat16),
+    *(torch.int32, torch.int64, torch.uint8, torch.bool, torch.complex64),
 ]
 _VALUES = [math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e-20, 1e9, 1e20, 3e38, 1e300]
 _ODDITIES = [None, "a", [1.0], np.zeros(3)]
+_JSON = [None, True, -1, 0, 1e400, 10**400, "x", [], {}, [[]], math.nan, "left_foot", 7.5, [1, 2, 3]]
 
 
 class Chance:
@@ -39,7 +34,7 @@ class Chance:
 
     def __init__(self, rng: np.random.Generator, folder: Path, device: str) -> None:
         self.rng, self.folder, self.device = rng, folder, device
-        self.extreme = False  # whether some tensor holds no number, 0, or what is near the end of float32
+        self.extreme = False  # if some tensor holds no number, 0, or what is near the end of float32
         # Most cases spoil something; where all is spoilt, only the first check is tested.
         self.rate = float(rng.choice([0.0, 0.1, 0.3]))
 
@@ -48,8 +43,12 @@ class Chance:
         return choices[int(self.rng.integers(len(choices)))]
 
     def spoils(self) -> bool:
-        """Whether this argument is spoilt."""
+        """True if this argument is spoilt."""
         return bool(self.rng.random() < self.rate)
+
+    def either(self, value: Any, *others: Any) -> Any:
+        """The value, or one of the others."""
+        return self.one(others) if self.spoils() else value
 
     def tensor(self, *shape: int, scale: float = 1.0, shift: float = 0.0) -> torch.Tensor:
         """Normal numbers."""
@@ -121,9 +120,7 @@ class Chance:
 
     def number(self, value: Any, *others: Any) -> Any:
         """The number, or another one."""
-        return (
-            self.one([*others, math.nan, math.inf, -math.inf, 0, -1, 1e30, None, "a", 2.5]) if self.spoils() else value
-        )
+        return self.either(value, *others, math.nan, math.inf, -math.inf, 0, -1, 1e30, None, "a", 2.5)
 
     def size(self) -> Any:
         """A picture's size."""
@@ -161,9 +158,7 @@ class Chance:
     def json(self, data: Any) -> Any:
         """Data with something in it replaced, wherever it is."""
         if self.rng.random() < 0.05 * self.rate:
-            return self.one(
-                [None, True, -1, 0, 1e400, 10**400, "x", [], {}, [[]], math.nan, "left_foot", 7.5, [1, 2, 3]]
-            )
+            return self.one(_JSON)
         if isinstance(data, dict):
             return {
                 self.one(["", "format", "x"]) if self.rng.random() < 0.03 else k: self.json(v) for k, v in data.items()

@@ -84,7 +84,7 @@ def try_keypoint_file(chance: Chance) -> Any:
     if not path.exists():
         path.parent.mkdir(exist_ok=True, parents=True)
         path.write_bytes(text)
-    people = read_keypoints(path, chance.one(["coco17", "lsp", "x"]) if chance.spoils() else None)
+    people = read_keypoints(path, chance.either(None, "coco17", "lsp", "x"))
     return [(one.points, one.confidence) for one in people]
 
 
@@ -92,7 +92,7 @@ def try_part_file(chance: Chance) -> Any:
     labels = chance.array(person(chance.device)[1])
     if chance.rng.random() < 0.5:
         image = Image.fromarray(person(chance.device)[1])
-        kind = chance.one(["png", "jpeg", "gif"]) if chance.spoils() else "png"
+        kind = chance.either("png", "png", "jpeg", "gif")
         path = chance.file("parts.png", saved(lambda file: image.save(file, kind)))
     else:
         if chance.rng.random() < 0.3:
@@ -138,7 +138,7 @@ def try_model_file(chance: Chance) -> Any:
     else:
         kept = {name: np.ascontiguousarray(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
         data = save({name: array for name, array in kept.items() if array.dtype.kind in "fiu"})
-    path = chance.file(f"model.{chance.one(['pkl', 'txt', '']) if chance.spoils() else kind}", data)
+    path = chance.file(f"model.{chance.either(kind, 'pkl', 'txt', '')}", data)
     model = load_model(path, num_shapes=chance.number(None, 3, 10, 11))
     detailed = model.rest(torch.zeros(1, model.num_shapes))
     return detailed.vertices, detailed.joints

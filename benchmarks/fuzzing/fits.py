@@ -55,7 +55,7 @@ def keypoints_of(chance: Chance) -> Keypoints2D:
     known, _ = person(chance.device)
     points = known.points + chance.rng.normal(0, 2, known.points.shape).astype(np.float32)
     return Keypoints2D(
-        chance.one(["lsp14", "nobody"]) if chance.spoils() else "coco17",
+        chance.either("coco17", "lsp14", "nobody"),
         chance.array(points),
         chance.array(known.confidence * chance.rng.random(17).astype(np.float32)),
     )
@@ -63,11 +63,9 @@ def keypoints_of(chance: Chance) -> Keypoints2D:
 
 def try_fit_body(chance: Chance) -> Any:
     stages = (Stage("lift", 6, 2, 0.1), Stage("keypoints", 4, 2, 0.05), Stage("labels", 2, 2, 0.03, 32))
-    labels = (
-        chance.rng.permutation(person(chance.device)[1].reshape(-1)).reshape(96, 80)
-        if chance.spoils()
-        else person(chance.device)[1]
-    )
+    labels = person(chance.device)[1]
+    if chance.spoils():
+        labels = chance.rng.permutation(labels.reshape(-1)).reshape(labels.shape)
     parts = PartLabels(label_set("ellipbody20"), chance.array(labels)) if chance.rng.random() < 0.7 else None
     if chance.spoils():
         stages = tuple(

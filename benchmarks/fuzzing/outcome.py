@@ -32,7 +32,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether it is right, or refused on purpose."""
+        """True if it is right, or refused on purpose."""
         return self.kind in ("right", "refused")
 
 
@@ -60,7 +60,7 @@ def check_finite(value: Any, name: str = "result") -> None:
 
 
 def on_purpose(error: BaseException) -> bool:
-    """Whether a line of this package raised it, or Python because of an argument's type."""
+    """True if a line of this package raised it, or Python because of an argument's type."""
     if isinstance(error, TypeError):
         return True
     if not isinstance(error, REFUSALS) or not str(error):
