@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from importlib import resources
 
@@ -13,8 +12,6 @@ from rich.console import Console
 from scenes import draw_on_screen, loss_on_screen, refine_by_autograd
 
 from warp_partdr import label_set
-from warp_partdr.bench.report import save_figures
-from warp_partdr.bench.savings import print_savings, run_savings, savings_as_dict
 from warp_partdr.body.labels import LabelSet
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
@@ -276,21 +273,6 @@ def test_fits_of_a_few_stages_still_fit():
     assert picture.modelled == f"{256 / result.crop.zoom:.0f} x {256 / result.crop.zoom:.0f} px around the person, " + (
         "drawn at 64 px"
     )
-
-
-# --- The benchmark -------------------------------------------------------------------------------------------------
-
-
-def test_savings_are_timed(device, tmp_path, capsys):
-    rows = run_savings("cpu" if device == "cpu" else "cuda:0", budget=0.0)
-    assert {row.name for row in rows} >= {"L_seg against labels", "region of interest", "parts of a scene, edges"}
-    assert all(row.before.median > 0 and row.after.median > 0 for row in rows)
-    assert all(row.base.median > 0 for row in rows if row.name.startswith("parts"))
-    assert all((row.memory_before is None) == (device == "cpu") for row in rows)
-    print_savings(rows, {"machine": "any"}, Console(width=200))
-    assert "region of interest" in capsys.readouterr().out
-    save_figures(savings_as_dict(rows, {"machine": "any"}), tmp_path / "savings.json")
-    assert len(json.loads((tmp_path / "savings.json").read_text())["rows"]) == len(rows)
 
 
 def test_the_commands_run(tmp_path):
