@@ -192,7 +192,8 @@ class Energy:
         if self._fixed is None:
             self._fixed = self.renderer.fixed(posed, camera)
         if self._maps is None:
-            return self._fixed.label_loss(posed, camera, self.target[None], part_labels=labels, validate=False)[0]
+            target = self.target.view(-1, self.size, self.size)  # one for all bodies, or one each
+            return self._fixed.label_loss(posed, camera, target, part_labels=labels, validate=False)[0]
         size, count = (self.size, self.size), len(self._maps)
         maps = self._fixed.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
         assert maps is not None
