@@ -24,7 +24,7 @@ _JSON = [None, True, -1, 0, 1e400, 10**400, "x", [], {}, [[]], math.nan, "left_f
 
 
 class Chance:
-    """What one case draws from, on one device.
+    """Source of one case's arguments, on one device.
 
     Args:
         rng: The case's own.

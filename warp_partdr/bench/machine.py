@@ -41,7 +41,7 @@ def about(device: str = "cpu") -> dict[str, str]:
 
 
 def in_words(machine: Mapping[str, str]) -> str:
-    """What ``about`` says, in a line."""
+    """One line of what ``about`` returns."""
     return ", ".join(value if key == "machine" else f"{key} {value}" for key, value in machine.items())
 
 

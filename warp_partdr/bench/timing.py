@@ -81,7 +81,7 @@ def time_in_turn(calls: Sequence[Callable[[], object]], device: str, budget: flo
 
 
 def peak_memory(call: Callable[[], object], device: str) -> int | None:
-    """What torch holds at most during a call, beside what it held before [bytes]; None on the CPU device."""
+    """Memory that torch takes for a call at most, beside what it held before [bytes]; None on the CPU device."""
     if wp.get_device(device).is_cpu:
         return None
     before = torch.cuda.memory_allocated(device)

@@ -47,15 +47,11 @@ class ExactRun:
         posed, batch = scene.posed, scene.batch_size
         self._scene, self._gradient = scene, gradient
         ellipsoids = EllipsoidArrays()
-        ellipsoids.centres, ellipsoids.axes = (
-            warp_array(contiguous(posed.centres), wp.vec3),
-            warp_array(contiguous(posed.axes), wp.mat33),
-        )
-        ellipsoids.semi_axes, ellipsoids.camera = (
-            warp_array(contiguous(posed.semi_axes), wp.vec3),
-            warp_array(contiguous(scene.camera.intrinsics), wp.vec4),
-        )
-        self._ellipsoids = [getattr(ellipsoids, name) for name in ("centres", "axes", "semi_axes", "camera")]
+        ellipsoids.centres = warp_array(contiguous(posed.centres), wp.vec3)
+        ellipsoids.axes = warp_array(contiguous(posed.axes), wp.mat33)
+        ellipsoids.semi_axes = warp_array(contiguous(posed.semi_axes), wp.vec3)
+        ellipsoids.camera = warp_array(contiguous(scene.camera.intrinsics), wp.vec4)
+        self._ellipsoids = [ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera]
         where = ellipsoids.centres.device
         self._part_labels = wp.array(LABELS.part_groups[1:], dtype=wp.uint8, device=where)
         self._seen = Seen.empty(batch, posed.centres.shape[1], where)

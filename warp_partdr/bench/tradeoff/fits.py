@@ -14,14 +14,11 @@ from ...body.parameters import BodyParameters
 from ...body.pose_prior import PosePrior
 from ...body.posing import LandmarkGather
 from ...body.template import NUM_PARTS
-from ...cameras import WeakPerspective
 from ...metrics import accuracy, confusion, pa_mpjpe, part_f1
 from ...refinement.captured import CapturedRefinement
 from ...refinement.energy import Energy, Weights
 from ...refinement.stepper import Refinement
 from ...refinement.steps import Refined
-from ...render.mesh import draw_mesh
-from ...render.part_mesh import ellipbody_mesh
 from ...render.renderers import RendererMesh
 from ...synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
 from ..timing import Timing, time_calls
@@ -54,11 +51,11 @@ def score_bodies(bodies: BodyParameters, people: People) -> Scores:
     return Scores(part_f1(counts), accuracy(counts), error.cpu().numpy())
 
 
-def own_part_f1(bodies: BodyParameters, people: People, subdivisions: int) -> np.ndarray:
-    """Part F1, shape (N,), of the bodies' mesh, as the paper draws them."""
-    screen = bodies.camera(_SCORED).project(bodies.posed().vertices(subdivisions))
-    mesh, camera = ellipbody_mesh(subdivisions, device=screen.device), WeakPerspective.identity(screen.device)
-    drawn = [draw_mesh(each[None], mesh, camera, (_SCORED, _SCORED)).labels for each in screen]
+def own_part_f1(setting: Setting, bodies: BodyParameters, people: People) -> np.ndarray:
+    """Part F1, shape (N,), of the bodies as the setting's renderer draws them."""
+    size = _SCORED, _SCORED
+    one = (bodies.select(torch.tensor([index], device=bodies.shift.device)) for index in range(len(people)))
+    drawn = [setting.renderer.draw(body.posed(), body.camera(_SCORED), size).labels for body in one]
     return part_f1(confusion(torch.cat(drawn), _true_labels(people), NUM_PARTS + 1))
 
 

@@ -20,7 +20,6 @@ from ...fit.fitting import Progress
 from ...fit.options import FitOptions
 from ...fit.stages import Quality
 from ...refinement.stepper import Refinement
-from ...render.renderers import RendererMesh
 from ...synthetic.tradeoff_people import JOINTS, People, make_people
 from ..jobs import Job, run_jobs
 from ..machine import about
@@ -76,8 +75,8 @@ def _fit(report: TradeoffReport, people: People, setting: Setting, distance: flo
     weights = WITHOUT_KEYPOINTS if seen == LABELS_ALONE else None
     bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
     own = None
-    if isinstance(setting.renderer, RendererMesh) and setting == Setting(setting.name):
-        own = own_part_f1(bodies, people, LEVELS[setting.name])
+    if setting.name in LEVELS and setting == Setting(setting.name):
+        own = own_part_f1(setting, bodies, people)
     report.fits.append(Fit(people.name, seen, setting, distance, score_bodies(bodies, people), own, seconds))
 
 

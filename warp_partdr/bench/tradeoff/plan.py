@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from ...body.pose_prior import PosePrior
 from ...inputs.observation import Observation
 from ...refinement.energy import Energy, Weights
-from ...render.renderers import Renderer, RendererEllipsoids, RendererMesh
-from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, PARTDR
+from ...render.renderers import Renderer
+from ..renderers import COVERAGE, EXACT, LEVELS, PARTDR, RENDERERS
 
 NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the order of tables and legends
 SIZE, ITERATIONS, DISTANCE = 256, 50, 0.15  # what stays the same while others change
@@ -35,7 +35,7 @@ class Setting:
     @property
     def renderer(self) -> Renderer:
         """The object that draws."""
-        return RendererMesh(LEVELS[self.name]) if self.name in LEVELS else RendererEllipsoids(GRADIENTS[self.name])
+        return RENDERERS[self.name]
 
     def energy(self, seen: Observation, prior: PosePrior, weights: Weights | None = None) -> Energy:
         """The energy that the refinement minimises."""
