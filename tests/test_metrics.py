@@ -82,6 +82,12 @@ def test_bad_classes_and_shapes_name_the_argument(predicted, target, error):
         metrics.confusion(predicted, target, 2)
 
 
+@pytest.mark.parametrize("count", [-1, 0, 2.5])
+def test_a_number_of_classes_is_one(count):
+    with pytest.raises(ValueError, match=r"num_classes: .* expected an integer of 1 or more"):
+        metrics.confusion(np.zeros((0, 4, 5), int), np.zeros((0, 4, 5), int), count)
+
+
 def test_mpjpe_by_hand(device):
     points = torch.zeros(2, 3, device=device)
     moved = torch.tensor([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], device=device)

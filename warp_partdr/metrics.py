@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from .body.labels import BACKGROUND, IGNORE
+from .errors import check_whole
 from .interop.checks import check_finite
 
 Array = np.ndarray | torch.Tensor
@@ -37,8 +38,9 @@ def confusion(predicted: Array, target: Array, num_classes: int, *, ignored_is_b
             they do not count, as in its F1.
 
     Raises:
-        ValueError: If the shapes differ or a class is out of range.
+        ValueError: If the shapes differ, or ``num_classes`` or a class is out of range.
     """
+    num_classes = check_whole("num_classes", num_classes, 1)
     want = _tensor("target", target).to(torch.int64)
     have = _tensor("predicted", predicted).to(want)
     if have.shape != want.shape:
