@@ -120,7 +120,9 @@ class Chance:
 
     def number(self, value: Any, *others: Any) -> Any:
         """The number, or another one."""
-        return self.either(value, *others, math.nan, math.inf, -math.inf, 0, -1, 1e30, None, "a", 2.5)
+        number = self.either(value, *others, math.nan, math.inf, -math.inf, 0, -1, 1e30, None, "a", 2.5)
+        self.extreme |= number == 1e30  # two of them multiplied leave float32
+        return number
 
     def size(self) -> Any:
         """A picture's size."""

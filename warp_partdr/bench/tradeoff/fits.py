@@ -16,9 +16,8 @@ from ...body.posing import LandmarkGather
 from ...body.template import NUM_PARTS
 from ...metrics import accuracy, confusion, pa_mpjpe, part_f1
 from ...refinement.captured import CapturedRefinement
-from ...refinement.energy import Energy, Weights
-from ...refinement.stepper import Refinement
-from ...refinement.steps import Refined
+from ...refinement.energy import Weights
+from ...refinement.refine import refine
 from ...render.renderers import RendererMesh
 from ...synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
 from ..timing import Timing, time_calls
@@ -77,12 +76,12 @@ def refine_all(
         # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
         energy = setting.energy(people.observation(), prior, weights)
         begin = time.perf_counter()
-        found = Refinement(start, energy, iterations=setting.iterations, learning_rate=RATE).run()
+        found = refine(start, energy, iterations=setting.iterations, learning_rate=RATE)
     else:
         energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
-        fused = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
+        captured = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
         begin = time.perf_counter()
-        found = fused.refine(start)
+        found = captured.refine(start)
     float(found.energy.sum())  # until the device is done
     seconds = time.perf_counter() - begin
     return found.parameters, seconds / (len(people) * setting.iterations)
@@ -100,13 +99,9 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
         energy = setting.energy(people.observation(person), prior)
         body = start.select(torch.tensor([person], device=start.shift.device))
         if isinstance(setting.renderer, RendererMesh):
-            runs.append(partial(_refine_by_autograd, body, energy, setting.iterations))
+            runs.append(partial(refine, body, energy, iterations=setting.iterations))
         else:
-            fused = CapturedRefinement(energy, 1, iterations=setting.iterations)
-            runs.append(partial(fused.refine, body))
+            captured = CapturedRefinement(energy, 1, iterations=setting.iterations)
+            runs.append(partial(captured.refine, body))
     fastest = [time_calls(run, device, budget / len(runs)).fastest for run in runs]
     return Timing(tuple(seconds / setting.iterations for seconds in fastest))
-
-
-def _refine_by_autograd(body: BodyParameters, energy: Energy, iterations: int) -> Refined:
-    return Refinement(body, energy, iterations=iterations).run()
