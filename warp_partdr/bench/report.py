@@ -7,6 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -22,8 +24,12 @@ def wide_console() -> Console:
 
 
 def save_figures(figures: Mapping[str, Any], path: Path) -> None:
-    """Write JSON."""
-    path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    """Write JSON; arrays, shape (N,), with five digits."""
+    path.write_text(json.dumps(figures, indent=1, default=_rounded) + "\n", encoding="utf-8")
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]
 
 
 def make_table(

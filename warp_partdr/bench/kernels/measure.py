@@ -160,12 +160,7 @@ _KERNEL_RUNS: dict[str, _MakeRun] = {
 
 
 def _time_starts(plan: KernelPlan) -> list[TimedRow]:
-    cold, warm = time_starts(plan.device)
-    durations = {
-        "imports": warm.imports,
-        "first call, no kernel compiled": cold.first_call,
-        "first call, kernels compiled before": warm.first_call,
-    }
+    durations = time_starts(plan.device)
     return [TimedRow(STARTS, name, EXACT, 0, 0, "process", Timing((seconds,))) for name, seconds in durations.items()]
 
 

@@ -12,39 +12,27 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
-class Start:
-    """One fresh process.
-
-    Attributes:
-        imports: Until torch, Warp and this package are loaded [s].
-        first_call: From there until a body is posed and its label loss has a gradient [s].
-    """
-
-    imports: float
-    first_call: float
-
-
-def time_starts(device: str) -> tuple[Start, Start]:
-    """Cold and warm start.
+def time_starts(device: str) -> dict[str, float]:
+    """Durations by name [s]: of imports, and of the first call after them, a body's label loss and its gradient.
 
     Raises:
         RuntimeError: If a process fails.
     """
     with tempfile.TemporaryDirectory() as cache:
-        cold, warm = (_start(device, cache) for _ in range(2))
-    return cold, warm
+        (_, cold), (imports, warm) = (_time_process(device, cache) for _ in range(2))
+    return {"imports": imports, "first call, no kernel compiled": cold, "first call, kernels compiled before": warm}
 
 
-def _start(device: str, cache: str) -> Start:
+def _time_process(device: str, cache: str) -> tuple[float, float]:
+    """Seconds of imports and of the first call in a fresh process with a kernel cache."""
     command = [sys.executable, "-m", __name__, device]
     done = subprocess.run(command, env={**os.environ, "WARP_CACHE_PATH": cache}, capture_output=True, text=True)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
-    return Start(*json.loads(done.stdout.splitlines()[-1]))
+    imports, first_call = json.loads(done.stdout.splitlines()[-1])
+    return imports, first_call
 
 
 def time_this_process() -> None:

@@ -101,7 +101,7 @@ class TradeoffReport:
         return [Setting(name, size) for name, size in self.times]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """For ``save_figures``."""
         return {
             "device": self.device,
             "machine": self.machine,
@@ -120,8 +120,8 @@ class TradeoffReport:
                     "renderer": name,
                     "size_px": size,
                     "distance_rad": distance,
-                    "angle_deg": _numbers(error.angle),
-                    "length_ratio": _numbers(error.ratio),
+                    "angle_deg": error.angle,
+                    "length_ratio": error.ratio,
                 }
                 for (name, size, distance), error in self.gradients.items()
             ],
@@ -140,16 +140,8 @@ class TradeoffReport:
         }
 
 
-def _numbers(values: np.ndarray) -> list[float]:
-    return [float(f"{value:.5g}") for value in values]
-
-
 def _scores_as_dict(scores: Scores) -> dict[str, Any]:
-    return {
-        "part_f1": _numbers(scores.part_f1),
-        "accuracy": _numbers(scores.accuracy),
-        "joint_error_mm": _numbers(scores.joint_error),
-    }
+    return {"part_f1": scores.part_f1, "accuracy": scores.accuracy, "joint_error_mm": scores.joint_error}
 
 
 def _fit_as_dict(fit: Fit) -> dict[str, Any]:
@@ -161,7 +153,7 @@ def _fit_as_dict(fit: Fit) -> dict[str, Any]:
         "iterations": fit.setting.iterations,
         "distance_rad": fit.distance,
         **_scores_as_dict(fit.scores),
-        "own_part_f1": None if fit.own_part_f1 is None else _numbers(fit.own_part_f1),
+        "own_part_f1": fit.own_part_f1,
         "batch_seconds": fit.seconds,
     }
 
