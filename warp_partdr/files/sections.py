@@ -1,16 +1,67 @@
-"""Dataclasses of numbers from TOML or JSON, with errors that name the key and what is expected."""
+"""Dataclasses of settings from TOML, JSON and ``--set``, with errors that name the key and what is expected."""
 
 from __future__ import annotations
 
+import tomllib
 import types
-from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ..errors import InputError, shown
 
 Section = TypeVar("Section")
+
+
+def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, Any]:
+    """Tables of a TOML file.
+
+    Args:
+        path: The file.
+        name: Its name in messages.
+        expected: A word on what it may be, for messages.
+
+    Raises:
+        InputError: If it can't be read, or is no TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+        raise InputError(f"{name}: {error}; expected TOML") from error
+
+
+def set_value(values: dict[str, Any], override: str) -> str:
+    """Set one value in nested tables, in place; tables that are missing are made.
+
+    Args:
+        values: The tables.
+        override: ``key=value``, the value as in TOML, a text without quotes too; ``table.key`` reaches into a table.
+
+    Returns:
+        The key.
+
+    Raises:
+        InputError: If it is no ``key=value``, or reaches into what is no table.
+    """
+    key, equals, text = override.partition("=")
+    *tables, last = (name.strip() for name in key.split("."))
+    if not equals or not last:
+        raise InputError(f"--set: {override}; expected key=value")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        value = text.strip()
+    for name in tables:
+        table = values.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise InputError(f"--set: {override}: {name} is no table; expected one of the config's keys")
+        values = table
+    values[last] = value
+    return key.strip()
 
 
 def read_section(kind: type[Section], values: object, where: str = "") -> Section:
@@ -28,14 +79,52 @@ def read_section(kind: type[Section], values: object, where: str = "") -> Sectio
     if not isinstance(values, Mapping):
         raise InputError(f"{where or 'config'}: {shown(values)}; expected a table")
     known = {field.name: field for field in fields(kind) if field.init}  # type: ignore[arg-type]
-    for key in values:
-        if key not in known:
-            raise InputError(f"{_join(where, key)}: unknown; expected one of {', '.join(known) or 'no keys'}")
+    check_keys(values, known, where)
     for name, field in known.items():
         if name not in values and field.default is MISSING and field.default_factory is MISSING:
             raise InputError(f"{_join(where, name)}: missing; expected a value")
     hints = get_type_hints(kind)
-    return kind(**{key: _read(hints[key], value, _join(where, key)) for key, value in values.items()})
+    read = {key: _read(hints[key], value, _join(where, key)) for key, value in values.items()}
+    return _checked(lambda: kind(**read), where)
+
+
+def change_section(section: Section, values: object, where: str = "") -> Section:
+    """A dataclass with values of a mapping in place of its own; tables change the dataclasses within.
+
+    Args:
+        section: A dataclass as ``read_section`` reads them.
+        values: What TOML or JSON gave.
+        where: The key that holds it, for messages.
+
+    Raises:
+        InputError: If a key is unknown, or its value of another type or out of range.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError(f"{where or 'config'}: {shown(values)}; expected a table")
+    check_keys(values, [field.name for field in fields(section)], where)  # type: ignore[arg-type]
+    hints, changed = get_type_hints(type(section)), {}
+    for key, value in values.items():
+        now, place = getattr(section, key), _join(where, key)
+        inside = is_dataclass(now) and isinstance(value, Mapping)
+        changed[key] = change_section(now, value, place) if inside else _read(hints[key], value, place)
+    return _checked(lambda: replace(section, **changed), where)  # type: ignore[type-var]
+
+
+def check_keys(values: Mapping[str, Any], known: Iterable[str], where: str = "") -> None:
+    """Raise InputError that names the first key that is none of those known, and these."""
+    for key in values:
+        if key not in known:
+            raise InputError(f"{_join(where, key)}: unknown; expected one of {', '.join(known) or 'no keys'}")
+
+
+def _checked(make: Callable[[], Section], where: str) -> Section:
+    """A dataclass whose own check of its values may fail."""
+    try:
+        return make()
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(_join(where, error)) from error
 
 
 def _read(kind: Any, value: Any, where: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..files.sections import read_section
+from ..files.sections import read_section, read_toml, set_value
 from .config import TrainingConfig
 from .task import find_task
 
@@ -32,15 +31,11 @@ def read_config(source: str | Path, overrides: Sequence[str] = ()) -> TrainingCo
     """
     name = str(source)
     place = Path(name) if name.endswith(".toml") else _packaged().joinpath(f"{name}.toml")
-    try:
-        values = tomllib.loads(place.read_text(encoding="utf-8"))
-    except OSError as error:
-        expected = f"a .toml file, or one of {', '.join(packaged_configs())}"
-        raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
-        raise InputError(f"{name}: {error}; expected TOML") from error
+    values = read_toml(place, name, f"a .toml file, or one of {', '.join(packaged_configs())}")
     for override in overrides:
-        _set(values, override)
+        key = set_value(values, override)
+        if key in ("steps", "epochs"):  # one takes the other's place
+            values.pop("epochs" if key == "steps" else "steps", None)
     return make_config(values)
 
 
@@ -63,25 +58,6 @@ def make_config(values: Mapping[str, Any]) -> TrainingConfig:
         model=read_section(task.MODEL, values.get("model", {}), "model"),
         data=read_section(task.DATA, values.get("data", {}), "data"),
     )
-
-
-def _set(values: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
-    *tables, last = key.strip().split(".")
-    if not equals or not last:
-        raise InputError(f"--set: {override}; expected key=value")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
-        value = text.strip()
-    for name in tables:
-        table = values.setdefault(name, {})
-        if not isinstance(table, dict):
-            raise InputError(f"--set: {override}: {name} is no table; expected one of the config's keys")
-        values = table
-    if not tables and last in ("steps", "epochs"):  # one takes the other's place
-        values.pop("epochs" if last == "steps" else "steps", None)
-    values[last] = value
 
 
 def _packaged() -> Any:
