@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 from warp_partdr.viewer.state import DemoState
-from warp_partdr.viewer.targets import body_of, target_of
+from warp_partdr.viewer.targets import body_of, body_target
 from warp_partdr.viewer.window import Window
 
 STEPS = 25  # of each setting
@@ -27,7 +27,7 @@ def main() -> None:
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
     torch.set_num_threads(1)  # the tensors are small
-    state = DemoState(body_of("t-pose"), target_of(body_of("walking")))
+    state = DemoState(body_of("t-pose"), body_target(body_of("walking")))
     window = Window(state, options.out.parent, off_screen=True)
     window.scene.screenshot()  # off-screen, nothing is drawn before the first picture
     for quality in ("F7", "F9"):

@@ -28,7 +28,7 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("edits.png", "between.png"), ("demos/edit_body.py", "--out", "OUT")),
     (
         ("demo.gif",),
-        ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--target", "crossed arms", "--steps", "60"),
+        ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--target", "crossed arms", "--set", "steps=60"),
     ),
     (("demo_window.png",), ("scripts/draw_demo_window.py", "--out", "OUT/demo_window.png")),
 )

@@ -21,7 +21,7 @@ from .scene import Scene
 from .settings import DRAWN_SIZES, QUALITIES, RendererName, Supervision
 from .sliders import PAGES
 from .state import DemoState
-from .targets import NETWORK, PRESETS, RANDOM, body_of, network_body, target_of
+from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body
 
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
 _BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
@@ -215,7 +215,7 @@ class Controls:
         if name != RANDOM and self._aims(name):
             return
         self._seed += 1
-        self._state.aim(self._given if name == "given" else target_of(body_of(name, self._seed)))
+        self._state.aim(self._given if name == "given" else body_target(body_of(name, self._seed)))
 
     def _aims(self, name: str) -> bool:
         truth = self._state.target.truth

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .record import write
+from .recording import write
 
 FILM = "demo.gif"
 _MOST = 400  # pictures of 0.8 MB

@@ -16,11 +16,8 @@ from ..body.posing import LandmarkGather, Posed
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..body.skeletons import skeleton
 from ..errors import InputError
-from ..inputs.keypoint_files import read_keypoints
-from ..inputs.keypoints import choose_person
 from ..inputs.observation import LABEL_SIZE, Observation, observe
-from ..inputs.part_labels import check_sizes, label_set_of, read_parts, read_photo
-from ..inputs.person import check_inside
+from ..inputs.person_files import PersonInputs
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
 from ..refinement.steps import SIZES
@@ -128,7 +125,7 @@ def read_body(path: str | Path) -> BodyParameters:
     )
 
 
-def target_of(body: BodyParameters) -> Target:
+def body_target(body: BodyParameters) -> Target:
     """What is to be seen of a body: its keypoints and the labels of its 20 parts."""
     names = skeleton(_FORMAT).landmarks
     with torch.no_grad():
@@ -139,33 +136,20 @@ def target_of(body: BodyParameters) -> Target:
     return Target(observation, truth=body)
 
 
-def read_target(photo: Path | None, keypoints: Path, parts: Path | None, labels: str | None) -> Target:
-    """A user's person.
-
-    Args:
-        photo: The picture, to be shown; may be left out.
-        keypoints: 2D keypoints of its people; the largest person is taken.
-        parts: Part labels; without, only keypoints can be followed.
-        labels: What the ids of ``parts`` mean; None: what labels.json beside them says.
+def person_target(person: PersonInputs) -> Target:
+    """A user's person; without part labels, only keypoints can be followed.
 
     Raises:
-        InputError: If a file can't be read, or they don't fit each other.
+        InputError: If keypoints and labels don't fit each other.
     """
-    picture = None if photo is None else read_photo(photo)
-    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
-    groups = None if image is None else image.groups
-    check_sizes(photo=None if picture is None else picture.shape[:2], parts=None if groups is None else groups.shape)
-    people = read_keypoints(keypoints)
-    person = choose_person(people, groups)
-    check_inside(person, next((seen.shape[:2] for seen in (picture, groups) if seen is not None), None))
-    observation, crop = observe(person, image, others=tuple(other for other in people if other is not person))
+    observation, crop = observe(person.keypoints, person.parts, others=person.others)
     shown = None
-    if picture is not None:
+    if person.photo is not None:
         from PIL import Image
 
         height, width = crop.size
         box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
-        cut = Image.fromarray(picture).transform(
+        cut = Image.fromarray(person.photo).transform(
             (width, height), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR, fillcolor=_PAPER
         )
         shown = np.asarray(cut)

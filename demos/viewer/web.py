@@ -111,7 +111,7 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
     except OSError as error:
         reason = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
         raise InputError(
-            f"--web: {host}:{port}: {reason}; expected an address of this machine and a free port (--port 0 takes any)"
+            f"--web: {host}:{port}: {reason}; expected this machine's address and a free port (--set port=0 takes any)"
         ) from error
     finally:
         playing.cancel()

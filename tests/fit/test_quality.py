@@ -19,7 +19,8 @@ from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import LandmarkGather, Posed
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
-from warp_partdr.cli import main
+from warp_partdr.cli import fit as command
+from warp_partdr.cli.options import PersonFiles, SettingOptions
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
@@ -200,25 +201,30 @@ def test_quality_chooses_the_stages_and_options_override_it(device: str) -> None
     assert FitOptions.at("accurate").without_outline().stages == STAGES["network"]["accurate"][:-1]
 
 
-def test_command_takes_a_quality_and_flags_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [each.value for each in main.QualityName] == list(STAGES["network"])
-    assert [each.value for each in main.StartName] == list(STAGES)
+def test_command_takes_a_quality_and_settings_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [each.value for each in command.QualityName] == list(STAGES["network"])
+    assert [each.value for each in command.StartName] == list(STAGES)
     (tmp_path / "points.json").write_text(json.dumps(person("cpu")[0].points.tolist()))
     given: list[FitOptions] = []
 
     def refuse(*people: object, options: FitOptions, **rest: object) -> None:
         given.append(options)
-        raise main.InputError("enough")
+        raise command.InputError("enough")
 
     monkeypatch.setattr("warp_partdr.fit.fitting.fit_body", refuse)
-    for flags in ({}, {"quality": main.QualityName.fast}, {"quality": main.QualityName.accurate, "outline": False}):
-        with pytest.raises(main.InputError, match="enough"):
-            main.fit(
-                tmp_path / "points.json",
+    files = PersonFiles(tmp_path / "points.json", "coco17")
+    for flags, overrides in (
+        ({}, []),
+        ({"quality": command.QualityName.fast}, []),
+        ({"quality": command.QualityName.accurate}, ["outline=false"]),
+    ):
+        with pytest.raises(command.InputError, match="enough"):
+            command.fit(
+                files,
                 out=tmp_path / "out",
                 model="none",
-                keypoint_format="coco17",
                 device="cpu",
+                settings=SettingOptions(None, overrides),
                 **flags,
             )
     assert [options.stages for options in given] == [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,16 +18,26 @@ from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.cli.main import app
 from warp_partdr.clothing.registration import RegistrationOptions
 from warp_partdr.errors import InputError
+from warp_partdr.inputs.person_files import read_person
 from warp_partdr.metrics import confusion, part_f1
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.viewer.clothing import Clothing
 from warp_partdr.viewer.film import Film
-from warp_partdr.viewer.record import check_format, frames, write
+from warp_partdr.viewer.recording import check_format, frames, write
 from warp_partdr.viewer.scene import Scene
 from warp_partdr.viewer.settings import QUALITIES, Settings
 from warp_partdr.viewer.sliders import PAGES
 from warp_partdr.viewer.state import DemoState
-from warp_partdr.viewer.targets import PRESETS, RANDOM, body_of, network_body, read_body, read_target, target_of
+from warp_partdr.viewer.targets import (
+    PRESETS,
+    RANDOM,
+    Target,
+    body_of,
+    body_target,
+    network_body,
+    person_target,
+    read_body,
+)
 from warp_partdr.viewer.trade import Trade
 from warp_partdr.viewer.view import VIEW, seen_as, view_of
 from warp_partdr.viewer.window import Window
@@ -36,7 +47,11 @@ SMALL = Settings(size=64, steps=40)
 
 
 def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
-    return DemoState(body_of(start), target_of(body_of(target)), SMALL)
+    return DemoState(body_of(start), body_target(body_of(target)), SMALL)
+
+
+def read_target(photo: Path, **labels: Any) -> Target:
+    return person_target(read_person(EXAMPLE / "keypoints.json", photo=photo, **labels))
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +91,7 @@ def image(window: Window, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [*PRESETS, RANDOM])
 def test_bodies_are_in_the_picture(name):
-    target = target_of(body_of(name))
+    target = body_target(body_of(name))
     assert target.observation.points.abs().max() < 1
     labels = target.observation.labels
     assert labels is not None
@@ -127,7 +142,7 @@ def test_the_z_gradient_is_what_parts_pull_in_depth_with():
 @pytest.mark.parametrize("supervision", ["keypoints", "silhouette", "parts"])
 def test_forces_pull_toward_the_target(supervision):
     body = body_of("t-pose")
-    right_and_down = target_of(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
+    right_and_down = body_target(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
     state = DemoState(body, right_and_down, replace(SMALL, supervision=supervision))
     assert (state.forces()[1][:, :2].sum(0) > 0).all()
 
@@ -184,7 +199,7 @@ def test_save_and_load(tmp_path):
 
 
 def test_a_photo_with_labels_is_a_target():
-    target = read_target(EXAMPLE / "photo.png", EXAMPLE / "keypoints.json", EXAMPLE / "parts.png", "cdcl14")
+    target = read_target(EXAMPLE / "photo.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     state = DemoState(body_of("t-pose"), target, SMALL)
     assert target.photo.shape == (256, 256, 3)
     before = state.part_f1()
@@ -199,7 +214,7 @@ def test_a_photo_with_labels_is_a_target():
 def test_the_photo_is_cut_as_its_labels_are(tmp_path):
     person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
     Image.fromarray(np.repeat(person[..., None] * np.uint8(255), 3, axis=-1)).save(tmp_path / "white.png")
-    target = read_target(tmp_path / "white.png", EXAMPLE / "keypoints.json", EXAMPLE / "parts.png", "cdcl14")
+    target = read_target(tmp_path / "white.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     labels = target.observation.labels[::2, ::2].numpy()
     seen = labels != 255
     assert 0.5 < seen.mean() < 1
@@ -207,7 +222,7 @@ def test_the_photo_is_cut_as_its_labels_are(tmp_path):
 
 
 def test_a_photo_without_labels_says_what_works():
-    target = read_target(EXAMPLE / "photo.png", EXAMPLE / "keypoints.json", None, "cdcl14")
+    target = read_target(EXAMPLE / "photo.png")
     with pytest.raises(InputError, match=r"supervision: parts, without part labels; expected --parts FILE, or keyp"):
         DemoState(body_of("t-pose"), target, SMALL)
     state = DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints"))
@@ -462,7 +477,7 @@ def test_a_view_slider_changes_nothing_but_its_own_number():
 @pytest.mark.parametrize("renderer", ["exact", "E0"])
 def test_outlines_are_pulled_toward_the_target(renderer):
     body = body_of("t-pose")
-    right_and_down = target_of(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
+    right_and_down = body_target(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
     state = DemoState(body, right_and_down, replace(SMALL, renderer=renderer))
     points, forces = state.outline_forces()
     assert points.shape == forces.shape == (len(points), 3)
@@ -488,7 +503,7 @@ def test_outline_arrows_are_drawn(window):
 
 
 def test_the_trade_remembers_what_was_tried():
-    state = DemoState(body_of("t-pose"), target_of(body_of("walking")), replace(SMALL, gradient="coverage"))
+    state = DemoState(body_of("t-pose"), body_target(body_of("walking")), replace(SMALL, gradient="coverage"))
     trade = Trade(state)
     for renderer in ("exact", "E0", "E2"):
         state.configure(renderer=renderer)
@@ -543,7 +558,7 @@ def test_rows_are_of_runs_from_the_start(window):
         ("exact, coverage", 0),
     ]
     for row, gradient in zip(window.trade.rows.values(), ("partdr", "edges"), strict=False):
-        alone = DemoState(body_of("sitting"), target_of(body_of("walking")), replace(SMALL, gradient=gradient))
+        alone = DemoState(body_of("sitting"), body_target(body_of("walking")), replace(SMALL, gradient=gradient))
         alone.play(row.iterations)
         assert (row.f1, row.joints) == (alone.part_f1(), alone.joint_error())
 
@@ -575,7 +590,7 @@ def test_partdrs_z_is_lit_only_where_it_counts(window):
 
 
 def test_random_bodies_of_buttons_go_on_from_the_seed(can_draw, tmp_path):
-    state = DemoState(body_of(RANDOM, 5), target_of(body_of(RANDOM, 6)), SMALL)
+    state = DemoState(body_of(RANDOM, 5), body_target(body_of(RANDOM, 6)), SMALL)
     window = Window(state, tmp_path, off_screen=True, seed=6)
     window.press("F5")
     assert torch.equal(window.state.start.rotations, body_of(RANDOM, 7).rotations)
@@ -655,7 +670,7 @@ def test_more_faults_are_told_in_the_window(window):
 
 
 def test_a_target_without_labels_takes_keypoints_alone(can_draw, tmp_path):
-    target = read_target(EXAMPLE / "photo.png", EXAMPLE / "keypoints.json", None, "cdcl14")
+    target = read_target(EXAMPLE / "photo.png")
     window = Window(
         DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints")), tmp_path, off_screen=True
     )
@@ -733,11 +748,11 @@ def test_no_opengl_is_one_line(monkeypatch):
     ("arguments", "said"),
     [
         ([], "no display"),
-        (["--port", "80"], "--port: without --web; expected both, or neither"),
-        (["--no-browser"], "--no-browser: without --web"),
+        (["--set", "port=80"], "port: without --web; expected both, or neither"),
+        (["--set", "browser=false"], "browser: without --web"),
         (["--record", "out.gif", "--photo", "photo.png"], "--keypoints: none with --photo"),
         (["--record", "out.gif", "--target", "dancing"], "'dancing'; expected one of"),
-        (["--record", "out.gif", "--body", "nowhere.npz"], "nowhere.npz: No such file"),
+        (["--record", "out.gif", "--start", "nowhere.npz"], "nowhere.npz: No such file"),
     ],
 )
 def test_command_faults(arguments, said, monkeypatch, tmp_path):
@@ -751,7 +766,9 @@ def test_command_faults(arguments, said, monkeypatch, tmp_path):
 
 
 def test_command_records(can_draw, tmp_path):
-    done = CliRunner().invoke(app, ["demo", "--record", str(tmp_path / "out.gif"), "--steps", "2", "--size", "64"])
+    done = CliRunner().invoke(
+        app, ["demo", "--record", str(tmp_path / "out.gif"), "--set", "steps=2", "--set", "size=64"]
+    )
     assert done.exit_code == 0, done.output
     assert "2 pictures" in done.output
 

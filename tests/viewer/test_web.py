@@ -25,7 +25,7 @@ from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.viewer import web
 from warp_partdr.viewer.state import DemoState, Settings
-from warp_partdr.viewer.targets import body_of, target_of
+from warp_partdr.viewer.targets import body_of, body_target
 from warp_partdr.viewer.window import Window
 
 SIZE = (640, 400)
@@ -34,7 +34,7 @@ SIZE = (640, 400)
 @pytest.fixture
 def window(can_draw, tmp_path):
     pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
-    state = DemoState(body_of("t-pose"), target_of(body_of("walking")), Settings(size=64, steps=40))
+    state = DemoState(body_of("t-pose"), body_target(body_of("walking")), Settings(size=64, steps=40))
     made = Window(state, tmp_path / "saved", off_screen=True)
     yield made
     made.scene.close()
@@ -372,13 +372,14 @@ def test_a_taken_port_is_one_line(window):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=rf"^--web: 127.0.0.1:{port}: Address .* in use; expected .*--port 0"):
+        with pytest.raises(InputError, match=rf"^--web: 127.0.0.1:{port}: Address .* in use; expected .*port=0"):
             asyncio.run(web.serve(window, "127.0.0.1", port, print))
 
 
 def test_the_command_says_where_and_ends_with_ctrl_c(can_draw):
     pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
-    command = [sys.executable, "-m", "warp_partdr", "demo", "--web", "--port", "0", "--no-browser", "--size", "64"]
+    settings = ("--set", "port=0", "--set", "browser=false", "--set", "size=64")
+    command = [sys.executable, "-m", "warp_partdr", "demo", "--web", *settings]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
         while "shows the demo" not in (said := running.stdout.readline()):

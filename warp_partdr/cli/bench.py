@@ -11,6 +11,7 @@ import typer
 
 from ..errors import InputError
 from ..interop.devices import choose_device
+from .options import DeviceOption, OutOption
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 bench = typer.Typer(help="How fast this machine is, and what speed costs.", no_args_is_help=True)
 
-_Device = Annotated[str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")]
-_Out = Annotated[Path, typer.Option(help="Folder for the figures.", metavar="FOLDER")]
 _OUT = Path("out")
 
 _KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches and picture sizes.
@@ -51,9 +50,9 @@ minutes on two cores that do nothing else; --quick one. docs/accuracy.md says wh
 
 @bench.command("kernels", help=_KERNELS_HELP)
 def bench_kernels(
-    device: _Device = "auto",
+    device: DeviceOption = "auto",
     quick: Annotated[bool, typer.Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
-    out: _Out = _OUT,
+    out: OutOption = _OUT,
 ) -> None:
     """Time kernels; see ``_KERNELS_HELP``."""
     where = _begin(device, out)
@@ -70,7 +69,7 @@ def bench_kernels(
 
 
 @bench.command("savings", help=_SAVINGS_HELP)
-def bench_savings(device: _Device = "auto", out: _Out = _OUT) -> None:
+def bench_savings(device: DeviceOption = "auto", out: OutOption = _OUT) -> None:
     """Time savings; see ``_SAVINGS_HELP``."""
     where = _begin(device, out)
     from ..bench.machine import about
@@ -88,11 +87,11 @@ def bench_savings(device: _Device = "auto", out: _Out = _OUT) -> None:
 
 @bench.command("tradeoff", help=_TRADEOFF_HELP)
 def bench_tradeoff(
-    device: _Device = "auto",
+    device: DeviceOption = "auto",
     quick: Annotated[bool, typer.Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
-    out: _Out = _OUT,
+    out: OutOption = _OUT,
 ) -> None:
-    """Measure the trade; see ``_TRADEOFF_HELP``."""
+    """Measure the tradeoff; see ``_TRADEOFF_HELP``."""
     where = _begin(device, out)
     from ..bench.tradeoff.chart import draw_tradeoff_chart
     from ..bench.tradeoff.measure import run_tradeoff

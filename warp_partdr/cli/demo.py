@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,74 +12,76 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError
-from .register import LabelsOption
+from ..files.sections import check_keys, read_section
+from .options import OutOption, PersonFiles, SettingOptions, take_whole
 
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
 
-Example: `partdr demo`, then the space bar. In a browser: `partdr demo --web`. As a file: `partdr demo --record out.gif`
+Examples: `partdr demo`, then the space bar; in a browser, `partdr demo --web`; as a file, `partdr demo --record out.gif
+--target sitting`
 
 Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss.
 Point at a button for what it does and its key. Bodies by name: t-pose, walking, crossed arms, sitting, random.
 
 **A person of your own**: --keypoints and, for more than those, --parts with --labels, as `partdr fit` takes them.
+
+**Settings** for --set and --config, with their defaults: `supervision=parts` (or silhouette, keypoints),
+`renderer=exact` (or the meshes E0 to E3), `gradient=partdr` (or coverage, edges), `depth_gradient=true`, `size=256`
+(or 64, 128, 512 px), `steps=100`, `learning_rate=0.06`, `seed=0` of random bodies; of --web, `host=127.0.0.1` (0.0.0.0
+lets other machines in), `port=8080` (0 takes a free one), `browser=true` (opens it).
 """
 
 
-_OF_WEB = {"host": "--host", "port": "--port", "browser": "--no-browser"}
+@dataclass(frozen=True)
+class WebAddress:
+    """Settings of the page that --web shows.
+
+    Attributes:
+        host: Address to listen at.
+        port: Port to listen at; 0 takes a free one.
+        browser: Whether to open the browser, if there is a screen.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    browser: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port < 2**16:
+            raise InputError(f"port: {self.port}; expected 0 to {2**16 - 1}")
 
 
 def demo(
-    context: typer.Context,
-    start: Annotated[
-        str, typer.Option(help="Body to begin with; network: what the label network says.", metavar="NAME")
-    ] = "t-pose",
-    target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
-    seed: Annotated[int, typer.Option(help="Of random bodies, also of those that buttons draw.", metavar="N")] = 0,
-    body: Annotated[
-        Path | None, typer.Option(help="Begin with a body.npz of `partdr fit` instead.", metavar="FILE.npz")
-    ] = None,
+    files: PersonFiles,
     photo: Annotated[
         Path | None, typer.Option(help="Picture of the person to reach, to be shown.", metavar="FILE")
     ] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="2D keypoints of the person to reach, JSON.", metavar="FILE.json")
-    ] = None,
-    parts: Annotated[Path | None, typer.Option(help="Part labels of the person to reach.", metavar="FILE")] = None,
-    labels: LabelsOption = None,
-    supervision: Annotated[
-        str, typer.Option(help="What is followed: keypoints; with them the silhouette, or the parts.", metavar="NAME")
-    ] = "parts",
-    depth_gradient: Annotated[bool, typer.Option(help="With PartDR's z gradient of parts, or without.")] = True,
-    renderer: Annotated[str, typer.Option(help="exact, or the mesh of a level: E0 to E3.", metavar="NAME")] = "exact",
-    gradient: Annotated[
-        str, typer.Option(help="Of the exact renderer: partdr, coverage or edges.", metavar="NAME")
-    ] = "partdr",
-    size: Annotated[int, typer.Option(help="Pixels a side: 64, 128, 256 or 512.", metavar="N")] = 256,
-    steps: Annotated[int, typer.Option(help="Iterations.", metavar="N")] = 100,
+    start: Annotated[
+        str,
+        typer.Option(
+            help="Body to begin with: its name; network, what the label network says; or a body.npz of `partdr fit`.",
+            metavar="NAME",
+        ),
+    ] = "t-pose",
+    target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
     record: Annotated[
         Path | None, typer.Option(help="Write the refinement, without a window: .gif, .mp4 or .html.", metavar="FILE")
     ] = None,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Print how long a change takes to be drawn, without a window.")
-    ] = False,
-    out: Annotated[Path, typer.Option(help="Where the window saves to.", metavar="FOLDER")] = Path("out"),
     web: Annotated[
         bool, typer.Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
     ] = False,
-    host: Annotated[
-        str, typer.Option(help="With --web: address to listen at; 0.0.0.0 lets other machines in.", metavar="ADDRESS")
-    ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option(help="With --web: port to listen at; 0 takes a free one.", metavar="N", min=0, max=65535)
-    ] = 8080,
-    browser: Annotated[bool, typer.Option(help="With --web: open the browser, if there is a screen.")] = True,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Print how long a change takes to be drawn, without a window.")
+    ] = False,
+    out: OutOption = Path("out"),
+    *,
+    settings: SettingOptions,
 ) -> None:
     """Play; see ``DEMO_HELP``."""
     if sum((web, record is not None, profile)) > 1:
         raise InputError("--web, --record, --profile: more than one; expected one of them, or none for a window")
-    for name, option in _OF_WEB.items():
-        if not web and (source := context.get_parameter_source(name)) and source.name == "COMMANDLINE":
-            raise InputError(f"{option}: without --web; expected both, or neither")
+    values = settings.read()
+    address = _web_address(values, web)
     if web:
         import_module("..viewer.web", __package__).check_backend()
     elif record is None and not profile and not _has_display():
@@ -92,44 +95,62 @@ def demo(
     wp.config.log_level = wp.LOG_WARNING
     torch.set_num_threads(1)  # the tensors are small
     # By name: the demo stands above the package, which imports nothing of it until it is asked for.
-    targets, state, recording = (
-        import_module(f"..viewer.{name}", __package__) for name in ("targets", "state", "record")
-    )
+    state, recording = (import_module(f"..viewer.{name}", __package__) for name in ("state", "recording"))
     if record is not None:
         recording.check_format(record)
-    settings = state.Settings(supervision, depth_gradient, renderer, gradient, size, steps)
-    if keypoints is not None:
-        aim = targets.read_target(photo, keypoints, parts, labels)
-    elif photo is not None or parts is not None:
-        raise InputError("--keypoints: none with --photo or --parts; expected the person's 2D keypoints, FILE.json")
-    else:
-        aim = targets.target_of(targets.body_of(target, seed + 1))  # another than a random start
-    if body is not None:
-        first = targets.read_body(body)
-    else:
-        first = targets.network_body(aim) if start == targets.NETWORK else targets.body_of(start, seed)
-    shown = state.DemoState(first, aim, settings)
+    seed = take_whole(values, "seed")
+    check_keys(values, [*(field.name for field in fields(state.Settings)), "seed", *_ADDRESS_KEYS])
+    chosen = read_section(state.Settings, values)
+    first, goal = _bodies(files, photo, start, target, seed)
+    shown = state.DemoState(first, goal, chosen)
     if record is not None:
-        _record(shown, recording, record, steps)
+        _record(shown, recording, record, chosen.steps)
         return
     window = import_module("..viewer.window", __package__).Window(shown, out, off_screen=profile or web, seed=seed + 1)
     if profile:
         for what, took in window.profile().items():
-            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {size}x{size}")
+            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {chosen.size}x{chosen.size}")
         return
     if web:
-        _serve(window, host, port, browser and _has_display())
+        _serve(window, address)
     else:
         window.show()
     if told := window.finish():
         typer.echo(told)
 
 
+_ADDRESS_KEYS = tuple(field.name for field in fields(WebAddress))
+
+
+def _web_address(values: dict[str, Any], web: bool) -> WebAddress:
+    """The settings of --web, taken out of the others."""
+    given = {name: values.pop(name) for name in _ADDRESS_KEYS if name in values}
+    if given and not web:
+        raise InputError(f"{next(iter(given))}: without --web; expected both, or neither")
+    return read_section(WebAddress, given)
+
+
+def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, seed: int) -> tuple[Any, Any]:
+    """The body to begin with and the target."""
+    targets = import_module("..viewer.targets", __package__)
+    if files.keypoints is not None:
+        goal = targets.person_target(files.read(photo))
+    elif any(given is not None for given in (photo, files.parts, files.labels)):
+        raise InputError(
+            "--keypoints: none with --photo, --parts or --labels; expected 2D keypoints, FILE.json"
+        )
+    else:
+        goal = targets.body_target(targets.body_of(target, seed + 1))  # another than a random start
+    if start.endswith(".npz"):
+        return targets.read_body(start), goal
+    return targets.network_body(goal) if start == targets.NETWORK else targets.body_of(start, seed), goal
+
+
 def _has_display() -> bool:
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _serve(window: Any, host: str, port: int, open_browser: bool) -> None:
+def _serve(window: Any, address: WebAddress) -> None:
     import asyncio
     import contextlib
     import webbrowser
@@ -137,13 +158,13 @@ def _serve(window: Any, host: str, port: int, open_browser: bool) -> None:
     web = import_module("..viewer.web", __package__)
 
     def ready(taken: int) -> None:
-        address = web.page_address(host, taken)
-        typer.echo(f"{address} shows the demo in a browser; Ctrl+C ends it")
-        if open_browser:
-            webbrowser.open(address)
+        page = web.page_address(address.host, taken)
+        typer.echo(f"{page} shows the demo in a browser; Ctrl+C ends it")
+        if address.browser and _has_display():
+            webbrowser.open(page)
 
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(web.serve(window, host, port, ready))
+        asyncio.run(web.serve(window, address.host, address.port, ready))
 
 
 def _record(shown: Any, recording: Any, path: Path, steps: int) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
+from .options import DeviceOption, LabelsOption
 from .partbench import partbench
 
 if TYPE_CHECKING:
@@ -34,12 +35,8 @@ Methods = Annotated[
         show_default=False,
     ),
 ]
-Device = Annotated[str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")]
 Out = Annotated[
     Path | None, typer.Option(help="Write all figures, also of each fit.", metavar="FILE.json", show_default=False)
-]
-Labels = Annotated[
-    str | None, typer.Option(help="What the part labels mean: a label set's name, or your own JSON.", metavar="NAME")
 ]
 Pictures = Annotated[
     Path | None, typer.Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER", show_default=False)
@@ -53,11 +50,11 @@ Keypoints = Annotated[
 @evaluate.command()
 def folder(
     path: Annotated[Path, typer.Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
-    labels: Labels = None,
+    labels: LabelsOption = None,
     limit: Limit = None,
     jobs: Jobs = 1,
     method: Methods = None,
-    device: Device = "auto",
+    device: DeviceOption = "auto",
     out: Out = None,
 ) -> None:
     """Your own pictures: how well bodies follow the labels and keypoints given.
@@ -77,7 +74,7 @@ def h36m(
     limit: Limit = None,
     jobs: Jobs = 1,
     method: Methods = None,
-    device: Device = "auto",
+    device: DeviceOption = "auto",
     out: Out = None,
 ) -> None:
     """Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE."""
@@ -92,12 +89,12 @@ def lsp(
     parts: Annotated[
         Path | None, typer.Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
     ] = None,
-    labels: Labels = "lsp6",
+    labels: LabelsOption = "lsp6",
     pictures: Pictures = None,
     limit: Limit = None,
     jobs: Jobs = 1,
     method: Methods = None,
-    device: Device = "auto",
+    device: DeviceOption = "auto",
     out: Out = None,
 ) -> None:
     """Leeds Sports Pose with UP-3D's six parts: foreground and part accuracy and F1."""
@@ -115,7 +112,7 @@ def pw3d(
     limit: Limit = None,
     jobs: Jobs = 1,
     method: Methods = None,
-    device: Device = "auto",
+    device: DeviceOption = "auto",
     out: Out = None,
 ) -> None:
     """3DPW, in SPIN's annotation arrays; 3D errors need the array S in the file."""

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
+from .options import DeviceOption
 
 QUICK_LEVELS = ("clean", "realistic")
 PEOPLE, QUICK_PEOPLE = 20, 6  # for ten minutes and for one on two cores
@@ -42,9 +43,7 @@ def partbench(
         int | None,
         typer.Option(help="Fits at a time, a process each; default: one a core.", metavar="N", show_default=False),
     ] = None,
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "cpu",
+    device: DeviceOption = "cpu",
     out: Annotated[
         Path | None,
         typer.Option(

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
+from .options import DeviceOption, LabelsOption
 
 PREDICT_HELP = """Say at once where bodies are: 2D keypoints and part labels in, pose and measurements out, without
 refinement. For many people; `partdr fit` starts with the same and goes on.
@@ -25,19 +26,14 @@ predictions.json, which names them. Older results of those names are replaced.
 
 def predict(
     folder: Annotated[Path, typer.Argument(help="Pictures, keypoints and part labels.", metavar="FOLDER")],
-    labels: Annotated[
-        str | None,
-        typer.Option(help="What the part labels mean: a label set's name, or your own JSON.", metavar="NAME"),
-    ] = None,
+    labels: LabelsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
     network: Annotated[
         Path | None,
         typer.Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
     ] = None,
     batch: Annotated[int, typer.Option(help="People at a time.", metavar="N")] = 64,
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
+    device: DeviceOption = "auto",
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""
     from ..evaluation.datasets import read_folder

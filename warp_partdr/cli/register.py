@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InputError
+from .options import DeviceOption, LabelsOption, OutOption
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,15 +33,6 @@ against the labels). Older results there are replaced.
 """
 MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
-LabelsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="What the ids of --parts mean: a label set's name, or your own JSON; else labels.json beside them.",
-        metavar="NAME",
-        show_default=False,
-    ),
-]
-
 
 def register_body(
     body: Annotated[Path, typer.Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
@@ -57,7 +49,7 @@ def register_body(
         ),
     ] = None,
     labels: LabelsOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for the results.", metavar="FOLDER")] = Path("out"),
+    out: OutOption = Path("out"),
     inscribed: Annotated[
         bool,
         typer.Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead."),
@@ -66,18 +58,16 @@ def register_body(
         bool,
         typer.Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited."),
     ] = False,
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
+    device: DeviceOption = "auto",
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
-    from ..inputs.part_labels import check_sizes, label_set_of, read_parts, read_photo
+    from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
     from ..results.body_file import load_body
 
+    picture = None if photo is None else read_photo(photo)
+    image = read_labelled_parts(parts, labels)
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
-    picture = None if photo is None else read_photo(photo)
-    image = None if parts is None else read_parts(parts, label_set_of(parts, labels))
     check_sizes(
         body=(height, width),
         photo=None if picture is None else picture.shape[:2],
@@ -103,8 +93,8 @@ def register_body(
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)
     seen = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:
-        said = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
-    typer.echo(said)
+        told = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
+    typer.echo(told)
 
 
 def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Evidence:
@@ -196,12 +186,12 @@ def clothe(
     seconds = time.perf_counter() - started
     progress("writing results", 1, 1)
     report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
-    scores = f"{f1_scores(report)}; " if evidence is not None and evidence.picture is not None else ""
+    scores = f"{describe_scores(report)}; " if evidence is not None and evidence.picture is not None else ""
     files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
     return f"{model.name}: {scores}{files}"
 
 
-def f1_scores(report: dict[str, Any]) -> str:
+def describe_scores(report: dict[str, Any]) -> str:
     """Scores of a body against the labels, in words; of a fit's report, or a registration's."""
     scores = report["parts"]
     left_out = "" if scores["left_out"] is None else f", {100 * scores['left_out']:.0f} % of the person left out"

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
+from .options import DeviceOption, SetOption
 
 TRAIN_HELP = """Train a network: label-network, ellipbodynet, or a config of your own; see docs/training.md.
 
@@ -19,7 +20,7 @@ Examples:
 * `torchrun --nproc-per-node 4 -m warp_partdr train label-network` or `accelerate launch -m warp_partdr train ...`: on
   several GPUs, batch_size on each
 
-CONFIG is a packaged name or a .toml file of the same keys; `--set` changes single ones.
+CONFIG is a packaged name or a .toml file of the same keys; `--set steps=1000 --set data.KEY=...` changes single ones.
 
 **Written** to FOLDER: model.safetensors (the running mean of the weights: the trained network), report.json (errors,
 time, machine, config), checkpoints/step-N, pictures/step-N.png (held-out samples), log.jsonl, tensorboard (`tensorboard
@@ -45,16 +46,9 @@ def train(
             show_default=False,
         ),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Change a number: steps=1000, data.KEY=...; may be given again.", metavar="KEY=VALUE"
-        ),
-    ] = None,
+    settings: SetOption = None,
     half: Annotated[bool, typer.Option("--half", help="Write the trained network in float16, half the size.")] = False,
-    device: Annotated[
-        str, typer.Option(help="cpu or cuda; auto takes CUDA where there is some.", metavar="NAME")
-    ] = "auto",
+    device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
     from ..training.config_files import read_config

@@ -85,24 +85,28 @@ def described_label_set(path: Path) -> LabelSet:
     )
 
 
-def label_set_of(parts: Path, source: str | None) -> LabelSet:
-    """Label set of a file of part labels: the one named, or else the one that ``labels.json`` beside it describes.
+def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
+    """Part labels as the options --parts and --labels name them; None without.
 
     Args:
         parts: The file.
-        source: A label set's name or JSON file; None if none is named.
+        labels: A label set's name or JSON file; None takes what ``labels.json`` beside the file describes.
 
     Raises:
-        InputError: If there is none, or it is wrong.
+        InputError: If there is no label set, a label set of no file, or one of them is wrong.
     """
-    if source is not None:
-        return read_label_set(source)
+    if parts is None:
+        if labels is not None:
+            raise InputError(f"--labels: {labels}, without part labels; expected --parts with it")
+        return None
+    if labels is not None:
+        return read_parts(parts, read_label_set(labels))
     beside = parts.with_name("labels.json")
     if not beside.is_file():
         raise InputError(
             f"--labels: missing; expected what the ids of {parts} mean: one of {', '.join(LABEL_SETS)}, or a JSON file"
         )
-    return described_label_set(beside)
+    return read_parts(parts, described_label_set(beside))
 
 
 def read_photo(path: str | Path) -> np.ndarray:

@@ -1,0 +1,207 @@
+"""``partdr fit`` with good input: the files it leaves, and its words."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import groupby
+from pathlib import Path
+
+import command_scenes
+import numpy as np
+import pytest
+from command_scenes import (
+    ALONE,
+    EVERY_FILE,
+    GOOD,
+    QUICK,
+    Run,
+    change_keypoints,
+    ids,
+    keypoints,
+    save_ids,
+    soft_maps,
+    write,
+)
+from conftest import HANG
+from PIL import Image
+from test_detailed import save_npz
+
+from warp_partdr.body.labels import label_set
+from warp_partdr.body.skeletons import convert
+from warp_partdr.cli import progress
+from warp_partdr.results import save
+from warp_partdr.results.body_file import load_body
+
+files, run = command_scenes.files, command_scenes.run  # fixtures
+
+
+def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
+    """Neither Warp's greeting, nor what it compiles, nor that it looked for a CUDA driver."""
+    code = (
+        "from warp_partdr.cli import main\n"
+        "from warp_partdr.fit import stages\n"
+        "stages.STAGES['network']['balanced'] = (stages.Stage('labels', 2, 4, 0.02, 64),)\nmain.main()"
+    )
+    line = [*GOOD.split(), "--device", "cpu"]
+    done = subprocess.run([sys.executable, "-c", code, "fit", *line], capture_output=True, text=True, timeout=HANG)
+    assert (done.returncode, done.stderr) == (0, "")
+    first, second, third = done.stdout.splitlines()
+    assert "label network" in first
+    assert "foreground F1 0." in first
+    assert Path("out", "overlay.png").as_posix() in second
+    assert Path("out", "detailed.png").as_posix() in third
+    assert {path.name for path in Path("out").iterdir()} == EVERY_FILE
+
+
+def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path) -> None:
+    Path("out").mkdir()
+    for name in ("report.json", "notes.txt", "parts.png"):
+        Path("out", name).write_text("old")
+    assert run(f"fit photo.png --keypoints k.json --out out {ALONE}")[0] == 0
+    assert Path("out", "notes.txt").read_text() == "old"
+    assert Path("out", "parts.png").read_text() == "old"  # not a file of this run
+    assert "energy" in json.loads(Path("out", "report.json").read_text())
+    assert {path.name for path in files.iterdir()} == {"photo.png", "p.png", "k.json", "out"}
+
+
+def openpose() -> None:
+    rows = convert(np.array(keypoints()["keypoints"]), "coco17", "body25", missing=0.0)
+    write("k.json", {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}]})
+
+
+def two_people() -> None:
+    me = keypoints()["keypoints"]
+    other = [[0.5 * x, 0.5 * y, confidence] for x, y, confidence in me]
+    write("k.json", {"format": "coco17", "keypoints": [other, me]})
+
+
+def own_labels() -> None:
+    groups = {"head": ["head", "neck"], "rest": ["chest", "abdomen", "left_upper_arm", "right_upper_arm"]}
+    write("own.json", {"groups": groups, "ids": {"0": "background", "1": "head", "2": "rest", "9": "ignore"}})
+    image = ids()
+    np.save("p.npy", np.where(image > 4, 9, np.minimum(image, 2)))
+
+
+def describe_labels() -> None:
+    labels = label_set("cdcl14")
+    write("labels.json", {str(number): labels.class_names.get(number, name) for number, name in labels.ids.items()})
+
+
+TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
+    "everything": (GOOD, lambda: None),
+    "no detailed model": (GOOD, lambda: None),
+    "model from a file": (GOOD + " --model smpl.npz", lambda: save_npz(Path("smpl.npz"))),
+    "keypoints alone": ("--keypoints k.json --out out", lambda: None),
+    "no photo": (GOOD.replace("photo.png ", ""), lambda: None),
+    "no labels": ("photo.png --keypoints k.json --out out", lambda: None),
+    "OpenPose": (GOOD, openpose),
+    "soft maps": (GOOD.replace("p.png", "maps.npy"), soft_maps),
+    "soft maps, channels last": (
+        GOOD.replace("p.png", "maps.npy"),
+        lambda: np.save("maps.npy", np.moveaxis(soft_maps(), 0, -1).astype(np.float16)),
+    ),
+    "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
+    "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
+    "labels.json beside the parts": (GOOD.replace(" --labels cdcl14", ""), describe_labels),
+    "16 bits": (GOOD, lambda: Image.fromarray(ids().astype(np.uint16)).save("p.png")),
+    "wide picture": (
+        GOOD,
+        lambda: [Image.open(name).crop((0, 0, 250, 128)).save(name) for name in ("photo.png", "p.png")],
+    ),
+    "gray photo": (GOOD, lambda: Image.open("photo.png").convert("L").save("photo.png")),
+    "the second person": (GOOD + " --person 1", two_people),
+    "the largest person": (GOOD, two_people),
+    "cut off by the border": (
+        GOOD,
+        lambda: [Image.open(name).crop((0, 0, 96, 80)).save(name) for name in ("photo.png", "p.png")],
+    ),
+    "missing keypoints": (
+        GOOD,
+        lambda: change_keypoints(lambda rows: [row.__setitem__(2, 0) for row in rows[7:11]]),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TAKEN)
+def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
+    line, prepare = TAKEN[case]
+    prepare()
+    clothed = case in ("everything", "keypoints alone", "wide picture", "model from a file")
+    code, said, complaint = run(f"fit {line}" if clothed else f"fit {line} {ALONE}")
+    assert (code, complaint) == (0, "")
+    assert said.count("\n") == 2 + clothed
+    assert said.count("F1") == 2 * (1 + clothed) * ("--parts" in line)  # of the ellipsoids, and of the mesh
+    expected = EVERY_FILE if clothed else set(save.RESULT_FILES)
+    expected = expected - (set() if "--parts" in line else {"parts.png"})
+    assert {path.name for path in Path("out").iterdir()} == expected
+    for name in (name for name in expected if name.endswith(".png")):
+        with Image.open(Path("out", name)) as image:
+            image.load()
+            if name in ("overlay.png", "detailed.png") and "photo.png" in line:
+                assert image.size == Image.open("photo.png").size
+    body = load_body("out/body.npz")
+    assert body.image_size.tolist() == list(Image.open("out/overlay.png").size[::-1])
+    report = json.loads(Path("out", "report.json").read_text())
+    assert np.isfinite(report["energy_total"])
+    if clothed:
+        detailed = json.loads(Path("out", "registration.json").read_text())
+        assert detailed["model"] == ("smpl" if "smpl" in line else "anny")
+        assert np.isfinite(list(detailed["losses"].values())).all()
+        assert ("parts" in detailed) == ("--parts" in line)
+    if "person" in case:  # the small one's head is at half the height
+        assert report["keypoints"]["mean_distance_px"] < 10
+        joints = json.loads(Path("out", "body.json").read_text())["joints"]
+        assert np.ptp(np.array(joints["pixels"])[:, 1]) > 70
+
+
+def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
+    image = np.zeros(label_set("cdcl14").num_groups + 1, dtype=np.uint8)
+    for group, members in enumerate(label_set("cdcl14").groups.values(), start=1):
+        image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
+    np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
+    line = f"fit photo.png --keypoints k.json --parts p.npy --labels ellipbody20 --out out {ALONE}"
+    assert run(line)[0] == 0
+    assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"
+
+
+def test_what_contradicts_itself_is_told(run: Run, files: Path) -> None:
+    mirrored = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left for right, in cdcl14
+    save_ids(np.array(mirrored, dtype=np.uint8)[ids()])
+    code, said, complaint = run(f"fit {GOOD} {ALONE}")
+    told = "labels: left and right exchanged, say the keypoints; taken so"
+    assert (code, complaint.splitlines()[0]) == (0, f"partdr: warning: {told}")
+    assert "partdr:" not in said
+    assert told in json.loads(Path("out", "report.json").read_text())["warnings"]
+
+
+def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, int, int]] = []
+
+    class Recorder(progress.FitProgress):
+        def __call__(self, stage: str, done: int, total: int) -> None:
+            told.append((stage, done, total))
+
+    monkeypatch.setattr(progress, "FitProgress", Recorder)
+    assert run(f"fit {GOOD}")[0] == 0
+    assert [name for name, _ in groupby(stage for stage, _, _ in told)] == [
+        *(stage.name for stage in QUICK),
+        "writing results",
+        "registration",
+        "writing results",
+    ]
+    assert told[-2] == ("registration", 2, 2)
+
+
+def test_a_bar_shows_the_stages(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes stderr for a terminal then
+    with progress.FitProgress():
+        pass
+    assert "compiling kernels" in capfd.readouterr().err
+    with progress.FitProgress() as bar:
+        bar("labels, fine", 3, 4)
+    said = capfd.readouterr().err
+    assert "labels, fine" in said
+    assert "75%" in said

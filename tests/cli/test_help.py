@@ -1,0 +1,156 @@
+"""``partdr`` as users ask it: help, version, and lines of arguments that make no sense."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import command_scenes
+import pytest
+from command_scenes import (
+    ALONE,
+    EVERY_FILE,
+    GOOD,
+    Run,
+)
+from conftest import HANG
+
+from warp_partdr import __version__
+from warp_partdr.body.labels import LABEL_SETS
+from warp_partdr.body.skeletons import SKELETONS
+from warp_partdr.errors import InputError
+from warp_partdr.fit import fitting
+from warp_partdr.fit.options import FitOptions
+
+files, run = command_scenes.files, command_scenes.run  # fixtures
+
+
+def test_help_teaches(run: Run) -> None:
+    code, said, complaint = run("--help", COLUMNS="100")
+    assert (code, complaint) == (0, "")
+    assert "fit" in said
+    assert run("", COLUMNS="100") == (0, said, "")
+    code, said, complaint = run("fit --help", COLUMNS="100")
+    assert (code, complaint) == (0, "")
+    assert "Usage: partdr fit [OPTIONS] [PHOTO]" in said
+    assert '{"format": "coco17", "keypoints": [[x, y, confidence], ...]}' in said  # not taken for markup
+    for name in (*LABEL_SETS, *SKELETONS, *EVERY_FILE, "--parts", "--person", "--model", "Example"):
+        assert name in said, name
+    told = " ".join(said.split())
+    for labels in LABEL_SETS.values():
+        assert f"{labels.name} ({labels.of}, {len(labels.channel_ids)} classes)" in told
+    assert max(map(len, said.splitlines())) <= 100
+
+
+def test_version(run: Run) -> None:
+    assert run("--version") == (0, f"partdr {__version__}\n", "")
+
+
+@pytest.mark.parametrize("line", ["fit --help", "--version"])
+def test_help_is_quick(line: str, tmp_path: Path) -> None:
+    """It loads none of the large packages."""
+    heavy = {"torch", "warp", "pyvista", "PIL", "trimesh", "matplotlib"}
+    code = (
+        f"import sys; sys.argv = ['partdr', *{line.split()}]\nfrom warp_partdr.cli.main import main\n"
+        f"try: main()\nexcept SystemExit as left: sys.exit(left.code or repr({heavy} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=HANG)
+    assert done.stderr.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("fit", "--keypoints"),
+        ("fit --keypoints", "--keypoints"),
+        ("fit --keypoints k.json --nonsense", "--nonsense"),
+        ("fit --keypoints k.json --person first", "--person"),
+        ("fit --keypoints k.json --set seed=1.5", "seed: 1.5; expected a whole number"),
+        ("fit a.png b.png --keypoints k.json", "b.png"),
+        ("fti", "fti"),
+        ("fit --keypoints k.json --set renderer=dots", "renderer: 'dots'; expected 'exact' or 'mesh'"),
+        ("fit --keypoints k.json --set threads=-1", "threads: -1; expected 0 or more"),
+        ("fit --keypoints k.json --set outline=labels-first --set renderer=mesh", "labels-first"),
+        ("fit --keypoints k.json --set outline=thick", "outline: 'thick'; expected a table, false or 'labels-first'"),
+        ("fit --keypoints k.json --set subdivisions=2", "subdivisions: 2, of exact ellipsoids"),
+        ("fit --keypoints k.json --set renderer=mesh --set tolerance=1", "tolerance: 1.0"),
+        ("fit --keypoints k.json --set renderer=mesh --set subdivisions=auto --set tolerance=0", "tolerance: 0.0"),
+        ("fit --keypoints k.json --set start=search", "start: unknown; expected one of stages, weights, "),
+        ("fit --keypoints k.json --set finish.size=64", "finish: unknown; expected one of stages, weights, "),
+        ("fit --keypoints k.json --set labels.steps=3", "labels.steps: unknown; expected one of name, bodies, "),
+        ("fit --keypoints k.json --set labels.size=-1", "labels.size: -1; expected an integer from 0 to "),
+        ("fit --keypoints k.json --set labels.weights.seg=much", "labels.weights.seg: 'much'; expected a number"),
+        ("fit --keypoints k.json --set search.end.size=64", "search.end: unknown; expected one of lift, "),
+        ("fit --keypoints k.json --set seed", "--set: seed; expected key=value"),
+        ("fit --keypoints k.json --config none.toml", "none.toml: No such file"),
+        ("fit --keypoints k.json --config k.json", "k.json: "),
+        ("fit --keypoints k.json --start search --set network=own.safetensors", "network: own.safetensors, with"),
+        ("register body.npz --labels cdcl14", "--labels: cdcl14, without part labels; expected --parts with it"),
+        ("demo --profile --keypoints k.json --labels cdcl14", "--labels: cdcl14, without part labels; expected --par"),
+        ("demo --profile --set speed=2", "speed: unknown; expected one of supervision, "),
+    ],
+)
+def test_usage_errors_are_one_line(line: str, says: str, run: Run, files: Path) -> None:
+    code, said, complaint = run(line)
+    assert (code, said) == (2, "")
+    assert complaint.startswith("partdr: ")
+    assert complaint.count("\n") == 1
+    assert says in complaint
+
+
+@pytest.fixture
+def options_of(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], FitOptions]:
+    """Options that reach the fit from a line of arguments."""
+    seen: list[FitOptions] = []
+
+    def fit_body(*_: Any, options: FitOptions, **__: Any) -> None:
+        seen.append(options)
+        raise InputError("enough")
+
+    monkeypatch.setattr(fitting, "fit_body", fit_body)
+
+    def call(line: str) -> FitOptions:
+        assert run(f"fit {GOOD} {ALONE} {line}")[2] == "partdr: enough\n"
+        return seen[-1]
+
+    return call
+
+
+def test_subdivisions_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
+    settings = ("--set subdivisions=3", "--set subdivisions=auto --set tolerance=0.2", "")
+    seen = [options_of(f"--set renderer=mesh {each}") for each in settings]
+    assert [(options.subdivisions, options.tolerance) for options in seen] == [(3, 0.5), ("auto", 0.2), (1, 0.5)]
+
+
+def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
+    Path("own.toml").write_text(
+        "trust_background = true\nseed = 3\n[weights]\nprior = 5\n[outline.weights]\nseg = 2.0\n"
+        '["lift"]\nbodies = 4\n[search."labels, fine"]\nsize = 64\n'
+    )
+    usual = FitOptions.at("accurate", "search")
+    expected = replace(
+        usual,
+        trust_background=True,
+        seed=4,
+        weights=replace(usual.weights, prior=5.0),
+        stages=(
+            replace(usual.stages[0], bodies=4, iterations=7),
+            *usual.stages[1:-1],
+            replace(usual.stages[-1], weights=replace(usual.stages[-1].weights, seg=2.0)),
+        ),
+        search=tuple(replace(each, size=64) if each.name == "labels, fine" else each for each in usual.search),
+    )
+    line = "--quality accurate --start search --config own.toml --set seed=4 --set lift.iterations=7"
+    assert options_of(line) == expected
+
+
+@pytest.mark.parametrize("quality", ["fast", "accurate"])
+def test_the_outline_stage_is_chosen(quality: str, options_of: Callable[[str], FitOptions]) -> None:
+    usual = FitOptions.at(quality)
+    for setting, expected in (("false", usual.without_outline()), ("labels-first", usual.labels_first())):
+        assert options_of(f"--quality {quality} --set outline={setting}") == expected
+    assert options_of("--set search=[]").search == ()

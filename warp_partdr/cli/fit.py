@@ -1,0 +1,189 @@
+"""The command ``partdr fit``: a body from one person's keypoints and part labels."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..body.labels import DESCRIBED
+from ..body.skeletons import SKELETONS
+from ..errors import InputError
+from .options import DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
+from .register import MODEL_HELP, clothe, describe_scores, read_model
+
+if TYPE_CHECKING:
+    from ..fit.options import FitOptions
+    from ..inputs.person_files import PersonInputs
+
+NO_MODEL = "none"
+
+
+class StartName(StrEnum):
+    """Starts of ``fit.stages.STAGES``, which is not loaded for --help."""
+
+    network = "network"
+    search = "search"
+
+
+class QualityName(StrEnum):
+    """Qualities of ``fit.stages.STAGES``."""
+
+    fast = "fast"
+    balanced = "balanced"
+    accurate = "accurate"
+
+
+FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
+Then clothe it in a detailed model: a skinned mesh.
+
+Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14 --out fitted`
+
+**Keypoints**, in pixels of the picture: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, a plain list,
+OpenPose's own JSON, COCO annotations, or MMPose predictions. Formats: {", ".join(SKELETONS)}.
+
+**Part labels**, as large as the picture: an image of ids, or a network's probabilities. Label sets:
+{DESCRIBED}; or a JSON file of your own: `{{"groups": {{"head": ["head", "neck"], ...}}, "ids": {{"0":
+"background", "1": "head", ...}}}}`, whose parts are those of ellipbody20. Id 255 is ignored. Without --parts, the
+keypoints alone are fitted.
+
+**Results** in FOLDER: overlay.png (look at this first), parts.png, body.npz (parameters), body.json (measurements in
+cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json. Of the detailed model: detailed.png, detailed.glb,
+detailed.obj, detailed.ply, detailed.bvh, detailed.npz, registration.json, as `partdr register` leaves them. Older
+results there are replaced.
+
+**Settings** for --set and --config, all in docs/fitting.md: `outline=false` (no last stage: joints nearer to the truth,
+outlines farther from the labels), `outline=labels-first` (the reverse), `trust_background=true`, `weights.prior=5`,
+`labels.size=256`, `mesh=true` (the paper's renderer), `network=FILE.safetensors`, `threads=4`.
+"""
+
+_QUALITY_HELP = "On PartBench's clean people: part F1 0.86, 0.88, 0.90 in 0.4, 1 and 1.15 of balanced's time."
+_START_HELP = "The label network's body, and a search where that ends far off; or a search at once."
+
+
+def fit(
+    files: PersonFiles,
+    photo: Annotated[
+        Path | None, typer.Argument(help="The picture, for the overlay; optional.", metavar="PHOTO", show_default=False)
+    ] = None,
+    out: OutOption = Path("out"),
+    model: Annotated[str, typer.Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
+    quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP)] = QualityName.balanced,
+    start: Annotated[StartName, typer.Option(help=_START_HELP)] = StartName.network,
+    device: DeviceOption = "auto",
+    explain: Annotated[
+        bool, typer.Option("--explain", help="First say what is modelled, what is left out, and why.")
+    ] = False,
+    *,
+    settings: SettingOptions,
+) -> None:
+    """Fit a body to one person; see ``FIT_HELP``."""
+    # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
+    values = settings.read()
+    person = files.read(photo)
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from ..fit.fitting import fit_body
+    from ..interop.devices import choose_device
+    from ..kernels.launch import set_num_threads
+    from ..results.result_sets import check_folder, check_inputs
+    from ..results.save import DETAILED_FILES, RESULT_FILES, image_size, save_fit
+    from .progress import FitProgress
+
+    set_num_threads(take_whole(values, "threads"))
+    options = _options(quality, start, values)
+    check_folder(out)
+    named = (options.network, files.labels, model)
+    given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
+    check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
+    where = choose_device(device)
+    detailed_model = None if model == NO_MODEL else read_model(model, where)
+    if explain:
+        _explain(person, options)
+    with FitProgress() as progress:
+        _load_kernels(where, options, with_labels=person.parts is not None)
+        result = fit_body(
+            person.keypoints, person.parts, others=person.others, options=options, device=where, progress=progress
+        )
+        progress("writing results", 1, 1)
+        report = save_fit(result, out, photo=person.photo)
+    for warning in result.warnings:
+        typer.echo(f"partdr: warning: {warning}", err=True)
+    _summarise(report, out)
+    if detailed_model is None:
+        return
+    size = image_size(person.keypoints, person.parts, person.photo)
+    try:
+        with FitProgress() as progress:
+            seen = result.camera, size, person.photo, result.evidence
+            told = clothe(result.posed, detailed_model, out, *seen, progress=progress)
+    except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
+        raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
+    typer.echo(told)
+
+
+def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> FitOptions:
+    from ..fit.options import FitOptions
+    from ..fit.settings import change_options
+
+    options = change_options(FitOptions.at(quality.value, start.value), values)
+    if options.network is not None and start is StartName.search:
+        raise InputError(f"network: {options.network}, with --start search, which has none; expected one of the two")
+    return options
+
+
+def _explain(person: PersonInputs, options: FitOptions) -> None:
+    from rich.console import Console
+
+    from ..fit.explain import explain, print_choices
+
+    choices = explain(person.keypoints, person.parts, others=person.others, options=options)
+    print_choices(choices, Console(highlight=False))
+
+
+def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
+    """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
+    import warp as wp
+
+    from ..kernels import kinematics, labels
+    from ..kernels.ellipsoids import picture, silhouette
+    from ..kernels.mesh import push_xy, push_z, rasterize
+    from ..kernels.refine import state
+    from ..render.renderers import RendererEllipsoids, RendererMesh
+
+    modules: list[Any] = [kinematics, rasterize]
+    if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
+        modules.append(state.MODULE)
+    if with_labels and isinstance(options.renderer, RendererMesh):
+        modules += [push_xy, push_z]
+    elif with_labels and device == "cpu":
+        drawn = [stage.renderer for stage in options.stages if stage.size]
+        gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})
+        modules += [labels, silhouette, picture]
+        modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
+    for module in modules:
+        wp.load_module(module, device=device)
+
+
+def _where_from(report: dict[str, Any]) -> str:
+    count, seconds = report["hypotheses"], report["seconds_total"]
+    if report["start"] == "network" and count == 1:
+        return f"started from the label network's body, {seconds:.1f} s"
+    return f"{count} hypotheses, the {report['start']}'s won, {seconds:.1f} s"
+
+
+def _summarise(report: dict[str, Any], out: Path) -> None:
+    share = report["keypoints"]["mean_distance_share_of_person_height"]
+    lines = [
+        _where_from(report),
+        f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
+        + (f" ({100 * share:.1f} % of the person's height)" if share else ""),
+    ]
+    if "parts" in report:
+        lines.append(describe_scores(report))
+    typer.echo("; ".join(lines))
+    typer.echo(f"{out / 'overlay.png'} shows the body, {out / 'body.json'} its measurements")

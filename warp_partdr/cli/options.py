@@ -1,0 +1,148 @@
+"""Options that commands share, and dataclasses of options as parameters of a command."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from ..errors import InputError, shown
+from ..files.sections import read_toml, set_value
+
+if TYPE_CHECKING:
+    from ..inputs.person_files import PersonInputs
+
+DeviceOption = Annotated[
+    str, typer.Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")
+]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results.", metavar="FOLDER")]
+LabelsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--labels",
+        help="Label set of the part labels, or a JSON file; default: labels.json beside them.",
+        metavar="NAME",
+        show_default=False,
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE", show_default=False),
+]
+
+
+@dataclass(frozen=True)
+class SettingOptions:
+    """The options --config and --set."""
+
+    config: Annotated[
+        Path | None, typer.Option(help="Settings as TOML; --set goes before them.", metavar="FILE.toml")
+    ] = None
+    overrides: SetOption = None
+
+    def read(self) -> dict[str, Any]:
+        """Nested tables of what was given.
+
+        Raises:
+            InputError: If the file is no TOML, or an override is no ``key=value``.
+        """
+        values = {} if self.config is None else read_toml(self.config, str(self.config), "a .toml file")
+        for override in self.overrides or ():
+            set_value(values, override)
+        return values
+
+
+def take_whole(values: dict[str, Any], name: str) -> int:
+    """Take a whole number out of settings, 0 where it is missing.
+
+    Raises:
+        InputError: If it is no whole number of 0 or more.
+    """
+    value = values.pop(name, 0)
+    if type(value) is not int or value < 0:
+        raise InputError(f"{name}: {shown(value)}; expected 0 or more")
+    return value
+
+
+@dataclass(frozen=True)
+class PersonFiles:
+    """Options for the files of one person."""
+
+    keypoints: Annotated[
+        Path | None, typer.Option(help="2D keypoints, JSON.", metavar="FILE.json", show_default=False)
+    ] = None
+    keypoint_format: Annotated[
+        str | None,
+        typer.Option("--format", help="Of the keypoints, if the file does not say.", metavar="NAME"),
+    ] = None
+    parts: Annotated[
+        Path | None, typer.Option(help="Part labels: ids, .png or .npy, or probabilities, .npy.", metavar="FILE")
+    ] = None
+    labels: LabelsOption = None
+    person: Annotated[
+        int | None,
+        typer.Option(help="Whom to take, 0 = first; default: the largest.", metavar="N"),
+    ] = None
+
+    def read(self, photo: Path | None) -> PersonInputs:
+        """The person, and the picture if there is one.
+
+        Raises:
+            InputError: If a file can't be read, or they don't fit each other.
+        """
+        from ..inputs.person_files import read_person
+
+        if self.keypoints is None:
+            raise InputError("--keypoints: missing; expected the person's 2D keypoints, FILE.json")
+        return read_person(
+            self.keypoints,
+            photo=photo,
+            parts=self.parts,
+            labels=self.labels,
+            keypoint_format=self.keypoint_format,
+            index=self.person,
+        )
+
+
+def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:
+    """Make a command for Typer of a function that takes dataclasses: each of their fields becomes an option.
+
+    Args:
+        command: The function; a field's annotation and default are those of an option.
+        required: Fields that the command line must give, whatever their default.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    options: dict[str, tuple[Any, Any]] = {}  # annotation and default
+    for parameter in inspect.signature(command).parameters.values():
+        kind = hints[parameter.name]
+        if is_dataclass(kind):
+            own = get_type_hints(kind, include_extras=True)
+            options |= {field.name: (own[field.name], field.default) for field in fields(kind)}
+        else:
+            options[parameter.name] = kind, parameter.default
+    empty = inspect.Parameter.empty
+
+    def run(**given: Any) -> None:
+        for name, kind in groups.items():
+            given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+        command(**given)
+
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                annotation=kind,
+                default=empty if name in required or default is MISSING else default,
+            )
+            for name, (kind, default) in options.items()
+        ]
+    )
+    run.__annotations__ = {}
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    return run

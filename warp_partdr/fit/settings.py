@@ -1,0 +1,80 @@
+"""Settings of a fit by name, as ``partdr fit --config`` and ``--set`` have them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from ..body.icosphere import MAX_SUBDIVISIONS
+from ..errors import InputError, shown
+from ..files.sections import change_section, check_keys, read_section
+from ..render.renderers import RendererMesh
+from .options import FitOptions
+from .stages import OUTLINE, Stage
+
+LABELS_FIRST = "labels-first"
+MESH = "mesh"
+_FIELDS = tuple(field.name for field in fields(FitOptions) if field.name != "start")
+
+
+def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions:
+    """Options with some settings changed.
+
+    Args:
+        options: What to begin with, such as ``FitOptions.at("fast")``.
+        values: Fields of ``FitOptions``, all but ``start``; under a stage's name, fields of that ``Stage``; under
+            ``search``, the same for stages of the search. ``mesh``, true or fields of ``RendererMesh``, draws it in
+            every stage. ``outline`` may also be false, which leaves that stage out, or "labels-first"
+            (``FitOptions.labels_first``).
+
+    Raises:
+        InputError: If a key is unknown, or its value is wrong or excludes another one.
+    """
+    own = {name: value for name, value in values.items() if name in _FIELDS}
+    if isinstance(search := own.get("search"), Mapping):
+        options = replace(options, search=_change_stages(options.search, search, "search"))
+        del own["search"]
+    options = change_section(options, own)
+    names = [stage.name for stage in options.stages]
+    check_keys(values, dict.fromkeys([*_FIELDS, MESH, *names, OUTLINE]))
+    tables = {name: value for name, value in values.items() if name not in _FIELDS}
+    mesh, outline = tables.pop(MESH, False), tables.get(OUTLINE, {})
+    if outline == LABELS_FIRST and mesh is not False:
+        raise InputError(f"{OUTLINE}: {LABELS_FIRST}, with {MESH}, which has no coverage gradient; expected one of two")
+    if not isinstance(outline, Mapping):
+        options = _change_outline(options, tables.pop(OUTLINE))
+    if mesh is not False:
+        options = _draw_mesh(options, {} if mesh is True else mesh)
+    return replace(options, stages=_change_stages(options.stages, tables))
+
+
+def _change_outline(options: FitOptions, outline: object) -> FitOptions:
+    if outline is False:
+        return options.without_outline()
+    if outline == LABELS_FIRST:
+        return options.labels_first()
+    raise InputError(f"{OUTLINE}: {shown(outline)}; expected a table, false or {LABELS_FIRST!r}")
+
+
+def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
+    """All stages with the mesh, as far-reaching as their own renderers if nothing is said of that."""
+    mesh = read_section(RendererMesh, values, MESH)
+    assert isinstance(values, Mapping)
+    level, tolerance = mesh.subdivisions, mesh.tolerance
+    if level != "auto" and not 0 <= level <= MAX_SUBDIVISIONS:
+        raise InputError(f"{MESH}.subdivisions: {level}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
+    if "tolerance" in values and level != "auto":
+        raise InputError(f"{MESH}.tolerance: {tolerance}; expected {MESH}.subdivisions=auto with it")
+    if not 0 < tolerance < math.inf:
+        raise InputError(f"{MESH}.tolerance: {tolerance}; expected a positive number of pixels")
+    if "max_distance" in values:
+        return options.drawn_by(lambda old: mesh)
+    return options.drawn_by(lambda old: replace(mesh, max_distance=old.max_distance))
+
+
+def _change_stages(stages: tuple[Stage, ...], tables: Mapping[str, Any], where: str = "") -> tuple[Stage, ...]:
+    check_keys(tables, [stage.name for stage in stages], where)
+    names = {stage.name: f"{where}.{stage.name}" if where else stage.name for stage in stages}
+    return tuple(change_section(stage, tables.get(stage.name, {}), names[stage.name]) for stage in stages)
