@@ -11,12 +11,15 @@ from typing import Any, get_args
 import torch
 
 from ..body.parameters import BodyParameters
+from ..body.posing import Posed
 from ..body.template import LOCKED_PARTS, PART_NAMES
+from ..clothing.anny import anny
+from ..clothing.model import DetailedModel
+from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
 from ..render.options import Gradient
 from .buttons import Button
-from .clothing import Clothing
-from .film import FILM, Film
+from .recording import FILM, Film
 from .scene import Scene
 from .settings import DRAWN_SIZES, QUALITIES, RendererName, Supervision
 from .sliders import PAGES
@@ -26,6 +29,29 @@ from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_bod
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
 _BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
 _BODY, _MESHES, _PICTURE = "body.npz", "ellipbody.glb", "demo.png"
+
+
+class Clothing:
+    """Registers Anny, once as a mean adult and then as edits of that one, which may grow beyond natural people.
+
+    Args:
+        options: Of the registrations; the defaults if None.
+    """
+
+    def __init__(self, options: RegistrationOptions | None = None) -> None:
+        self._options = options
+        self._mean: Registered | None = None
+
+    @property
+    def model(self) -> DetailedModel:
+        """What bodies are clothed in."""
+        return anny()
+
+    def vertices(self, posed: Posed) -> torch.Tensor:
+        """Those of the detailed body that clothes B = 1 posed body, in its frame [m], shape (V, 3); takes seconds."""
+        if self._mean is None:
+            self._mean = register(BodyParameters.mean(1).posed(), self.model, options=self._options)
+        return register(posed, self.model, start=self._mean, options=self._options).detailed.vertices[0]
 
 
 class Controls:

@@ -1,4 +1,4 @@
-"""A refinement as a file: an animated GIF, an MP4, or a page for the browser that holds its pictures."""
+"""Recordings of a refinement or of the window: an animated GIF, an MP4, or a page that holds its pictures."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ _PAUSE = 12  # times the last picture is shown at the end
 _MILLISECONDS = 80  # a picture
 _GRAY = 8  # range of a pixel's channels up to which it is gray
 _PLAIN = 5000  # pixels that stand for gray ones, white and black in a palette
+
+FILM = "demo.gif"
+_MOST = 400  # pictures of a film, of 0.8 MB each
+_WIDEST = 640  # [px] of a film
+_PAPER = "#fafafa"  # beside a picture of another shape
 
 
 def frames(scene: Scene, steps: int, every: int = 2) -> Iterator[np.ndarray]:
@@ -57,6 +62,55 @@ def write(pictures: Sequence[np.ndarray], path: Path) -> None:
         _WRITERS[path.suffix](list(pictures), path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected a file that can be written") from error
+
+
+class Film:
+    """Small pictures of the window, one after each change, while it runs.
+
+    Attributes:
+        running: Whether pictures are taken.
+    """
+
+    def __init__(self) -> None:
+        self.running = False
+        self._pictures: list[np.ndarray] = []
+
+    @property
+    def waits(self) -> bool:
+        """Whether it has ended with pictures that are still to be written."""
+        return bool(self._pictures) and not self.running
+
+    def start(self) -> None:
+        """Begin with nothing."""
+        self._pictures, self.running = [], True
+
+    def take(self, picture: np.ndarray) -> bool:
+        """Keep a picture, RGB, shape (height, width, 3), uint8; whether there is room for more.
+
+        It is made smaller by a whole number. Where the window has another size now, it is fitted into the first one's.
+        """
+        from PIL import Image, ImageOps
+
+        small = Image.fromarray(picture).reduce(-(-picture.shape[1] // _WIDEST))
+        if self._pictures:
+            height, width = self._pictures[0].shape[:2]
+            if small.size != (width, height):
+                small = ImageOps.pad(small, (width, height), color=_PAPER)
+        self._pictures.append(np.asarray(small))
+        return len(self._pictures) < _MOST
+
+    def write(self, folder: Path) -> int:
+        """End, write ``FILM`` into a folder, made if it isn't there, and forget the pictures; how many there were.
+
+        Raises:
+            InputError: If it can't be written; the pictures are kept.
+        """
+        self.running = False
+        count = len(self._pictures)
+        if count:
+            write(self._pictures, folder / FILM)
+        self._pictures = []
+        return count
 
 
 def _write_gif(pictures: list[np.ndarray], path: Path) -> None:

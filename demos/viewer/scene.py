@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..results.palette import PART_COLOURS
 from .arrows import Arrows
 from .state import DemoState
-from .wanted import BACKGROUND_COLOUR
+from .targets import BACKGROUND_COLOUR
 
 if TYPE_CHECKING:
     import pyvista as pv

@@ -13,7 +13,7 @@ Supervision = Literal["keypoints", "silhouette", "parts"]
 RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
 DRAWN_SIZES = (64, 128, 256, 512)  # [px]
 
-# Names of what is traded: a few renderers, gradients and sizes, from the fastest to the most accurate.
+# Names of what is chosen between: a few renderers, gradients and sizes, from the fastest to the most accurate.
 QUALITIES: dict[str, dict[str, Any]] = {
     "draft": {"renderer": "E0", "gradient": "partdr", "size": 64},
     "fast": {"renderer": "exact", "gradient": "edges", "size": 128},

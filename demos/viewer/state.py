@@ -25,9 +25,8 @@ from ..render.renderers import Renderer, RendererMesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file
 from .settings import Settings
-from .targets import Target, read_body
+from .targets import BACKGROUND_COLOUR, Target, TargetPicture, picture_colours, read_body, target_picture
 from .view import VIEW, seen_as, view_of
-from .wanted import BACKGROUND_COLOUR, WantedPicture, picture_colours, wanted_picture
 
 _TIMED = 15  # the last so many iterations tell the time of one
 _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact ellipsoids
@@ -67,8 +66,8 @@ class DemoState:
         self.target = target
         self.settings = settings or Settings()
         self.prior = PosePrior()
-        self._seen: Target | None = None  # what the wanted pictures were made of
-        self._wanted_pictures: dict[int, WantedPicture | None] = {}  # by their size
+        self._seen: Target | None = None  # the target of those pictures
+        self._target_pictures: dict[int, TargetPicture | None] = {}  # by their size
         _check_labels(self.settings, target)
         self.restart()
 
@@ -119,9 +118,9 @@ class DemoState:
         self._times: deque[float] = deque(maxlen=_TIMED)
         self._outline_energy: Energy | None = None
         if self._seen is not self.target:
-            self._seen, self._wanted_pictures = self.target, {}
-        if (size := self.settings.size) not in self._wanted_pictures:
-            self._wanted_pictures[size] = wanted_picture(self.target, size)
+            self._seen, self._target_pictures = self.target, {}
+        if (size := self.settings.size) not in self._target_pictures:
+            self._target_pictures[size] = target_picture(self.target, size)
 
     def _make_energy(self, renderer: Renderer) -> Energy:
         seen, settings = self.target.observation, self.settings
@@ -175,7 +174,7 @@ class DemoState:
         Args:
             part: One of ``PART_NAMES``; the hips don't turn.
             axis: 0 to 2.
-            radians: Wanted component.
+            radians: The new component.
         """
         index = _index("part", PART_NAMES, part)
         low, high = self.prior.lower_limits[index, axis], self.prior.upper_limits[index, axis]
@@ -210,22 +209,22 @@ class DemoState:
             self._drawn = shown.labels[0].numpy()
         return self._drawn
 
-    def wanted(self) -> np.ndarray | None:
+    def target_labels(self) -> np.ndarray | None:
         """Group ids of the target, shape (size, size), uint8; None without labels."""
-        wanted = self._wanted_pictures[self.settings.size]
-        return None if wanted is None else wanted.labels
+        target = self._target_pictures[self.settings.size]
+        return None if target is None else target.labels
 
     def pictures(self) -> dict[str, np.ndarray]:
         """Body, target and difference by these names, in the parts' colours, RGB, shape (size, size, 3), uint8.
 
         In the difference, a wrong pixel has the colour that it should have; what should be background is dark.
         """
-        drawn, wanted = self.drawn(), self._wanted_pictures[self.settings.size]
+        drawn, target = self.drawn(), self._target_pictures[self.settings.size]
         shown = {"body": picture_colours(self.target).take(drawn, axis=0)}
-        if wanted is None:
+        if target is None:
             blank = np.full_like(shown["body"], BACKGROUND_COLOUR)
             return shown | {"target": blank, "difference": blank}
-        return shown | {"target": wanted.picture, "difference": wanted.difference(drawn)}
+        return shown | {"target": target.picture, "difference": target.difference(drawn)}
 
     def forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the losses of keypoints and labels pull each ellipsoid: minus their gradient at its centre.
@@ -268,13 +267,13 @@ class DemoState:
 
     def part_f1(self) -> float | None:
         """Part F1 of what is drawn against the target; None without labels."""
-        wanted = self.wanted()
-        if wanted is None:
+        labels = self.target_labels()
+        if labels is None:
             return None
         if self._part_f1 is None:
             # As ``confusion`` counts, which takes 30 times as long to check and to mask; ignored pixels come last.
             classes = self.target.label_set.num_groups + 1
-            counts = np.bincount((wanted.astype(np.uint16) * classes + self.drawn()).ravel(), minlength=classes**2)
+            counts = np.bincount((labels.astype(np.uint16) * classes + self.drawn()).ravel(), minlength=classes**2)
             self._part_f1 = float(part_f1(counts[: classes**2].reshape(classes, classes)))
         return self._part_f1
 

@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..body.labels import LabelSet, label_set
+from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather, Posed
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..body.skeletons import skeleton
 from ..errors import InputError
-from ..inputs.observation import LABEL_SIZE, Observation, observe
+from ..inputs.observation import LABEL_SIZE, Observation, observe, resize_nearest
 from ..inputs.person_files import PersonInputs
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
 from ..refinement.steps import SIZES
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
+from ..results.palette import IGNORE_COLOUR, group_colours
 from ..synthetic.pose_recipes import draw_pose
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
@@ -39,6 +40,10 @@ _SPREAD = {"lengths": 0.06, "thicknesses": 0.12}  # standard deviation of a rand
 _WIDEST_TURN = 60.0  # [degrees] of a random body
 _PAPER = (250, 250, 250)  # beyond a photo's border
 _FORMAT = "coco17"  # keypoints of a target that is a body
+
+BACKGROUND_COLOUR = 250
+_RIGHT_COLOUR = 226
+_UNKNOWN_COLOUR = 238  # of a pixel
 
 
 @dataclass(frozen=True)
@@ -154,3 +159,45 @@ def person_target(person: PersonInputs) -> Target:
         )
         shown = np.asarray(cut)
     return Target(replace(observation, maps=None, known=None), photo=shown)
+
+
+@dataclass(frozen=True)
+class TargetPicture:
+    """What a drawn picture is compared with, N pixels a side.
+
+    Attributes:
+        labels: Group ids, 255 = ignore, shape (N, N), uint8.
+        picture: Their colours, RGB, shape (N, N, 3), uint8.
+        right: What the difference is where all is right, the same.
+        wrong: What it is where something is wrong, the same.
+    """
+
+    labels: np.ndarray
+    picture: np.ndarray
+    right: np.ndarray
+    wrong: np.ndarray
+
+    def difference(self, drawn: np.ndarray) -> np.ndarray:
+        """A wrong pixel has the colour that it should have; what should be background is dark."""
+        different = (drawn != self.labels) & (self.labels != IGNORE)
+        return np.where(different[..., None], self.wrong, self.right)
+
+
+def target_picture(target: Target, size: int) -> TargetPicture | None:
+    """At ``size`` pixels a side; None of a target without labels."""
+    if target.observation.labels is None:
+        return None
+    labels = resize_nearest(target.observation.labels, size).numpy()
+    picture = picture_colours(target)[labels]
+    person = (labels != BACKGROUND) & (labels != IGNORE)
+    right = np.full_like(picture, BACKGROUND_COLOUR)
+    right[person] = _RIGHT_COLOUR
+    wrong = np.where(labels[..., None] == BACKGROUND, IGNORE_COLOUR, picture)
+    return TargetPicture(labels, picture, right, wrong)
+
+
+def picture_colours(target: Target) -> np.ndarray:
+    """RGB of each group id of a target, shape (256, 3), uint8."""
+    colours = group_colours(target.label_set.part_groups)
+    colours[BACKGROUND], colours[IGNORE] = BACKGROUND_COLOUR, _UNKNOWN_COLOUR
+    return colours

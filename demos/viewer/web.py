@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..errors import InputError
-from .pictures import Pictures
+from .stream import PictureStream
 from .window import Window
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
@@ -120,7 +120,7 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
             await server.stop()
 
 
-def _make_page(window: Window) -> tuple[Any, Pictures]:
+def _make_page(window: Window) -> tuple[Any, PictureStream]:
     trame, layouts, html, client, areas, rca, encoders = (
         import_module(name)
         for name in (
@@ -141,7 +141,7 @@ def _make_page(window: Window) -> tuple[Any, Pictures]:
     plotter.iren.initialize()  # else VTK's widgets are deaf
     window.scene.screenshot()  # else PyVista takes none later
     plotter.suppress_rendering = True  # drawn when it is sent, and once is enough
-    pictures = Pictures(rca.VtkWindow(plotter.render_window), encoders.RcaImageEncoder.JPEG.encode)
+    pictures = PictureStream(rca.VtkWindow(plotter.render_window), encoders.RcaImageEncoder.JPEG.encode)
     # Not for each event: VTK and PyVista say when there is something to draw.
     area = rca.RcaViewAdapter(pictures.rca, AREA, scheduler=pictures, do_schedule_render_on_interaction=False)
     area.max_pixel_count = _PIXELS
@@ -157,7 +157,7 @@ def _make_page(window: Window) -> tuple[Any, Pictures]:
     return server, pictures
 
 
-def _make_answer(pictures: Pictures) -> Any:
+def _make_answer(pictures: PictureStream) -> Any:
     """What a page is answered that shows a picture and asks for the next."""
     web = import_module("aiohttp.web")
 

@@ -13,13 +13,13 @@ from ..body.template import PART_NAMES
 from ..errors import InputError
 from .buttons import Button, Panel
 from .controls import Controls
-from .film import FILM
+from .recording import FILM
 from .scene import Scene
 from .settings import QUALITIES
 from .sliders import Slider, SliderColumn, make_page
 from .state import DemoState
-from .table import Table
-from .trade import Trade
+from .tradeoff import Tradeoff
+from .tradeoff_table import TradeoffTable
 
 _UNSEEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
 _TICK = 15  # [ms] between a picture and the next step
@@ -43,7 +43,7 @@ class Window:
         controls: What buttons and keys do.
         keys: What each key does.
         panel: The buttons.
-        trade: What was tried.
+        tradeoff: What was tried.
 
     Raises:
         InputError: If VTK can't draw here.
@@ -52,7 +52,7 @@ class Window:
     def __init__(self, state: DemoState, folder: Path, *, off_screen: bool = False, seed: int = 0) -> None:
         self.state, self.folder = state, folder
         self.scene = Scene(state, off_screen=off_screen, smooth=False)
-        self.trade = Trade(state)
+        self.tradeoff = Tradeoff(state)
         self.controls = Controls(state, self.scene, folder, self.refresh, seed)
         self.keys = self.controls.keys
         plotter = self.scene.plotter
@@ -66,7 +66,7 @@ class Window:
         self.panel = Panel(plotter.renderer, self.controls.rows)
         plotter.subplot(2, 2)
         self.scene.chart.size = (0.4, 0.95)
-        self._table = Table(plotter.renderer, self.trade)
+        self._table = TradeoffTable(plotter.renderer, self.tradeoff)
         plotter.subplot(0, 0)
         plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)  # people stay upright
         plotter.enable_mesh_picking(self._picked, use_actor=True, left_clicking=True, show=False, show_message=False)
@@ -79,7 +79,7 @@ class Window:
         # but the style hears of it then. And not PyVista's timer, which draws at every tick.
         plotter.iren.style.AddObserver("TimerEvent", lambda *_: self.tick())
         plotter.iren.interactor.CreateRepeatingTimer(_TICK)
-        self.trade.update(measure=True)
+        self.tradeoff.update(measure=True)
         self._update()
 
     @property
@@ -137,7 +137,7 @@ class Window:
             self.scene.message = ""
         try:
             action()
-            self.trade.update(measure=measure)
+            self.tradeoff.update(measure=measure)
         except InputError as error:
             self.controls.playing = False
             self.scene.message = str(error)

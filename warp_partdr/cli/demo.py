@@ -136,9 +136,7 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     if files.keypoints is not None:
         goal = targets.person_target(files.read(photo))
     elif any(given is not None for given in (photo, files.parts, files.labels)):
-        raise InputError(
-            "--keypoints: none with --photo, --parts or --labels; expected 2D keypoints, FILE.json"
-        )
+        raise InputError("--keypoints: none with --photo, --parts or --labels; expected 2D keypoints, FILE.json")
     else:
         goal = targets.body_target(targets.body_of(target, seed + 1))  # another than a random start
     if start.endswith(".npz"):

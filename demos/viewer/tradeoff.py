@@ -21,7 +21,7 @@ _MOST = 8  # rows that are kept
 
 
 @dataclass
-class Row:
+class TradeoffRow:
     """One setting: what can be said of it at the start, and how far it came.
 
     Attributes:
@@ -48,7 +48,7 @@ class Row:
     joints: float | None = None
 
 
-class Trade:
+class Tradeoff:
     """The rows for one start and one target; with another of them they begin anew.
 
     Args:
@@ -61,7 +61,7 @@ class Trade:
 
     def __init__(self, state: DemoState) -> None:
         self.state = state
-        self.rows: dict[tuple[str, int, str], Row] = {}
+        self.rows: dict[tuple[str, int, str], TradeoffRow] = {}
         self.current: tuple[str, int, str] | None = None
         self._pair: tuple[object, object] | None = None
         self._truth: tuple[People, torch.Tensor] | None = None
@@ -79,7 +79,7 @@ class Trade:
         if key not in self.rows:
             if not measure:
                 return
-            self.rows[key] = Row(*key, _time(state), self._angle(), self._outline())
+            self.rows[key] = TradeoffRow(*key, _time(state), self._angle(), self._outline())
             while len(self.rows) > _MOST:
                 del self.rows[next(iter(self.rows))]
         self.current = key

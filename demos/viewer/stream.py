@@ -13,7 +13,7 @@ _STILL = 0.8  # [s] and while nothing changes; an answer waits behind no more
 _QUIET = 0.5  # [s] without a change, until a rough picture is sent again
 
 
-class Picture(NamedTuple):
+class JpegPicture(NamedTuple):
     """One picture: which change it shows, the quality of its JPEG, and the file."""
 
     number: int
@@ -21,7 +21,7 @@ class Picture(NamedTuple):
     content: bytes
 
 
-class Pictures:
+class PictureStream:
     """The newest picture of a window, drawn when a page asks for it.
 
     So one picture at most is under way to each page, and none waits for another page's. To trame this is a scheduler
@@ -63,7 +63,7 @@ class Pictures:
         self.closed = True
         self.schedule_render()
 
-    async def after(self, number: int, quality: int, rate: float) -> Picture:
+    async def after(self, number: int, quality: int, rate: float) -> JpegPicture:
         """The next picture for a page: newer than the one it shows or, while nothing changes, better.
 
         Args:
@@ -85,7 +85,7 @@ class Pictures:
         while number == self._number:
             await self._changed.wait()
 
-    async def _draw(self, size: float) -> Picture:
+    async def _draw(self, size: float) -> JpegPicture:
         """The newest picture, of the best quality that fits into a number of bytes, or else of the least."""
         async with self._drawing:
             if self._drawn != self._number:
@@ -96,4 +96,4 @@ class Pictures:
                     self._encoded[quality] = (await asyncio.to_thread(self._encode, *self._image, quality))[0]
                 if len(self._encoded[quality]) <= size:
                     break
-            return Picture(self._drawn, quality, self._encoded[quality])
+            return JpegPicture(self._drawn, quality, self._encoded[quality])

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .overlay import Overlay
-from .trade import Row, Trade
+from .tradeoff import Tradeoff, TradeoffRow
 
 _SIZE = (364, 181)  # [px]
 _LETTER, _LINE = 11, 15  # [px]
@@ -24,7 +24,7 @@ class _Column(NamedTuple):
 
     head: tuple[str, str]
     x: int
-    tell: Callable[[Row], str]
+    tell: Callable[[TradeoffRow], str]
 
 
 _COLUMNS = (
@@ -40,20 +40,20 @@ _COLUMNS = (
 )
 
 
-class Table:
-    """The rows of a trade, in the lower right of the window.
+class TradeoffTable:
+    """The rows of a tradeoff, in the lower right of the window.
 
     Args:
         renderer: The view.
-        trade: Where the rows come from.
+        tradeoff: Where the rows come from.
     """
 
-    def __init__(self, renderer: Any, trade: Trade) -> None:
+    def __init__(self, renderer: Any, tradeoff: Tradeoff) -> None:
         from PIL import Image, ImageFont
 
         self._font = ImageFont.load_default(_LETTER)
         self._overlay = Overlay(renderer, (270 / 640, 4 / 189, (270 + _SIZE[0]) / 640, (4 + _SIZE[1]) / 189), _SIZE)
-        self._trade = trade
+        self._tradeoff = tradeoff
         self._picture = Image.new("RGB", _SIZE, _PAPER)
         self._shown: list[tuple[list[str], str]] = []  # lines and their colours
 
@@ -61,8 +61,8 @@ class Table:
         """Paint the lines that have changed."""
         lines = [(["Tried from this start to this target:"], _INK)]
         lines += [([column.head[k] for column in _COLUMNS], _FAINT) for k in (0, 1)]
-        for key, row in self._trade.rows.items():
-            colour = _NOW if key == self._trade.current else _INK
+        for key, row in self._tradeoff.rows.items():
+            colour = _NOW if key == self._tradeoff.current else _INK
             lines.append(([column.tell(row) for column in _COLUMNS], colour))
         lines += [([], _INK)] * (len(self._shown) - len(lines))  # where there were more
         changed = [k for k, line in enumerate(lines) if k >= len(self._shown) or line != self._shown[k]]

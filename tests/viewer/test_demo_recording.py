@@ -1,0 +1,118 @@
+"""What the demo records, and ``partdr demo`` as users call it."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import viewer_scenes
+from PIL import Image
+from typer.testing import CliRunner
+from viewer_scenes import click, make_state
+
+from warp_partdr.cli.main import app
+from warp_partdr.errors import InputError
+from warp_partdr.viewer.recording import Film, check_format, frames, write
+from warp_partdr.viewer.scene import Scene
+
+one_thread, window = viewer_scenes.one_thread, viewer_scenes.window  # fixtures
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.html"])
+def test_record(can_draw, tmp_path, name):
+    scene = Scene(make_state(), window_size=(320, 200), smooth=False)
+    write(list(frames(scene, 4)), tmp_path / name)
+    scene.close()
+    if name == "out.gif":
+        with Image.open(tmp_path / name) as film:
+            assert (film.n_frames, film.size) == (3, (320, 200))
+    else:
+        page = (tmp_path / name).read_text()
+        assert page.count("data:image/webp;base64,") == 3
+        assert "http" not in page  # it needs no network
+
+
+def test_record_checks_the_name(tmp_path, monkeypatch):
+    for path, said in (
+        (tmp_path / "out.avi", r"out\.avi; expected a name that ends with \.gif"),
+        (tmp_path / "nowhere" / "out.gif", "expected a file in a folder that is there"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_format(path)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"pip install imageio-ffmpeg\), or \.gif or \.html"):
+        check_format(tmp_path / "out.mp4")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "no display"),
+        (["--set", "port=80"], "port: without --web; expected both, or neither"),
+        (["--set", "browser=false"], "browser: without --web"),
+        (["--record", "out.gif", "--photo", "photo.png"], "--keypoints: none with --photo"),
+        (["--record", "out.gif", "--target", "dancing"], "'dancing'; expected one of"),
+        (["--record", "out.gif", "--start", "nowhere.npz"], "nowhere.npz: No such file"),
+    ],
+)
+def test_command_faults(arguments, said, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    done = CliRunner().invoke(app, ["demo", *arguments])
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+
+
+def test_command_records(can_draw, tmp_path):
+    done = CliRunner().invoke(
+        app, ["demo", "--record", str(tmp_path / "out.gif"), "--set", "steps=2", "--set", "size=64"]
+    )
+    assert done.exit_code == 0, done.output
+    assert "2 pictures" in done.output
+
+
+def test_film(window, monkeypatch):
+    click(window, "film")
+    for _ in range(3):
+        window.press("n")
+    window.slide(0, window.page()[0].high)
+    click(window, "film")
+    assert window.scene.message == f"5 pictures in {window.folder / 'demo.gif'}"
+    with Image.open(window.folder / "demo.gif") as film:
+        assert film.size == (640, 400)
+        first = np.asarray(film.convert("RGB")).astype(int)
+        film.seek(film.n_frames - 1)
+        assert (np.abs(np.asarray(film.convert("RGB")) - first).max(-1) > 40).mean() > 0.01
+    monkeypatch.setattr("warp_partdr.viewer.recording._MOST", 2)  # then it ends by itself
+    window.press("f")
+    window.press("n")
+    assert not window.controls.film.running
+    assert "2 pictures" in window.scene.message
+    window.folder.joinpath("demo.gif").unlink()
+    window.folder.joinpath("demo.gif").mkdir()
+    window.press("f")
+    window.press("n")
+    assert "Is a directory" in window.scene.message
+    window.folder.joinpath("demo.gif").rmdir()
+    window.press("f")
+    assert "2 pictures" in window.scene.message  # those of before
+
+
+def test_a_film_of_a_window_that_changes_its_size(tmp_path):
+    film = Film()
+    for height, width in ((800, 1281), (900, 1280), (400, 500)):
+        film.take(np.full((height, width, 3), 90, np.uint8))
+    assert film.write(tmp_path) == 3
+    with Image.open(tmp_path / "demo.gif") as written:
+        assert (written.size, written.n_frames) == ((427, 267), 3)
+    assert film.write(tmp_path) == 0
+
+
+def test_a_film_is_written_when_the_window_closes(window):
+    assert window.finish() == ""
+    window.press("f")
+    window.press("n")
+    assert window.finish() == f"{window.folder / 'demo.gif'}: 2 pictures"

@@ -1,0 +1,284 @@
+"""The demo without a picture: bodies, targets, settings, steps, forces and what was tried."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import viewer_scenes
+from PIL import Image
+from viewer_scenes import EXAMPLE, SMALL, make_state, read_target
+
+from warp_partdr import load_body
+from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
+from warp_partdr.errors import InputError
+from warp_partdr.metrics import confusion, part_f1
+from warp_partdr.viewer.settings import Settings
+from warp_partdr.viewer.state import DemoState
+from warp_partdr.viewer.targets import (
+    PRESETS,
+    RANDOM,
+    body_of,
+    body_target,
+    read_body,
+)
+from warp_partdr.viewer.tradeoff import Tradeoff
+from warp_partdr.viewer.view import VIEW, seen_as, view_of
+
+one_thread = viewer_scenes.one_thread  # a fixture
+
+
+@pytest.mark.parametrize("name", [*PRESETS, RANDOM])
+def test_bodies_are_in_the_picture(name):
+    target = body_target(body_of(name))
+    assert target.observation.points.abs().max() < 1
+    labels = target.observation.labels
+    assert labels is not None
+    assert (labels[[0, -1]] == 0).all()
+    assert len(labels.unique()) > 14  # a limb may hide another
+
+
+def test_random_bodies_differ_by_seed_and_repeat():
+    first, again, other = (body_of(RANDOM, seed) for seed in (1, 1, 2))
+    assert torch.equal(first.rotations, again.rotations)
+    assert not torch.equal(first.rotations, other.rotations)
+
+
+@pytest.mark.parametrize("supervision", ["keypoints", "silhouette", "parts"])
+def test_steps_lower_the_loss_and_the_error(supervision):
+    state = make_state()
+    state.configure(supervision=supervision)
+    before = state.joint_error(), state.part_f1()
+    state.play(30)
+    assert len(state.history) == 30
+    assert state.history[-1] < 0.7 * state.history[0]
+    assert state.joint_error() < before[0]
+    assert state.part_f1() > before[1]
+    assert state.milliseconds() > 0
+
+
+@pytest.mark.parametrize("renderer", ["E0", "E2"])
+def test_meshes_play_too(renderer):
+    state = make_state()
+    exact = state.drawn()
+    state.configure(renderer=renderer)
+    assert 0 < (state.drawn() != exact).mean() < 0.1
+    state.play(10)
+    assert state.history[-1] < state.history[0]
+
+
+def test_the_z_gradient_is_what_parts_pull_in_depth_with():
+    state = make_state("crossed arms", "crossed arms")
+    state.set_rotation("left_forearm", 1, -0.3)
+    pulls = []
+    for depth in (True, False):
+        state.configure(depth_gradient=depth)
+        pulls.append(state.forces()[1][:, 2])
+    assert np.abs(pulls[0]).max() > 0
+    assert np.abs(pulls[1]).max() == 0
+
+
+@pytest.mark.parametrize("supervision", ["keypoints", "silhouette", "parts"])
+def test_forces_pull_toward_the_target(supervision):
+    body = body_of("t-pose")
+    right_and_down = body_target(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
+    state = DemoState(body, right_and_down, replace(SMALL, supervision=supervision))
+    assert (state.forces()[1][:, :2].sum(0) > 0).all()
+
+
+def test_restart_goes_back_and_repeats():
+    state = make_state()
+    state.play(5)
+    first, history = state.body.rotations.detach().clone(), list(state.history)
+    state.restart()
+    assert torch.equal(state.body.rotations, state.start.rotations)
+    state.play(5)
+    assert state.history == history
+    assert torch.equal(state.body.rotations, first)
+
+
+def test_edits_stay_within_bounds_and_are_the_new_start():
+    state = make_state()
+    state.history.append(1.0)
+    state.set_length("forearm", 9.0)
+    state.set_rotation("left_lower_leg", 0, 9.0)
+    assert state.body.lengths[0, LENGTH_NAMES.index("forearm")].item() == pytest.approx(
+        float(state.bounds("lengths")[1][0, LENGTH_NAMES.index("forearm")])
+    )
+    knee = PART_NAMES.index("left_lower_leg")
+    assert state.body.rotations[0, knee, 0].item() == pytest.approx(float(state.prior.upper_limits[knee, 0]))
+    assert state.history == []
+    assert torch.equal(state.start.lengths, state.body.lengths)
+    assert float(state.prior.joint_limits(state.body.rotations.detach())) == 0
+
+
+def test_pictures_of_a_body_that_is_there_differ_nowhere():
+    state = make_state("walking", "walking")
+    state.configure(size=512)  # what labels are kept at
+    pictures = state.pictures()
+    assert np.array_equal(pictures["body"], pictures["target"])
+    assert len(np.unique(pictures["difference"].reshape(-1, 3), axis=0)) == 2
+    assert state.part_f1() == 1
+    assert state.joint_error() == pytest.approx(0, abs=1e-3)
+
+
+def test_save_and_load(tmp_path):
+    state = make_state()
+    state.play(3)
+    state.save(tmp_path / "body.npz")
+    state.save(tmp_path / "body.glb")
+    assert (tmp_path / "body.glb").read_bytes()[:4] == b"glTF"
+    assert load_body(tmp_path / "body.npz").image_size.tolist() == [64, 64]
+    other = make_state()
+    other.load(tmp_path / "body.npz")
+    assert (other.drawn() != state.drawn()).mean() < 1e-3
+    for name, tensor in state.body.tensors().items():
+        if name != "orientation":
+            torch.testing.assert_close(other.body.tensors()[name], tensor.detach(), atol=1e-5, rtol=1e-4)
+
+
+def test_a_photo_with_labels_is_a_target():
+    target = read_target(EXAMPLE / "photo.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
+    state = DemoState(body_of("t-pose"), target, SMALL)
+    assert target.photo.shape == (256, 256, 3)
+    before = state.part_f1()
+    state.play(30)
+    assert state.part_f1() > before
+    assert state.joint_error() is None
+    labels = state.target_labels()
+    assert (labels == 255).any()
+    assert state.part_f1() == pytest.approx(float(part_f1(confusion(state.drawn(), labels, 15))))
+
+
+def test_the_photo_is_cut_as_its_labels_are(tmp_path):
+    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    Image.fromarray(np.repeat(person[..., None] * np.uint8(255), 3, axis=-1)).save(tmp_path / "white.png")
+    target = read_target(tmp_path / "white.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
+    labels = target.observation.labels[::2, ::2].numpy()
+    seen = labels != 255
+    assert 0.5 < seen.mean() < 1
+    assert ((target.photo[..., 0] > 127) == (labels > 0))[seen].mean() > 0.99
+
+
+def test_a_photo_without_labels_says_what_works():
+    target = read_target(EXAMPLE / "photo.png")
+    with pytest.raises(InputError, match=r"supervision: parts, without part labels; expected --parts FILE, or keyp"):
+        DemoState(body_of("t-pose"), target, SMALL)
+    state = DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints"))
+    with pytest.raises(InputError, match="without part labels"):
+        state.configure(supervision="silhouette")
+    state.play(10)
+    assert state.history[-1] < state.history[0]
+    assert state.part_f1() is None
+    assert (state.pictures()["difference"] == state.pictures()["difference"][0, 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"supervision": "colours"}, "supervision: colours; expected one of keypoints, silhouette, parts"),
+        ({"renderer": "E4"}, "renderer: E4; expected one of exact, E0"),
+        ({"size": 100}, "size: 100; expected one of 64"),
+        ({"steps": 0}, "steps: 0; expected 1 or more"),
+        ({"learning_rate": float("nan")}, "learning_rate: nan; expected"),
+    ],
+)
+def test_bad_settings(changes, said):
+    with pytest.raises(InputError, match=said):
+        Settings(**changes)
+
+
+def test_bad_names(tmp_path):
+    with pytest.raises(InputError, match=r"body: 'dancing'; expected one of t-pose"):
+        body_of("dancing")
+    with pytest.raises(InputError, match="expected one of hip"):
+        make_state().set_length("nose", 1.0)
+    (tmp_path / "broken.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"broken\.npz: not readable"):
+        read_body(tmp_path / "broken.npz")
+    with pytest.raises(InputError, match="expected a file in a folder that is there"):
+        make_state().save(tmp_path / "nowhere" / "body.npz")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_view_is_what_it_was_set_to(name):
+    body = body_of(name)
+    again = seen_as(body, view_of(body))
+    torch.testing.assert_close(again.global_orient(), body.global_orient())
+    wanted = dict(zip(VIEW, (90.0, 10.0, -20.0, 30.0, -150.0, 70.0), strict=True))
+    assert view_of(seen_as(body, wanted)) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_view_sliders_move_the_picture_by_what_they_say():
+    state = make_state()
+    before = state.drawn()
+    state.set_view("shift x", 8.0)  # of 256: 2 of 64
+    assert np.array_equal(state.drawn()[:, 2:], before[:, :-2])
+    state.set_view("shift x", 0.0)
+    state.set_view("scale", 64.0)
+    assert np.ptp(np.nonzero(state.drawn())[0]) == pytest.approx(np.ptp(np.nonzero(before)[0]) / 2, abs=1.5)
+    state.set_view("scale", 1e6)
+    assert state.view()["scale"] == pytest.approx(260, rel=1e-5)
+    with pytest.raises(InputError, match="view: 'zoom'; expected one of scale"):
+        state.set_view("zoom", 1.0)
+
+
+def test_a_view_slider_changes_nothing_but_its_own_number():
+    body = body_of("t-pose")
+    state = DemoState(seen_as(body, view_of(body) | {"scale": 400.0, "shift x": -200.0}), make_state().target, SMALL)
+    state.set_view("shift y", 1e6)
+    assert [state.view()[name] for name in ("scale", "shift x", "shift y")] == pytest.approx([400, -200, 128])
+
+
+@pytest.mark.parametrize("renderer", ["exact", "E0"])
+def test_outlines_are_pulled_toward_the_target(renderer):
+    body = body_of("t-pose")
+    right_and_down = body_target(replace(body, shift=body.shift + torch.tensor([[0.08, 0.05]])))
+    state = DemoState(body, right_and_down, replace(SMALL, renderer=renderer))
+    points, forces = state.outline_forces()
+    assert points.shape == forces.shape == (len(points), 3)
+    assert len(points) > 50
+    assert (forces[:, :2].sum(0) > 0).all()
+    assert (np.abs(forces[:, 2]) > 0).any()
+    state.configure(supervision="keypoints")
+    assert len(state.outline_forces()[0]) == 0
+
+
+def test_the_trade_remembers_what_was_tried():
+    state = DemoState(body_of("t-pose"), body_target(body_of("walking")), replace(SMALL, gradient="coverage"))
+    tradeoff = Tradeoff(state)
+    for renderer in ("exact", "E0", "E2"):
+        state.configure(renderer=renderer)
+        tradeoff.update(measure=True)
+    state.play(5)
+    tradeoff.update(measure=False)
+    exact, coarse, fine = tradeoff.rows.values()
+    assert [row.drawn for row in (exact, coarse, fine)] == ["exact, coverage", "mesh E0", "mesh E2"]
+    assert exact.outline == 0 < fine.outline < coarse.outline
+    assert exact.angle < fine.angle  # PartDR's gradient is no derivative
+    assert all(row.milliseconds > 0 for row in tradeoff.rows.values())
+    assert (exact.iterations, coarse.iterations, fine.iterations) == (0, 0, 5)
+    assert (fine.f1, fine.joints) == (state.part_f1(), state.joint_error())
+    assert tradeoff.rows[tradeoff.current] is fine
+    state.set_length("forearm", 0.3)
+    tradeoff.update(measure=False)
+    assert tradeoff.rows == {}
+
+
+def test_the_gradient_is_compared_only_where_all_of_it_is_followed():
+    state = make_state()
+    tradeoff = Tradeoff(state)
+    for changes in ({}, {"depth_gradient": False}, {"gradient": "coverage"}, {"supervision": "silhouette"}):
+        state.configure(**changes)
+        tradeoff.update(measure=True)
+    state.configure(supervision="keypoints", depth_gradient=True)
+    tradeoff.update(measure=True)
+    assert [(row.followed, row.angle is not None) for row in tradeoff.rows.values()] == [
+        ("parts + z", True),
+        ("parts", False),  # the angle is that of all of the gradient
+        ("parts", True),  # of coverage nothing can be left out
+        ("silhouette", False),
+        ("keypoints", False),
+    ]

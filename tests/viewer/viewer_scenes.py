@@ -1,0 +1,69 @@
+"""Small states and windows of the demo, and clicks on their buttons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr.clothing.registration import RegistrationOptions
+from warp_partdr.inputs.person_files import read_person
+from warp_partdr.viewer.controls import Clothing
+from warp_partdr.viewer.settings import Settings
+from warp_partdr.viewer.state import DemoState
+from warp_partdr.viewer.targets import (
+    Target,
+    body_of,
+    body_target,
+    person_target,
+)
+from warp_partdr.viewer.window import Window
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
+SMALL = Settings(size=64, steps=40)
+
+
+def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
+    return DemoState(body_of(start), body_target(body_of(target)), SMALL)
+
+
+def read_target(photo: Path, **labels: Any) -> Target:
+    return person_target(read_person(EXAMPLE / "keypoints.json", photo=photo, **labels))
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As the command has it: the tensors are small."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def window(can_draw, tmp_path):
+    made = Window(make_state(), tmp_path / "saved", off_screen=True)
+    made.controls.clothing = Clothing(RegistrationOptions(iterations=2))  # which is near enough, and fast
+    yield made
+    made.scene.close()
+
+
+def send(window: Window, event: str, place: tuple[int, int]) -> None:
+    """An event of the mouse, as the window system would send it."""
+    interactor = window.scene.plotter.iren.interactor
+    interactor.SetEventPosition(*place)
+    interactor.InvokeEvent(event)
+
+
+def click(window: Window, text: str, hint: str = "") -> None:
+    """Click on the button that says ``text``; of two, on that with ``hint`` in its hint."""
+    (button,) = (button for button in window.panel.buttons if button.text == text and hint in button.hint)
+    send(window, "LeftButtonPressEvent", window.panel.place(button))
+    send(window, "LeftButtonReleaseEvent", window.panel.place(button))
+
+
+def image(window: Window, name: str) -> np.ndarray:
+    return window.scene._images[name].point_data["rgb"].copy()
