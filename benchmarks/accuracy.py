@@ -47,7 +47,7 @@ from warp_partdr.inputs.part_labels import read_parts, read_photo
 from warp_partdr.inputs.person import person_crop
 from warp_partdr.inputs.sample import Sample
 from warp_partdr.results.palette import group_colours
-from warp_partdr.results.pictures import turntable
+from warp_partdr.results.pictures import turntable_views
 from warp_partdr.results.save import draw_overlay
 
 LABELS = label_set("cdcl14")
@@ -118,7 +118,7 @@ def contact_sheet(sample: Sample, result: FitResult) -> Image.Image:
     tiles = {
         title: image.crop((left, top, left + side, top + side)).resize((TILE, TILE)) for title, image in tiles.items()
     }
-    views = turntable(result.posed, tuple(VIEWS.values()), TILE)
+    views = turntable_views(result.posed, tuple(VIEWS.values()), TILE)
     tiles |= {title: Image.fromarray(view) for title, view in zip(VIEWS, views, strict=True)}
 
     columns, bar = len(tiles) // 2, 20

@@ -32,7 +32,7 @@ from warp_partdr import (
     read_photo,
 )
 from warp_partdr.results.palette import PART_COLOURS, group_colours
-from warp_partdr.results.pictures import turntable
+from warp_partdr.results.pictures import turntable_views
 from warp_partdr.results.save import draw_overlay
 
 EXAMPLE = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
@@ -77,7 +77,7 @@ def draw_example(height: int = 400) -> Image.Image:
     }
     width = round(height * photo.shape[1] / photo.shape[0])
     panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}
-    (side,) = turntable(result.posed, ((90, 0),), height)
+    (side,) = turntable_views(result.posed, ((90, 0),), height)
     margin = (height - width) // 2
     panels["the same from the side"] = Image.fromarray(side).crop((margin, 0, margin + width, height))
     return side_by_side(panels)
@@ -89,7 +89,7 @@ def draw_ellipbody(size: int = 360) -> Image.Image:
     sides = {"from the front": ((0, 0), 0.8), "from its left": ((90, 0), 0.35), "from above": ((0, 90), 0.8)}
     panels = {}
     for name, (angles, share) in sides.items():
-        (view,) = turntable(posed, (angles,), size)
+        (view,) = turntable_views(posed, (angles,), size)
         margin = round(size * (1 - share) / 2)
         panels[name] = Image.fromarray(view[:, margin : size - margin])
     levels = Image.new("RGB", (size // 2, size), "white")

@@ -13,7 +13,7 @@ from scenes import loss_on_screen
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
 sys.path.insert(0, str(DEMOS))
 
-from two_triangles import (  # noqa: E402  it lies in demos/
+from triangle_scenes import (  # noqa: E402  it lies in demos/
     FULL,
     ITERATIONS,
     PARTS,

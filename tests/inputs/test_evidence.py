@@ -24,7 +24,7 @@ from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.inputs.person import select_person
 from warp_partdr.inputs.stray_labels import ignore_stray_labels
-from warp_partdr.results.save import compare_labels, compared_labels, draw_overlay
+from warp_partdr.results.save import compared_labels, draw_overlay, score_labels
 
 EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
 CDCL = label_set("cdcl14")
@@ -91,7 +91,7 @@ def part_f1(result: FitResult, person: Person) -> float:
     """Of LSP's parts, against a person's own labels."""
     target = select_person(person[1].groups, person[0])
     shown = CDCL.part_groups[result.draw(target.shape).labels[0].numpy()]
-    return float(compare_labels(shown, target, CDCL)["parts_lsp6"]["part_f1"])
+    return float(score_labels(shown, target, CDCL)["parts_lsp6"]["part_f1"])
 
 
 def check_mended(person: Person) -> None:
@@ -319,11 +319,11 @@ def test_a_small_person_in_a_large_picture_is_seen_pixel_by_pixel() -> None:
 
 def test_scores_of_a_large_picture_are_of_a_smaller_one(monkeypatch: pytest.MonkeyPatch) -> None:
     result = fit_body(*example(), quality="fast")
-    plain = compare_labels(*compared_labels(result, (512, 384)), CDCL)
+    plain = score_labels(*compared_labels(result, (512, 384)), CDCL)
     monkeypatch.setattr("warp_partdr.results.save.OVERLAY_SIDE", 256)
     shown, target = compared_labels(result, (512, 384))
     assert shown.shape == target.shape == (256, 192)
-    assert compare_labels(shown, target, CDCL)["parts"]["part_f1"] == pytest.approx(plain["parts"]["part_f1"], abs=0.01)
+    assert score_labels(shown, target, CDCL)["parts"]["part_f1"] == pytest.approx(plain["parts"]["part_f1"], abs=0.01)
 
 
 def test_evidence_without_labels_has_no_target() -> None:

@@ -134,7 +134,7 @@ def test_report(folder: Path, result: FitResult) -> None:
 
 def test_label_set_without_lsp_parts_has_no_such_score() -> None:
     target = np.ones((4, 4), dtype=np.uint8)
-    scores = output.compare_labels(target, target, label_set("full1"))
+    scores = output.score_labels(target, target, label_set("full1"))
     assert list(scores) == ["parts"]
     assert scores["parts"]["foreground_f1"] == 1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
-from .options import DeviceOption, LabelsOption
-from .partbench import partbench
+from .options import DeviceOption, LabelsOption, grouped
+from .partbench import run_partbench
 
 if TYPE_CHECKING:
     from ..body.labels import LabelSet
@@ -24,38 +25,44 @@ evaluate = typer.Typer(
     no_args_is_help=True,
 )
 
-Limit = Annotated[int | None, typer.Option(help="Only the first N people.", metavar="N")]
-Jobs = Annotated[int, typer.Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")]
-Methods = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--method",
-        help="What to fit to: keypoints only, full silhouette or parts; may be given again. By default all there are.",
-        metavar="NAME",
-        show_default=False,
-    ),
-]
-Out = Annotated[
-    Path | None, typer.Option(help="Write all figures, also of each fit.", metavar="FILE.json", show_default=False)
-]
-Pictures = Annotated[
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of every data set."""
+
+    limit: Annotated[int | None, typer.Option(help="Only the first N people.", metavar="N")] = None
+    jobs: Annotated[
+        int, typer.Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")
+    ] = 1
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method",
+            help="What to fit to: keypoints only, full silhouette or parts; may be given again; default: all.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ] = None
+    device: DeviceOption = "auto"
+    out: Annotated[
+        Path | None, typer.Option(help="Write all figures, also of each fit.", metavar="FILE.json", show_default=False)
+    ] = None
+
+
+PicturesOption = Annotated[
     Path | None, typer.Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER", show_default=False)
 ]
-Keypoints = Annotated[
+KeypointsOption = Annotated[
     Path | None,
     typer.Option(help="2D keypoints, one JSON file a picture, instead of the file's own.", metavar="FOLDER"),
 ]
 
 
-@evaluate.command()
 def folder(
     path: Annotated[Path, typer.Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
     labels: LabelsOption = None,
-    limit: Limit = None,
-    jobs: Jobs = 1,
-    method: Methods = None,
-    device: DeviceOption = "auto",
-    out: Out = None,
+    *,
+    options: RunOptions,
 ) -> None:
     """Your own pictures: how well bodies follow the labels and keypoints given.
 
@@ -63,65 +70,56 @@ def folder(
     """
     from ..evaluation.datasets import read_folder
 
-    _evaluate(read_folder(path, _label_set(labels)), limit, jobs, method, device, out)
+    _evaluate(read_folder(path, _label_set(labels)), options)
 
 
-@evaluate.command()
 def h36m(
     path: Annotated[Path, typer.Argument(help="SPIN's h36m_valid_protocol1.npz or the like.", metavar="FILE.npz")],
-    keypoints: Keypoints = None,
-    pictures: Pictures = None,
-    limit: Limit = None,
-    jobs: Jobs = 1,
-    method: Methods = None,
-    device: DeviceOption = "auto",
-    out: Out = None,
+    keypoints: KeypointsOption = None,
+    pictures: PicturesOption = None,
+    *,
+    options: RunOptions,
 ) -> None:
     """Human3.6M, in SPIN's annotation arrays: MPJPE and PA-MPJPE."""
     from ..evaluation.datasets import read_human36m
 
-    _evaluate(read_human36m(path, pictures=pictures, keypoints=keypoints), limit, jobs, method, device, out)
+    _evaluate(read_human36m(path, pictures=pictures, keypoints=keypoints), options)
 
 
-@evaluate.command()
 def lsp(
     path: Annotated[Path, typer.Argument(help="lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
     parts: Annotated[
         Path | None, typer.Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
     ] = None,
-    labels: LabelsOption = "lsp6",
-    pictures: Pictures = None,
-    limit: Limit = None,
-    jobs: Jobs = 1,
-    method: Methods = None,
-    device: DeviceOption = "auto",
-    out: Out = None,
+    labels: Annotated[str, typer.Option(help="Label set of --parts, or a JSON file.", metavar="NAME")] = "lsp6",
+    pictures: PicturesOption = None,
+    *,
+    options: RunOptions,
 ) -> None:
     """Leeds Sports Pose with UP-3D's six parts: foreground and part accuracy and F1."""
     from ..evaluation.datasets import read_lsp
 
-    samples = read_lsp(path, parts=parts, labels=_label_set(labels), pictures=pictures)
-    _evaluate(samples, limit, jobs, method, device, out)
+    _evaluate(read_lsp(path, parts=parts, labels=_label_set(labels), pictures=pictures), options)
 
 
-@evaluate.command("3dpw")
 def pw3d(
     path: Annotated[Path, typer.Argument(help="SPIN's 3dpw_test.npz or the like.", metavar="FILE.npz")],
-    keypoints: Keypoints = None,
-    pictures: Pictures = None,
-    limit: Limit = None,
-    jobs: Jobs = 1,
-    method: Methods = None,
-    device: DeviceOption = "auto",
-    out: Out = None,
+    keypoints: KeypointsOption = None,
+    pictures: PicturesOption = None,
+    *,
+    options: RunOptions,
 ) -> None:
     """3DPW, in SPIN's annotation arrays; 3D errors need the array S in the file."""
     from ..evaluation.datasets import read_pw3d
 
-    _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), limit, jobs, method, device, out)
+    _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), options)
 
 
-evaluate.command()(partbench)
+evaluate.command("folder")(grouped(folder))
+evaluate.command("h36m")(grouped(h36m))
+evaluate.command("lsp")(grouped(lsp))
+evaluate.command("3dpw")(grouped(pw3d))
+evaluate.command("partbench")(run_partbench)
 
 
 def _label_set(name: str | None) -> LabelSet | None:
@@ -130,14 +128,8 @@ def _label_set(name: str | None) -> LabelSet | None:
     return None if name is None else read_label_set(name)
 
 
-def _evaluate(
-    samples: Iterable[Sample],
-    limit: int | None,
-    jobs: int,
-    names: list[str] | None,
-    device: str,
-    out: Path | None,
-) -> None:
+def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
+    limit, jobs, names, out = options.limit, options.jobs, options.methods, options.out
     for option, number in (("--limit", limit), ("--jobs", jobs)):
         if number is not None and number < 1:
             raise InputError(f"{option}: {number}; expected 1 or more")
@@ -166,7 +158,7 @@ def _evaluate(
         check_folder(out.parent)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes to come
     one_thread()
-    where = choose_device(device)
+    where = choose_device(options.device)
     with FitProgress() as progress:
         report = evaluate(people, methods, jobs=jobs, device=where, progress=progress)
 

@@ -16,7 +16,7 @@ from .fit import FIT_HELP, fit
 from .options import grouped
 from .predict import PREDICT_HELP, predict
 from .register import REGISTER_HELP, register_body
-from .train import TRAIN_HELP, train
+from .train import TRAIN_HELP, train_network
 
 _UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
 
@@ -46,7 +46,7 @@ app.command("fit", help=FIT_HELP)(grouped(fit, required=["keypoints"]))
 app.command("register", help=REGISTER_HELP)(register_body)
 app.command("predict", help=PREDICT_HELP)(predict)
 app.command("demo", help=DEMO_HELP)(grouped(demo))
-app.command("train", help=TRAIN_HELP)(train)
+app.command("train", help=TRAIN_HELP)(train_network)
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(bench, name="bench")
 

@@ -16,7 +16,7 @@ QUICK_LEVELS = ("clean", "realistic")
 PEOPLE, QUICK_PEOPLE = 20, 6  # for ten minutes and for one on two cores
 
 
-def partbench(
+def run_partbench(
     quick: Annotated[
         bool, typer.Option("--quick", help=f"{QUICK_PEOPLE} people, two levels, EllipBody alone: a minute.")
     ] = False,

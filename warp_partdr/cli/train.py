@@ -29,7 +29,7 @@ holds what led to it.
 """
 
 
-def train(
+def train_network(
     config: Annotated[str, typer.Argument(help="A packaged config's name, or a file.", metavar="CONFIG")],
     out: Annotated[
         Path | None,

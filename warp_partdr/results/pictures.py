@@ -92,7 +92,7 @@ def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:
             draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill="white", outline="black")
 
 
-def turntable(posed: Posed, angles: tuple[tuple[float, float], ...], size: int = 320) -> list[np.ndarray]:
+def turntable_views(posed: Posed, angles: tuple[tuple[float, float], ...], size: int = 320) -> list[np.ndarray]:
     """The first body from other sides on white, RGB (size, size, 3) each.
 
     Args:

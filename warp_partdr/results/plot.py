@@ -8,16 +8,14 @@ screen, and ``figure.axes`` are there to be changed. Of a batch, the first body 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 
-from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
-from ..body.parameters import BodyParameters
+from ..body.labels import BACKGROUND, LabelSet, label_set
 from ..body.posing import Posed
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, SHAPE_INDICES, THICKNESS_NAMES
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, THICKNESS_NAMES
 from ..cameras import Camera, WeakPerspective
 from ..errors import check_whole
 from ..fit.result import FitResult
@@ -29,20 +27,31 @@ from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from ..render.mesh import mesh_label_loss
 from ..render.options import Gradient
 from ..render.part_mesh import ellipbody_mesh
-from .palette import DEPTH_COLOURS, IGNORE_COLOUR, group_colours
-from .pictures import blend, draw_keypoints, panels, shade_body
-from .pictures import turntable as turned_pictures
+from .figures import (
+    DPI,
+    PARTS,
+    Body,
+    Image,
+    add_legend,
+    body_sizes,
+    draw_groups,
+    empty_figure,
+    find_label_set,
+    first_body,
+    first_camera,
+    legend_columns,
+    outline_labels,
+    part_patches,
+    plain_name,
+    read_groups,
+    show_picture,
+)
+from .palette import DEPTH_COLOURS, group_colours
+from .pictures import blend, draw_keypoints, panels, shade_body, turntable_views
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
-Body = FitResult | BodyParameters | Posed
-Image = np.ndarray | torch.Tensor
-
-_PARTS = "ellipbody20"
-_DPI = 100
 _BETWEEN = ("#0f4890", "#dd6623")  # two bodies, cool and warm
 _STAGES = ("#f6f6f6", "#e8edf3")
 
@@ -77,17 +86,17 @@ def overlay(
     if not 0 <= opacity <= 1:
         raise ValueError(f"opacity: {opacity}; expected 0 to 1")
     size = photo.shape[0], photo.shape[1]
-    posed, seen = _first(body), _first_camera(_camera(body, camera))
+    posed, seen = first_body(body), first_camera(body, camera)
     if not isinstance(seen, WeakPerspective):
         raise ValueError(f"camera: {type(seen).__name__}; expected WeakPerspective, as Perspective.to_weak gives it")
     picture = PilImage.fromarray(blend(photo, shade_body(posed, seen, size), opacity))
     if keypoints is not None:
         draw_keypoints(picture, keypoints)
-    figure = _figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 6.0 + 1.1 * legend)
-    _show(figure.subplots(), np.asarray(picture))
+    figure = empty_figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 6.0 + 1.1 * legend)
+    show_picture(figure.subplots(), np.asarray(picture))
     if legend:
-        parts = label_set(_PARTS)
-        _legend(figure, part_patches(parts, draw_ellipsoids(posed, seen, size).labels))
+        parts = label_set(PARTS)
+        add_legend(figure, part_patches(parts, draw_ellipsoids(posed, seen, size).labels))
     return figure
 
 
@@ -104,25 +113,25 @@ def part_panels(
     Raises:
         ValueError: If the two are no label images of one shape, or ids are none of the set's.
     """
-    groups = _label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
-    wanted = _labels("target", target.groups if isinstance(target, PartLabels) else target, groups)
+    groups = find_label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
+    wanted = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
     if isinstance(drawn, FitResult):
-        shown = _draw(drawn.posed, drawn.camera, wanted.shape, groups)
+        shown = draw_groups(drawn.posed, drawn.camera, wanted.shape, groups)
     else:
-        shown = _labels("drawn", drawn, groups)
+        shown = read_groups("drawn", drawn, groups)
     if shown.shape != wanted.shape:
         raise ValueError(f"drawn: shape {shown.shape}; expected {wanted.shape} as the target")
     sheet = np.asarray(panels(wanted, shown, group_colours(groups.part_groups)))
     patches = part_patches(groups, np.stack([wanted, shown]))
-    rows = -(-len(patches) // _columns(sheet.shape[1]))
-    width, height = sheet.shape[1] / _DPI, sheet.shape[0] / _DPI
+    rows = -(-len(patches) // legend_columns(sheet.shape[1]))
+    width, height = sheet.shape[1] / DPI, sheet.shape[0] / DPI
     below = 0.2 * rows + 0.1
     # One pixel of the sheet is one of the figure's, so that labels stay sharp.
-    figure = _figure(width, height + below, layout=None)
+    figure = empty_figure(width, height + below, layout=None)
     axes = figure.add_axes((0, below / (height + below), 1, height / (height + below)))
     axes.imshow(sheet, interpolation="nearest", aspect="auto")
     axes.set_axis_off()
-    figure.legend(handles=patches, loc="lower center", ncols=_columns(sheet.shape[1]), frameon=False, fontsize=8)
+    figure.legend(handles=patches, loc="lower center", ncols=legend_columns(sheet.shape[1]), frameon=False, fontsize=8)
     return figure
 
 
@@ -157,9 +166,9 @@ def gradient_field(
         raise ValueError(f"renderer: {renderer!r}; expected exact, mesh")
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    groups = _label_set(label_set)
-    wanted = _labels("target", target, groups)
-    posed, seen = _first(body), _first_camera(_camera(body, camera))
+    groups = find_label_set(label_set)
+    wanted = read_groups("target", target, groups)
+    posed, seen = first_body(body), first_camera(body, camera)
     goal = torch.from_numpy(wanted)[None].to(posed.centres.device)
     if renderer == "exact":
         points = posed.centres.clone().requires_grad_()
@@ -176,10 +185,10 @@ def gradient_field(
 
     colours = group_colours(groups.part_groups)
     colours[BACKGROUND] = 255
-    figure = _figure(5.5 * min(wanted.shape[1] / wanted.shape[0], 2.0) + 1.6, 6.6)
+    figure = empty_figure(5.5 * min(wanted.shape[1] / wanted.shape[0], 2.0) + 1.6, 6.6)
     axes = figure.subplots()
-    _show(axes, (0.4 * colours[wanted] + 0.6 * 255).astype(np.uint8))
-    _outline(axes, _draw(posed, seen, wanted.shape, groups))
+    show_picture(axes, (0.4 * colours[wanted] + 0.6 * 255).astype(np.uint8))
+    outline_labels(axes, draw_groups(posed, seen, wanted.shape, groups))
     there = np.abs(downhill).max(1) > 0
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
@@ -206,7 +215,7 @@ def gradient_field(
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
     points_name = "centres" if renderer == "exact" else f"vertices of E{subdivisions}"
     axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {points_name}")
-    _legend(figure, part_patches(groups, wanted))
+    add_legend(figure, part_patches(groups, wanted))
     return figure
 
 
@@ -232,7 +241,7 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
         curves = [np.asarray(history, dtype=np.float64)]
     if not curves or any(curve.ndim not in (1, 2) for curve in curves) or not sum(len(curve) for curve in curves):
         raise ValueError(f"history: {len(curves)} empty or of a wrong shape; expected one loss or more an iteration")
-    figure = _figure(8.0, 3.6)
+    figure = empty_figure(8.0, 3.6)
     axes = figure.subplots()
     first = 0
     for index, curve in enumerate(curves):
@@ -269,15 +278,15 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), tilt: f
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
     size = check_whole("size", size, 16, 4096)
-    views = np.stack(turned_pictures(_first(body), tuple((float(turn), float(tilt)) for turn in turns), size))
+    views = np.stack(turntable_views(first_body(body), tuple((float(turn), float(tilt)) for turn in turns), size))
     rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
     views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
-    figure = _figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
+    figure = empty_figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
     for axes, turn, view in zip(figure.subplots(1, len(turns), squeeze=False)[0], turns, views, strict=True):
         axes.imshow(view)
         axes.set_axis_off()
         axes.set_title(f"{turn:g}°")
-    _legend(figure, part_patches(label_set(_PARTS)))
+    add_legend(figure, part_patches(label_set(PARTS)))
     return figure
 
 
@@ -291,13 +300,13 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
         second: The same.
         names: What to call them.
     """
-    bodies = [_first(body) for body in (first, second)]
+    bodies = [first_body(body) for body in (first, second)]
     joints = [body.joints[0].cpu().double() - body.joints[0, :1].cpu().double() for body in bodies]
     low = torch.stack(joints).amin((0, 1)).numpy() - 0.15
     high = torch.stack(joints).amax((0, 1)).numpy() + 0.15
     across, down, deep = high - low
     widths = (5.3 * across / down, 5.3 * deep / down, 2.6, 3.0)
-    figure = _figure(sum(widths) + 4.5, 6.4)
+    figure = empty_figure(sum(widths) + 4.5, 6.4)
     front, side, distance, sizes = figure.subplots(1, 4, width_ratios=widths)
 
     scale = 480 / float(max(high[:2] - low[:2]))
@@ -329,7 +338,7 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
 
     apart = (joints[0] - joints[1]).norm(dim=-1).numpy() * 1000
     distance.barh(np.arange(len(apart)), apart, color="#6d6d6d")
-    distance.set_yticks(np.arange(len(apart)), [_plain(name) for name in JOINT_NAMES])
+    distance.set_yticks(np.arange(len(apart)), [plain_name(name) for name in JOINT_NAMES])
     distance.invert_yaxis()
     distance.set_xlabel("distance of joints [mm]")
     mean, aligned = (float(metric(*joints)) * 1000 for metric in (mpjpe, pa_mpjpe))
@@ -337,129 +346,10 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
 
     rows = np.arange(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
     for offset, colour, body, name in zip((-0.2, 0.2), _BETWEEN, bodies, names, strict=True):
-        sizes.barh(rows + offset, _sizes(body) * 100, 0.4, color=colour, label=name)
+        sizes.barh(rows + offset, body_sizes(body) * 100, 0.4, color=colour, label=name)
     sizes.set_yticks(rows, [*LENGTH_NAMES, *THICKNESS_NAMES])
     sizes.invert_yaxis()
     sizes.set_xlabel("size [cm]")
     sizes.set_title("lengths and thicknesses")
     figure.legend(handles=sizes.get_legend_handles_labels()[0], loc="outside lower center", ncols=2, frameon=False)
     return figure
-
-
-def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
-    """Handles of a legend: each group's colour and name.
-
-    Args:
-        groups: The label set.
-        labels: Group ids; only those that are in it are named, ignored pixels too. None: all groups.
-    """
-    from matplotlib.patches import Patch
-
-    colours = group_colours(groups.part_groups) / 255
-    present = range(1, groups.num_groups + 1) if labels is None else np.unique(_numpy(labels)).tolist()
-    named = [(colours[k], _plain(groups.group_names[k - 1])) for k in present if 0 < k <= groups.num_groups]
-    if IGNORE in present:
-        named.append((IGNORE_COLOUR / 255, "ignored"))
-    return [Patch(facecolor=colour, edgecolor="0.4", linewidth=0.5, label=name) for colour, name in named]
-
-
-def _figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """An empty figure [inches], which no window owns."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), dpi=_DPI, layout=layout)
-
-
-def _legend(figure: Figure, patches: list[Patch]) -> None:
-    columns = _columns(figure.get_figwidth() * _DPI)
-    figure.legend(
-        handles=patches, loc="outside lower center", ncols=columns, frameon=False, fontsize=8, columnspacing=1.2
-    )
-
-
-def _columns(width: float) -> int:
-    """How many columns of a legend fit into a width [px]."""
-    return max(int(width // 135), 1)
-
-
-def _show(axes: Axes, picture: np.ndarray) -> None:
-    """A picture whose pixel (v, u) has its centre at (u + 0.5, v + 0.5)."""
-    height, width = picture.shape[:2]
-    axes.imshow(picture, extent=(0, width, height, 0))
-    axes.set_xlabel("u [px]")
-    axes.set_ylabel("v [px]")
-
-
-def _outline(axes: Axes, labels: np.ndarray) -> None:
-    """The borders of all labels."""
-    height, width = labels.shape
-    for group in np.unique(labels[labels != BACKGROUND]):
-        axes.contour(
-            np.arange(width) + 0.5,
-            np.arange(height) + 0.5,
-            labels == group,
-            levels=[0.5],
-            colors="0.25",
-            linewidths=0.8,
-        )
-
-
-def _draw(posed: Posed, camera: Camera, size: tuple[int, ...], groups: LabelSet) -> np.ndarray:
-    """Group ids of a body, shape (H, W), uint8."""
-    image = draw_ellipsoids(posed, camera, (size[0], size[1]), part_labels=groups.part_groups[1:].tolist())
-    return image.labels[0].cpu().numpy()
-
-
-def _sizes(posed: Posed) -> np.ndarray:
-    """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
-    sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
-    for (length, first, second), semi_axes in zip(SHAPE_INDICES, posed.semi_axes[0].cpu().numpy(), strict=True):
-        sizes[[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second]] = 2 * semi_axes
-    return sizes
-
-
-def _first(body: Body) -> Posed:
-    """The first body of what was given, without gradients."""
-    if not isinstance(body, Body):
-        raise TypeError(f"body: {type(body).__name__}; expected FitResult, BodyParameters or Posed")
-    posed = body.posed if isinstance(body, FitResult) else body.posed() if isinstance(body, BodyParameters) else body
-    if posed.joints.shape[0] == 0:
-        raise ValueError("body: none in the batch; expected one or more")
-    return Posed(**{field.name: getattr(posed, field.name)[:1].detach() for field in fields(posed)})
-
-
-def _camera(body: Body, camera: Camera | None) -> Camera:
-    if camera is None and isinstance(body, FitResult):
-        return body.camera
-    if camera is None:
-        raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
-    return camera
-
-
-def _first_camera(camera: Camera) -> Camera:
-    values = {field.name: getattr(camera, field.name)[:1].detach() for field in fields(camera)}
-    return type(camera)(**values)
-
-
-def _label_set(given: LabelSet | str | None) -> LabelSet:
-    return given if isinstance(given, LabelSet) else label_set(given or _PARTS)
-
-
-def _numpy(image: Image) -> np.ndarray:
-    return image.detach().cpu().numpy() if isinstance(image, torch.Tensor) else np.asarray(image)
-
-
-def _labels(name: str, image: Image, groups: LabelSet) -> np.ndarray:
-    """Group ids (H, W) on the host; of a batch, the first."""
-    labels = _numpy(image)
-    labels = labels[0] if labels.ndim == 3 and len(labels) else labels
-    if labels.ndim != 2 or labels.dtype != np.uint8 or not labels.size:
-        raise ValueError(f"{name}: {labels.dtype} {labels.shape}; expected uint8 group ids (H, W)")
-    if (strange := labels[(labels > groups.num_groups) & (labels != IGNORE)]).size:
-        raise ValueError(f"{name}: id {strange[0]}; expected 0 to {groups.num_groups} of {groups.name}, or {IGNORE}")
-    return labels
-
-
-def _plain(name: str) -> str:
-    """A name without underscores."""
-    return name.replace("_", " ")

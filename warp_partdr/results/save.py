@@ -72,7 +72,7 @@ def save_fit(
     if evidence.picture is not None:
         label_set = evidence.picture.label_set
         shown, target = compared_labels(result, size)
-        report |= compare_labels(shown, target, label_set)
+        report |= score_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
     # A registration that is there clothes another body.
@@ -140,7 +140,7 @@ def save_registered(
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
         drawn = draw_registered(registered, _zoomed(camera, zoom, scored), scored).labels[0].cpu().numpy()
-        report |= compare_labels(label_set.part_groups[drawn], evidence.target(scored), label_set)
+        report |= score_labels(label_set.part_groups[drawn], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
@@ -257,7 +257,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
     }
 
 
-def compare_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
+def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
     """How well a body's group ids match the picture's, shape (H, W) both; also in LSP's six parts where those exist."""
     scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
     try:
