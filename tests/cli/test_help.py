@@ -25,6 +25,7 @@ from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
 from warp_partdr.fit.options import FitOptions
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 files, run = command_scenes.files, command_scenes.run  # fixtures
 
@@ -79,13 +80,13 @@ def test_help_is_quick(line: str, tmp_path: Path) -> None:
         ("fit --keypoints k.json --set seed=1.5", "seed: 1.5; expected a whole number"),
         ("fit a.png b.png --keypoints k.json", "b.png"),
         ("fti", "fti"),
-        ("fit --keypoints k.json --set renderer=dots", "renderer: 'dots'; expected 'exact' or 'mesh'"),
+        ("fit --keypoints k.json --set mesh=dots", "mesh: 'dots'; expected a table"),
         ("fit --keypoints k.json --set threads=-1", "threads: -1; expected 0 or more"),
-        ("fit --keypoints k.json --set outline=labels-first --set renderer=mesh", "labels-first"),
+        ("fit --keypoints k.json --set outline=labels-first --set mesh=true", "labels-first"),
         ("fit --keypoints k.json --set outline=thick", "outline: 'thick'; expected a table, false or 'labels-first'"),
-        ("fit --keypoints k.json --set subdivisions=2", "subdivisions: 2, of exact ellipsoids"),
-        ("fit --keypoints k.json --set renderer=mesh --set tolerance=1", "tolerance: 1.0"),
-        ("fit --keypoints k.json --set renderer=mesh --set subdivisions=auto --set tolerance=0", "tolerance: 0.0"),
+        ("fit --keypoints k.json --set mesh.subdivisions=4", "mesh.subdivisions: 4; expected 0 to 3, or auto"),
+        ("fit --keypoints k.json --set mesh.tolerance=1", "mesh.tolerance: 1.0"),
+        ("fit --keypoints k.json --set mesh.subdivisions=auto --set mesh.tolerance=0", "mesh.tolerance: 0.0"),
         ("fit --keypoints k.json --set start=search", "start: unknown; expected one of stages, weights, "),
         ("fit --keypoints k.json --set finish.size=64", "finish: unknown; expected one of stages, weights, "),
         ("fit --keypoints k.json --set labels.steps=3", "labels.steps: unknown; expected one of name, bodies, "),
@@ -127,10 +128,14 @@ def options_of(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> Callab
     return call
 
 
-def test_subdivisions_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
-    settings = ("--set subdivisions=3", "--set subdivisions=auto --set tolerance=0.2", "")
-    seen = [options_of(f"--set renderer=mesh {each}") for each in settings]
-    assert [(options.subdivisions, options.tolerance) for options in seen] == [(3, 0.5), ("auto", 0.2), (1, 0.5)]
+def test_the_mesh_reaches_the_fit(options_of: Callable[[str], FitOptions]) -> None:
+    settings = ("--set mesh.subdivisions=3", "--set mesh.subdivisions=auto --set mesh.tolerance=0.2", "--set mesh=true")
+    for setting, level, tolerance in zip(settings, (3, "auto", 1), (0.5, 0.2, 0.5), strict=True):
+        usual, options = FitOptions.at("balanced", "search"), options_of(f"--start search {setting}")
+        for stages, seen in ((usual.stages, options.stages), (usual.search, options.search)):
+            reach = [stage.renderer.max_distance for stage in stages]
+            assert [stage.renderer for stage in seen] == [RendererMesh(level, tolerance, each) for each in reach]
+    assert options_of("--set labels.renderer.gradient=coverage").stages[1].renderer == RendererEllipsoids("coverage")
 
 
 def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
