@@ -66,7 +66,7 @@ TOGETHER = ("longer legs", "bigger head", "thicker arms", "wider trunk")
 
 @dataclass(frozen=True)
 class Body:
-    """What ``pose`` takes, B = 1."""
+    """Arguments of ``pose``, B = 1."""
 
     global_orient: torch.Tensor
     translation: torch.Tensor
@@ -147,7 +147,7 @@ def mesh_measures(registered: Registered, posed: Posed) -> torch.Tensor:
 
 
 def following(bodies: list[Body], registered: list[Registered]) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """How far the mesh follows each edit, for each body but the first.
+    """Share of each edit that the mesh follows, for each body but the first.
 
     Returns:
         By name: for edited measures, the share of the relative change that the mesh has, 1 at best; for the others,

@@ -25,7 +25,7 @@ REACHED_DISTANCE = 2.0  # [px] of the worse triangle
 
 @dataclass(frozen=True)
 class Supervision:
-    """What the optimisation is told.
+    """Supervision of the optimisation.
 
     Attributes:
         title: Name in the picture, in two lines.
@@ -85,7 +85,7 @@ class Scenes:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How near S scenes came to their goals, each of shape (S,).
+    """Distances of S scenes from their goals, each of shape (S,).
 
     Attributes:
         iou: Intersection over union of the visible part, the worse of A and B.
@@ -101,12 +101,12 @@ class Outcome:
 
     @property
     def in_place(self) -> torch.Tensor:
-        """Whether both triangles are where they should be, in whatever order, shape (S,)."""
+        """True where both triangles are in their places, in whatever order, shape (S,)."""
         return self.distance < REACHED_DISTANCE
 
     @property
     def reached(self) -> torch.Tensor:
-        """Whether the parts look as the target does, in the right order, shape (S,)."""
+        """True where the parts look as the target does, in the right order, shape (S,)."""
         return (self.iou > REACHED_IOU) & self.in_order
 
 
@@ -167,7 +167,7 @@ def random_scenes(count: int, seed: int, *, alike: bool, device: torch.device | 
 
 
 def _is_fair(start: np.ndarray, goal: np.ndarray, device: torch.device | str) -> bool:
-    """Whether nothing is a sliver or out of the picture, and the triangles overlap as ``random_scenes`` says."""
+    """True if nothing is a sliver or out of the picture, and the triangles overlap as ``random_scenes`` says."""
     both = np.stack([start, goal])
     edges = np.diff(both.reshape(4, 3, 3)[..., :2], axis=1)
     areas = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2

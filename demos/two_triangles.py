@@ -133,7 +133,7 @@ def _outline(
 
 
 def verdict(outcome: Outcome) -> tuple[str, str]:
-    """What became of one scene, in a word and in a few."""
+    """Outcome of one scene, in a word and in a few."""
     places = "right places" if outcome.in_place else "wrong places"
     order = "right order" if outcome.in_order else "wrong order"
     return "reached" if outcome.reached else "stalled", f"{places}, {order}"
@@ -189,7 +189,7 @@ def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Im
 
 
 def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) -> str:
-    """How many of ``count`` random scenes of either kind end right, as a Markdown table."""
+    """Table, in Markdown, of the random scenes of either kind that end right, out of ``count``."""
     lines = [
         f"| of {count} scenes | supervision | in place | in order | reached |",
         "|---|---|---:|---:|---:|",

@@ -25,7 +25,7 @@ def _never() -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Button:
-    """What can be clicked.
+    """A button of the panel, or a label beside some.
 
     Attributes:
         text: On it; of a label, which can't be clicked, what it says.
@@ -84,7 +84,7 @@ class Panel:
         return None
 
     def place(self, button: Button) -> tuple[int, int]:
-        """Where in the window [px, y up] a button's middle is."""
+        """Place of a button's middle in the window [px, y up]."""
         left, top, right, bottom = self._boxes[button]
         return self._overlay.place((left + right) / 2, (top + bottom) / 2)
 

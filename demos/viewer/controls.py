@@ -1,4 +1,4 @@
-"""What the window's buttons and keys do to the body, its refinement, and how they are shown."""
+"""Actions of the window's buttons and keys: on the body, its refinement, and how they are shown."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Clothing:
 
     @property
     def model(self) -> DetailedModel:
-        """What bodies are clothed in."""
+        """The model that bodies are clothed in."""
         return anny()
 
     def vertices(self, posed: Posed) -> torch.Tensor:

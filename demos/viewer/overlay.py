@@ -56,7 +56,7 @@ class Overlay:
         return across * self.size[0], (1 - up) * self.size[1]
 
     def place(self, column: float, row: float) -> tuple[int, int]:
-        """Where in the window [px, y up] a pixel of the picture is: the inverse of ``pixel``."""
+        """Place of the picture's pixel in the window [px, y up]: the inverse of ``pixel``."""
         width, height = self.renderer.GetRenderWindow().GetSize()
         first_x, first_y, last_x, last_y = self.renderer.GetViewport()
         left, bottom, right, top = self.box

@@ -77,7 +77,7 @@ class Film:
 
     @property
     def waits(self) -> bool:
-        """Whether it has ended with pictures that are still to be written."""
+        """True if it has ended with pictures that are still to be written."""
         return bool(self._pictures) and not self.running
 
     def start(self) -> None:

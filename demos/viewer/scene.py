@@ -149,7 +149,7 @@ class Scene:
 
     @property
     def detailed(self) -> bool:
-        """Whether the detailed body is shown; it is that of one body, and gone when another takes its place."""
+        """True while the detailed body is shown; it is that of one body, and gone when another takes its place."""
         now = self.state.posed()
         return self._clothed is not None and all(
             torch.equal(old, new) for old, new in zip(vars(self._clothed).values(), vars(now).values(), strict=True)
@@ -286,7 +286,7 @@ class Scene:
         self.chart.y_range = [0, 1.05 * max(history) or 1.0]
 
     def _said(self) -> str:
-        """What the state is, in words."""
+        """Description of the state."""
         state, settings = self.state, self.state.settings
         looks = "keypoints" if settings.supervision == "keypoints" else f"keypoints + {settings.supervision}"
         if settings.offers_depth:
@@ -319,7 +319,7 @@ class Scene:
 
 
 def no_picture(error: Exception) -> InputError:
-    """What is missing where VTK can't draw."""
+    """Error of a machine on which VTK can't draw."""
     reason = " ".join(str(error).split())[:120]
     return InputError(
         f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without (libegl1 "

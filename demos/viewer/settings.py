@@ -1,4 +1,4 @@
-"""What the demo's refinement is told: what to follow, and how to draw it."""
+"""Settings of the demo's refinement: what it follows, and how it draws."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ QUALITIES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Settings:
-    """How the refinement looks at its target.
+    """Settings of the refinement.
 
     Attributes:
         supervision: Beside the keypoints: nothing, the whole silhouette, or the parts.
@@ -81,7 +81,7 @@ class Settings:
 
     @property
     def offers_depth(self) -> bool:
-        """Whether PartDR's z gradient can be had: by its rule, which is a mesh's, too, of parts, which hide each other.
+        """True if PartDR's z gradient can be had: by its rule, which is a mesh's, too, of parts, which hide each other.
 
         The other gradients have one of their own, where parts pass through each other; it always counts.
         """
@@ -89,7 +89,7 @@ class Settings:
 
     @property
     def has_depth(self) -> bool:
-        """Whether PartDR's z gradient counts."""
+        """True if PartDR's z gradient counts."""
         return self.offers_depth and self.depth_gradient
 
     @property

@@ -18,7 +18,7 @@ _TOP, _STEP = 0.80, 0.068  # of the view's height: the first slider, and from on
 
 
 class Slider(NamedTuple):
-    """What a slider is called, its smallest, largest and present value, and what sets it."""
+    """Title of a slider, its smallest, largest and present value, and the function that sets it."""
 
     title: str
     low: float

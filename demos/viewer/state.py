@@ -183,7 +183,7 @@ class DemoState:
         self.reset(replace(self.body.detach(), rotations=rotations))
 
     def view(self) -> dict[str, float]:
-        """How the body is seen: the numbers of ``VIEW``."""
+        """View of the body: the numbers of ``VIEW``."""
         return view_of(self.body)
 
     def set_view(self, name: str, value: float) -> None:
@@ -194,7 +194,7 @@ class DemoState:
 
     @torch.no_grad()
     def posed(self) -> Posed:
-        """Where the body's ellipsoids are, in the camera frame [m], without gradient."""
+        """The posed body, in the camera frame [m], without gradient."""
         if self._posed is None:
             self._posed = self.body.posed()
         return self._posed
@@ -227,7 +227,7 @@ class DemoState:
         return shown | {"target": target.picture, "difference": target.difference(drawn)}
 
     def forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the losses of keypoints and labels pull each ellipsoid: minus their gradient at its centre.
+        """Pull of the losses of keypoints and labels on each ellipsoid: minus their gradient at its centre.
 
         Returns:
             Centres in the camera frame [m], and the pull [a metre], shape (20, 3) each.
@@ -239,7 +239,7 @@ class DemoState:
         return posed.centres.detach()[0].numpy(), -posed.centres.grad[0].numpy()
 
     def outline_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the loss of labels pulls the vertices of the mesh, most of them on its silhouettes.
+        """Pull of the loss of labels on the vertices of the mesh, most of them on its silhouettes.
 
         Of exact ellipsoids, the vertices are those of level 2, with PartDR's gradient.
 

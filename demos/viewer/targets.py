@@ -1,4 +1,4 @@
-"""What the demo's body starts as, and what it is to become: presets, random people, and a user's own photo."""
+"""Bodies to start from and targets to reach: presets, random people, and a user's own photo."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _UNKNOWN_COLOUR = 238  # of a pixel
 
 @dataclass(frozen=True)
 class Target:
-    """What the refinement is to reach.
+    """Target of the refinement.
 
     Attributes:
         observation: Keypoints and labels in the crop; no labels where the user has none.
@@ -62,12 +62,12 @@ class Target:
 
     @property
     def label_set(self) -> LabelSet:
-        """What the groups of pictures are: the labels' own, or the 20 parts."""
+        """Label set of pictures: the labels' own, or the 20 parts."""
         return self.observation.label_set or label_set("ellipbody20")
 
     @cached_property
     def posed(self) -> Posed | None:
-        """Where the true body's ellipsoids are, in the camera frame [m]; None of a photo."""
+        """The true body, posed in the camera frame [m]; None of a photo."""
         return None if self.truth is None else self.truth.posed()
 
 
@@ -106,7 +106,7 @@ def body_of(name: str, seed: int = 0) -> BodyParameters:
 
 
 def network_body(target: Target) -> BodyParameters:
-    """What the packaged label network says of a target: where ``partdr fit`` starts."""
+    """Body of the packaged label network for a target: where ``partdr fit`` starts."""
     return predict_bodies([target.observation], packaged_network("cpu"))
 
 
@@ -131,7 +131,7 @@ def read_body(path: str | Path) -> BodyParameters:
 
 
 def body_target(body: BodyParameters) -> Target:
-    """What is to be seen of a body: its keypoints and the labels of its 20 parts."""
+    """Target made of a body: its keypoints and the labels of its 20 parts."""
     names = skeleton(_FORMAT).landmarks
     with torch.no_grad():
         posed = body.posed()
@@ -163,7 +163,7 @@ def person_target(person: PersonInputs) -> Target:
 
 @dataclass(frozen=True)
 class TargetPicture:
-    """What a drawn picture is compared with, N pixels a side.
+    """Target picture for a drawn one to be compared with, N pixels a side.
 
     Attributes:
         labels: Group ids, 255 = ignore, shape (N, N), uint8.

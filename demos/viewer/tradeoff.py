@@ -1,4 +1,4 @@
-"""What speed costs: the time and the errors of every setting that was tried from the same start to the same target."""
+"""Tradeoff of speed and accuracy: time and errors of each setting tried from the same start to the same target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a body is seen, as six numbers that a person can set: scale, place, and three angles of the whole body."""
+"""View of a body as six numbers that a person can set: scale, place, and three angles of the whole body."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def _make_page(window: Window) -> tuple[Any, PictureStream]:
 
 
 def _make_answer(pictures: PictureStream) -> Any:
-    """What a page is answered that shows a picture and asks for the next."""
+    """Answer to a page that shows a picture and asks for the next."""
     web = import_module("aiohttp.web")
 
     async def answer(request: Any) -> Any:
@@ -180,7 +180,7 @@ def _make_answer(pictures: PictureStream) -> Any:
 
 
 def _make_guard(host: str) -> Any:
-    """What turns down messages from other pages that are open in the user's browser.
+    """Guard that turns down messages from other pages that are open in the user's browser.
 
     Neither may they pass as its own page under another name for this machine (DNS rebinding), nor lie over it.
     """
@@ -203,7 +203,7 @@ def _make_guard(host: str) -> Any:
 
 
 def _is_of_open_page(record: logging.LogRecord) -> bool:
-    """Whether a record tells of anything but a page that was closed while something was on its way to it."""
+    """False for a record of a page that was closed while something was on its way to it."""
     return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionError)
 
 
@@ -214,11 +214,11 @@ async def _play(window: Window) -> None:
 
 
 def page_address(host: str, port: int) -> str:
-    """Where the page is that ``serve`` shows."""
+    """Address of the page that ``serve`` shows."""
     name = socket.gethostname() if host in _ALL_ADDRESSES else host
     return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"
 
 
 def browser_name(key: str) -> str:
-    """What a browser's ``KeyboardEvent.key`` is for a key of VTK."""
+    """Name of a key of VTK in a browser's ``KeyboardEvent.key``."""
     return _BROWSER_NAMES.get(key, key)

@@ -88,11 +88,11 @@ class Window:
         return self.controls.part
 
     def press(self, key: str) -> None:
-        """What a key does; a fault becomes the message in the window."""
+        """Do what a key does; a fault becomes the message in the window."""
         self._try(self.keys[key])
 
     def click(self, button: Button) -> None:
-        """What a button does; the same."""
+        """Do what a button does; the same."""
         assert button.do is not None
         self._try(button.do)
 
@@ -163,7 +163,7 @@ class Window:
         return button is not None or self._beside()
 
     def _beside(self) -> bool:
-        """Whether the mouse is over the pictures at the right, which aren't there to be turned."""
+        """True if the mouse is over the pictures at the right, which aren't there to be turned."""
         interactor = self.scene.plotter.iren.interactor
         return not self.scene.plotter.renderers[0].IsInViewport(*interactor.GetEventPosition())
 

@@ -67,7 +67,7 @@ def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]
 
 
 def _guarded(path: str | Path | Traversable, read: Callable[[IO[bytes]], Any], expected: str) -> Any:
-    """What ``read`` makes of the file; of whatever goes wrong, an InputError."""
+    """Result of ``read`` on the file; whatever goes wrong becomes an InputError."""
     try:
         with (Path(path) if isinstance(path, str) else path).open("rb") as file:
             return read(file)

@@ -1,1 +1,1 @@
-"""What a fit leaves behind: files that other tools open, pictures and plots."""
+"""Results of a fit: files that other tools open, pictures and plots."""

@@ -47,7 +47,7 @@ _POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
 @dataclass(frozen=True)
 class BodyFile:
-    """What ``body.npz`` holds, as float32 arrays of the shapes above; ``image_size`` is of integers."""
+    """Contents of ``body.npz``: float32 arrays of the shapes above; ``image_size`` is of integers."""
 
     global_orient: np.ndarray
     translation: np.ndarray

@@ -145,7 +145,7 @@ def gradient_field(
     subdivisions: int = 1,
     gradient: Gradient = "partdr",
 ) -> Figure:
-    """Where part labels pull a body: arrows against the gradient in x and y, their colour against it in z.
+    """Pull of part labels on a body: arrows against the gradient in x and y, their colour against it in z.
 
     The loss is L_seg [px of label maps], its gradient with respect to points in the camera frame [px/m]: the
     ellipsoids' centres ("exact"), or the mesh's vertices ("mesh"; those without a gradient have no arrow).
@@ -220,7 +220,7 @@ def gradient_field(
 
 
 def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, label: str = "energy") -> Figure:
-    """How a loss fell, on a logarithmic scale if it is positive; a fit's stages stand apart: their weights differ.
+    """Course of a loss, on a logarithmic scale if it is positive; a fit's stages stand apart: their weights differ.
 
     Args:
         history: A fit, a refinement (one line a body), or losses of shape (iterations,) or (iterations, B).

@@ -183,7 +183,7 @@ def _waiting(unfinished: Path) -> str | None:
 
 
 def _left_behind(folder: Path) -> bool:
-    """Whether no process is busy any more with a folder of this module's."""
+    """True if no process is busy any more with a folder of this module's."""
     match = _PROCESS.fullmatch(folder.name)
     # Only here is it known who runs; and on Windows, os.kill kills.
     if match and match["host"] == _host() and os.name == "posix":

@@ -258,7 +258,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
 
 
 def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
-    """How well a body's group ids match the picture's, shape (H, W) both; also in LSP's six parts where those exist."""
+    """Scores of a body's group ids against the picture's, shape (H, W); also in LSP's six parts where those exist."""
     scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
     try:
         table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)
