@@ -21,15 +21,15 @@ from warp_partdr.results.plot import loss_curve, part_panels
 K = len(PART_NAMES)
 
 
-def iou_loss(maps: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """1 - IoU, mean of all parts that are there or wanted: small parts count as much as large ones.
+def iou_loss(maps: torch.Tensor, target_maps: torch.Tensor) -> torch.Tensor:
+    """1 - IoU, mean of all parts that are there or in the target: small parts count as much as large ones.
 
     Args:
         maps: Part maps as the renderer gives them, shape (B, K, H, W); 1 where a part shows, else 0.
-        wanted: The same of the target.
+        target_maps: The same of the target.
     """
-    overlap = (maps * wanted).sum((2, 3))
-    union = (maps + wanted - maps * wanted).sum((2, 3))
+    overlap = (maps * target_maps).sum((2, 3))
+    union = (maps + target_maps - maps * target_maps).sum((2, 3))
     counts = union > 0
     return ((1 - overlap / union.clamp_min(1)) * counts).sum(1) / counts.sum(1).clamp_min(1)
 
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> list[float]:
 
     # With ``num_maps`` the renderer makes float maps (B, K, H, W). Whatever is computed from them flows back: here each
     # pixel's share of the IoU, which PartDR turns into pulls on outlines.
-    wanted = one_hot(target)
+    target_maps = one_hot(target)
     rotations = start.rotations.clone().requires_grad_()
     optimizer = torch.optim.Adam([rotations], lr=0.03)
     losses = []
@@ -73,7 +73,7 @@ def main(argv: list[str] | None = None) -> list[float]:
         optimizer.zero_grad()
         posed = replace(start, rotations=rotations).posed()
         image = draw_ellipsoids(posed, camera, size, num_maps=K, gradient="partdr")
-        loss = iou_loss(image.maps, wanted).sum()
+        loss = iou_loss(image.maps, target_maps).sum()
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))

@@ -100,8 +100,8 @@ class Controls:
             Button(name, f"start from {name}", f"F{k + 1}", partial(self._start, name), partial(self._starts, name))
             for k, name in enumerate(PRESETS)
         ]
-        aims = [
-            Button(name, f"target: {name}", "", partial(self._aim, name), partial(self._aims, name))
+        targets = [
+            Button(name, f"target: {name}", "", partial(self._set_target, name), partial(self._has_target, name))
             for name in self._targets()
         ]
         qualities = [
@@ -143,7 +143,7 @@ class Controls:
                     lambda: state.reset(network_body(state.target)),
                 ),
             ],
-            [Button("target  [t]"), *aims],
+            [Button("target  [t]"), *targets],
             [
                 Button("follow  [c]"),
                 *self._choices("supervision", get_args(Supervision), "follow {}; from the start"),
@@ -237,21 +237,21 @@ class Controls:
     def _targets(self) -> tuple[str, ...]:
         return (*PRESETS, RANDOM) if self._given.truth is not None else ("given", *PRESETS, RANDOM)
 
-    def _aim(self, name: str) -> None:
-        if name != RANDOM and self._aims(name):
+    def _set_target(self, name: str) -> None:
+        if name != RANDOM and self._has_target(name):
             return
         self._seed += 1
-        self._state.aim(self._given if name == "given" else body_target(body_of(name, self._seed)))
+        self._state.set_target(self._given if name == "given" else body_target(body_of(name, self._seed)))
 
-    def _aims(self, name: str) -> bool:
+    def _has_target(self, name: str) -> bool:
         truth = self._state.target.truth
         known = next((kind for kind, body in self._presets.items() if truth is not None and _same(truth, body)), RANDOM)
         return name == ("given" if truth is None else known)
 
     def _next_target(self) -> None:
         names = self._targets()
-        now = next(k for k, name in enumerate(names) if self._aims(name))
-        self._aim(names[(now + 1) % len(names)])
+        now = next(k for k, name in enumerate(names) if self._has_target(name))
+        self._set_target(names[(now + 1) % len(names)])
 
     def _has(self, **settings: Any) -> bool:
         return all(getattr(self._state.settings, name) == value for name, value in settings.items())

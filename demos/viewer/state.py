@@ -86,7 +86,7 @@ class DemoState:
             self.settings = settings
             self.restart()
 
-    def aim(self, target: Target) -> None:
+    def set_target(self, target: Target) -> None:
         """Take another target, from the same start.
 
         Raises:

@@ -88,10 +88,10 @@ def _members(
         if missing := [name for name in required if name not in members]:
             found = ", ".join(members) or "nothing"
             raise InputError(f"{where}: no array {', '.join(missing)} (but {found}); expected {expected}")
-        wanted = {name: members[name] for name in (*required, *optional) if name in members}
-        if (size := sum(info.file_size for info in wanted.values())) > most:
+        chosen = {name: members[name] for name in (*required, *optional) if name in members}
+        if (size := sum(info.file_size for info in chosen.values())) > most:
             raise InputError(f"{where}: {_size(size)} when unpacked; expected {expected}, at most {_size(most)}")
-        return {name: _member(archive, name, info) for name, info in wanted.items()}
+        return {name: _member(archive, name, info) for name, info in chosen.items()}
 
 
 def _member(archive: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> np.ndarray:

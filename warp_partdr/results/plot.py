@@ -103,7 +103,7 @@ def overlay(
 def part_panels(
     target: PartLabels | Image, drawn: FitResult | Image, *, label_set: LabelSet | str | None = None
 ) -> Figure:
-    """Wanted labels, drawn ones and where they differ, side by side, with the names of the parts.
+    """Labels of the target, drawn ones and where they differ, side by side, with the names of the parts.
 
     Args:
         target: Labels as read from a file, or group ids: 0 = background, 255 = ignore, shape (H, W), uint8.
@@ -114,15 +114,15 @@ def part_panels(
         ValueError: If the two are no label images of one shape, or ids are none of the set's.
     """
     groups = find_label_set(target.label_set if label_set is None and isinstance(target, PartLabels) else label_set)
-    wanted = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
+    expected = read_groups("target", target.groups if isinstance(target, PartLabels) else target, groups)
     if isinstance(drawn, FitResult):
-        shown = draw_groups(drawn.posed, drawn.camera, wanted.shape, groups)
+        shown = draw_groups(drawn.posed, drawn.camera, expected.shape, groups)
     else:
         shown = read_groups("drawn", drawn, groups)
-    if shown.shape != wanted.shape:
-        raise ValueError(f"drawn: shape {shown.shape}; expected {wanted.shape} as the target")
-    sheet = np.asarray(panels(wanted, shown, group_colours(groups.part_groups)))
-    patches = part_patches(groups, np.stack([wanted, shown]))
+    if shown.shape != expected.shape:
+        raise ValueError(f"drawn: shape {shown.shape}; expected {expected.shape} as the target")
+    sheet = np.asarray(panels(expected, shown, group_colours(groups.part_groups)))
+    patches = part_patches(groups, np.stack([expected, shown]))
     rows = -(-len(patches) // legend_columns(sheet.shape[1]))
     width, height = sheet.shape[1] / DPI, sheet.shape[0] / DPI
     below = 0.2 * rows + 0.1
@@ -152,7 +152,7 @@ def gradient_field(
 
     Args:
         body: A fit, parameters or a posed body.
-        target: Wanted group ids in the camera's picture: 0 = background, 255 = ignore, shape (H, W), uint8.
+        target: Group ids to be reached in the camera's picture: 0 = background, 255 = ignore, shape (H, W), uint8.
         camera: In pixels of the target; a fit brings its own.
         label_set: What the group ids mean; the 20 parts by default.
         renderer: "exact" ellipsoids, or their "mesh".
@@ -167,9 +167,9 @@ def gradient_field(
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
     groups = find_label_set(label_set)
-    wanted = read_groups("target", target, groups)
+    expected = read_groups("target", target, groups)
     posed, seen = first_body(body), first_camera(body, camera)
-    goal = torch.from_numpy(wanted)[None].to(posed.centres.device)
+    goal = torch.from_numpy(expected)[None].to(posed.centres.device)
     if renderer == "exact":
         points = posed.centres.clone().requires_grad_()
         moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
@@ -185,10 +185,10 @@ def gradient_field(
 
     colours = group_colours(groups.part_groups)
     colours[BACKGROUND] = 255
-    figure = empty_figure(5.5 * min(wanted.shape[1] / wanted.shape[0], 2.0) + 1.6, 6.6)
+    figure = empty_figure(5.5 * min(expected.shape[1] / expected.shape[0], 2.0) + 1.6, 6.6)
     axes = figure.subplots()
-    show_picture(axes, (0.4 * colours[wanted] + 0.6 * 255).astype(np.uint8))
-    outline_labels(axes, draw_groups(posed, seen, wanted.shape, groups))
+    show_picture(axes, (0.4 * colours[expected] + 0.6 * 255).astype(np.uint8))
+    outline_labels(axes, draw_groups(posed, seen, expected.shape, groups))
     there = np.abs(downhill).max(1) > 0
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
@@ -200,7 +200,7 @@ def gradient_field(
         *downhill[there].T,
         angles="xy",
         scale_units="xy",
-        scale=longest / (max(wanted.shape) / 6),  # the longest arrow: a sixth of the picture
+        scale=longest / (max(expected.shape) / 6),  # the longest arrow: a sixth of the picture
         width=0.008 if renderer == "exact" else 0.004,
         edgecolor="white",
         linewidth=0.4,
@@ -215,7 +215,7 @@ def gradient_field(
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
     points_name = "centres" if renderer == "exact" else f"vertices of E{subdivisions}"
     axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {points_name}")
-    add_legend(figure, part_patches(groups, wanted))
+    add_legend(figure, part_patches(groups, expected))
     return figure
 
 
