@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from .overlay import Overlay
+from .style import ACCENT, FAINT, INK, PAPER
 
 SIZE = (620, 206)  # of the panel [px]
 _ROW, _HEIGHT = 23, 19  # [px] from row to row, and of a button
 _LETTER = 12  # [px]
 _LABEL = 86  # [px]: where a row's first button begins
-_PAPER, _INK, _FAINT = "#fafafa", "#22262b", "#70767e"
-_IDLE, _OVER, _ON, _ON_INK = "#e6e9ed", "#ccd3dc", "#14468c", "#ffffff"
+_IDLE, _OVER, _ON_INK = "#e6e9ed", "#ccd3dc", "#ffffff"
 _HINT = "Drag to turn the body, wheel to zoom, click on a part for its sliders; q closes. Point at a button for more."
 
 
@@ -64,7 +64,7 @@ class Panel:
                 width = self._font.getlength(button.text) + (4 if button.do is None else 14)
                 self._boxes[button] = (left, top, left + width, top + _HEIGHT)
                 left = max(left + width + 4, _LABEL if button is row[0] else 0)
-        self._picture = Image.new("RGB", SIZE, _PAPER)
+        self._picture = Image.new("RGB", SIZE, PAPER)
         self._shown: dict[Button, tuple[bool, bool]] = {}  # whether it is lit, whether the mouse is over it
 
     @property
@@ -108,17 +108,17 @@ class Panel:
         left, top, right, _ = box
         middle = top + _HEIGHT / 2
         if button.do is None:
-            draw.text((left, middle), button.text, _FAINT, self._font, anchor="lm")
+            draw.text((left, middle), button.text, FAINT, self._font, anchor="lm")
             return
-        draw.rounded_rectangle(box, 4, fill=_ON if on else _OVER if over else _IDLE)
-        draw.text(((left + right) / 2, middle), button.text, _ON_INK if on else _INK, self._font, anchor="mm")
+        draw.rounded_rectangle(box, 4, fill=ACCENT if on else _OVER if over else _IDLE)
+        draw.text(((left + right) / 2, middle), button.text, _ON_INK if on else INK, self._font, anchor="mm")
 
     def _paint_hint(self) -> None:
         from PIL import ImageDraw
 
         draw = ImageDraw.Draw(self._picture)
-        draw.rectangle((0, SIZE[1] - 18, *SIZE), fill=_PAPER)
-        draw.text((0, SIZE[1] - 4), self._hint(), _FAINT, self._font, anchor="ls")
+        draw.rectangle((0, SIZE[1] - 18, *SIZE), fill=PAPER)
+        draw.text((0, SIZE[1] - 4), self._hint(), FAINT, self._font, anchor="ls")
 
     def _hint(self) -> str:
         if self.over is None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
+from .style import PAPER
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -25,7 +26,6 @@ _PLAIN = 5000  # pixels that stand for gray ones, white and black in a palette
 FILM = "demo.gif"
 _MOST = 400  # pictures of a film, of 0.8 MB each
 _WIDEST = 640  # [px] of a film
-_PAPER = "#fafafa"  # beside a picture of another shape
 
 
 def frames(scene: Scene, steps: int, every: int = 2) -> Iterator[np.ndarray]:
@@ -95,7 +95,7 @@ class Film:
         if self._pictures:
             height, width = self._pictures[0].shape[:2]
             if small.size != (width, height):
-                small = ImageOps.pad(small, (width, height), color=_PAPER)
+                small = ImageOps.pad(small, (width, height), color=PAPER)
         self._pictures.append(np.asarray(small))
         return len(self._pictures) < _MOST
 
@@ -145,7 +145,8 @@ def _write_html(pictures: list[np.ndarray], path: Path) -> None:
         file = io.BytesIO()
         Image.fromarray(picture).save(file, "webp", quality=80)
         sources.append(f'"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"')
-    path.write_text(_PAGE.replace("SOURCES", ",\n".join(sources)).replace("PAUSE", str(_MILLISECONDS)))
+    page = _PAGE.replace("PAUSE", str(_MILLISECONDS)).replace("PAPER", PAPER)
+    path.write_text(page.replace("SOURCES", ",\n".join(sources)))  # last: pictures may hold any letters
 
 
 _PAGE = """<!doctype html>
@@ -153,7 +154,7 @@ _PAGE = """<!doctype html>
 <meta charset="utf-8">
 <title>partdr demo</title>
 <style>
-body { margin: 1em auto; max-width: 1280px; font: 15px sans-serif; background: #fafafa; }
+body { margin: 1em auto; max-width: 1280px; font: 15px sans-serif; background: PAPER; }
 img { width: 100%; } input { width: 80%; vertical-align: middle; }
 </style>
 <img id="picture" alt="the refinement">

@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..results.palette import PART_COLOURS
 from .arrows import Arrows
 from .state import DemoState
+from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 WINDOW = (1280, 800)  # [px]
 _IMAGE_SIDE = 256  # [px] of the images on the right, whatever is drawn
 _SMOOTH_LEVELS = (2, 3)  # of the sphere that stands for an exact ellipsoid, where outlines are rough and smooth
-_PAPER, _INK, _FAINT = "#fafafa", "#22262b", "#b9bec6"
+_FRAME, _TARGET_BONES = "#b9bec6", "#8a8f98"
 _FLIP = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to VTK's view (y up, z toward the viewer)
 _WALL = 0.9  # [m] behind the pelvis: where the target hangs
 _FRONT = 0.4  # [m] before the pelvis: where the drawn part of what the camera sees ends
@@ -96,7 +97,7 @@ class Scene:
         self._filled: dict[int, np.ndarray] = {}  # by the image's id, the picture that is in it
         self._clothed: Posed | None = None  # the body that the detailed one was made for
         self._level: int | None = -1  # of the spheres that are shown
-        self.plotter.set_background(_PAPER)
+        self.plotter.set_background(PAPER)
         self._add_body()
         self._images = {name: self._add_image(*place) for name, place in _TITLES.items()}
         self._add_arrows()
@@ -126,17 +127,17 @@ class Scene:
         lines = [[2, PARENTS[k] + 1, k + 1] for k in range(NUM_PARTS)]
         self._skeleton = pv.PolyData(joints, lines=np.array(lines).ravel())
         self._target_skeleton = self._skeleton.copy()
-        self._bones = plotter.add_mesh(self._skeleton, color=_INK, line_width=4, render=False)
+        self._bones = plotter.add_mesh(self._skeleton, color=INK, line_width=4, render=False)
         self._target_bones = plotter.add_mesh(
-            self._target_skeleton, color="#8a8f98", line_width=3, opacity=0.8, render=False
+            self._target_skeleton, color=_TARGET_BONES, line_width=3, opacity=0.8, render=False
         )
         self._frame = pv.PolyData(np.zeros((8, 3)), lines=np.array(_BOX).ravel())
-        plotter.add_mesh(self._frame, color=_FAINT, line_width=1.5, render=False)
+        plotter.add_mesh(self._frame, color=_FRAME, line_width=1.5, render=False)
         self._wall = pv.Plane(i_resolution=1, j_resolution=1)
         self._wall_image, texture = self._make_texture()
         plotter.add_mesh(self._wall, texture=texture, lighting=False, render=False)
         self._status = plotter.add_text(
-            "", position=(0.025, 0.985), viewport=True, font_size=9, color=_INK, font="arial"
+            "", position=(0.025, 0.985), viewport=True, font_size=9, color=INK, font="arial"
         )
         self._status.prop.SetVerticalJustificationToTop()
         self.look()
@@ -188,7 +189,7 @@ class Scene:
         self.plotter.subplot(*place)
         image, texture = self._make_texture()
         self.plotter.add_mesh(self._pv.Plane(i_size=2, j_size=2), texture=texture, lighting=False, render=False)
-        self.plotter.add_text(title, position=(10, 4), font_size=8, color=_INK, font="arial")
+        self.plotter.add_text(title, position=(10, 4), font_size=8, color=INK, font="arial")
         self.plotter.enable_parallel_projection()
         self.plotter.camera_position = ((0, 0, 5), (0, 0, 0), (0, 1, 0))
         self.plotter.camera.parallel_scale = 1.02
@@ -203,11 +204,11 @@ class Scene:
     def _add_loss(self) -> None:
         self.plotter.subplot(2, 2)
         chart = self._pv.Chart2D(size=(0.98, 0.95), loc=(0.0, 0.02))
-        chart.background_color = chart.border_color = _PAPER
+        chart.background_color = chart.border_color = PAPER
         chart.x_axis.label, chart.y_axis.label = "iteration", "energy"
         for axis in (chart.x_axis, chart.y_axis):
             axis.label_size, axis.tick_label_size, axis.grid = 13, 11, False
-        self._curve = chart.line([0, 1], [0, 0], color="#14468c", width=3.0)
+        self._curve = chart.line([0, 1], [0, 0], color=ACCENT, width=3.0)
         self.plotter.add_chart(chart)
         self.chart = chart
 

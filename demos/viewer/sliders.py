@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from .state import DemoState
+from .style import INK
 from .view import VIEW
 
 _PER_PAGE = 6
 _AXES = ("x", "y", "z")
-_INK = "#22262b"
 _TOP, _STEP = 0.80, 0.068  # of the view's height: the first slider, and from one to the next
 
 
@@ -122,7 +122,7 @@ class SliderColumn:
         self._moved = moved
         self._filling = True  # widgets call back when they are made and filled, too
         self._title = plotter.add_text(
-            "", position=(0.02, _TOP + 0.06), viewport=True, font_size=8, color=_INK, font="arial"
+            "", position=(0.02, _TOP + 0.06), viewport=True, font_size=8, color=INK, font="arial"
         )
         self.widgets = [self._add(plotter, k) for k in range(_PER_PAGE)]
 
@@ -138,7 +138,7 @@ class SliderColumn:
             fmt="%.1f",
             slider_width=0.02,
             tube_width=0.004,
-            color=_INK,
+            color=INK,
             interaction_event="always",
         )
         shown = widget.GetRepresentation()

@@ -25,6 +25,7 @@ from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..results.palette import IGNORE_COLOUR, group_colours
 from ..synthetic.pose_recipes import draw_pose
+from .style import PAPER
 
 # Preset: the kind of PartBench pose (None: at rest), the seed that draws it, how far the person turns [degrees].
 _PRESETS: dict[str, tuple[str | None, int, float]] = {
@@ -38,7 +39,6 @@ RANDOM = "random"
 NETWORK = "network"  # a start: what the label network says of the target
 _SPREAD = {"lengths": 0.06, "thicknesses": 0.12}  # standard deviation of a random body's sizes, of the mean adult's
 _WIDEST_TURN = 60.0  # [degrees] of a random body
-_PAPER = (250, 250, 250)  # beyond a photo's border
 _FORMAT = "coco17"  # keypoints of a target that is a body
 
 BACKGROUND_COLOUR = 250
@@ -155,7 +155,7 @@ def person_target(person: PersonInputs) -> Target:
         height, width = crop.size
         box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
         cut = Image.fromarray(person.photo).transform(
-            (width, height), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR, fillcolor=_PAPER
+            (width, height), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR, fillcolor=PAPER
         )
         shown = np.asarray(cut)
     return Target(replace(observation, maps=None, known=None), photo=shown)

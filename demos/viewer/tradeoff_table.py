@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .overlay import Overlay
+from .style import ACCENT, FAINT, INK, PAPER
 from .tradeoff import Tradeoff, TradeoffRow
 
 _SIZE = (364, 181)  # [px]
 _LETTER, _LINE = 11, 15  # [px]
-_PAPER, _INK, _FAINT, _NOW = "#fafafa", "#22262b", "#70767e", "#14468c"
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -54,17 +54,17 @@ class TradeoffTable:
         self._font = ImageFont.load_default(_LETTER)
         self._overlay = Overlay(renderer, (270 / 640, 4 / 189, (270 + _SIZE[0]) / 640, (4 + _SIZE[1]) / 189), _SIZE)
         self._tradeoff = tradeoff
-        self._picture = Image.new("RGB", _SIZE, _PAPER)
+        self._picture = Image.new("RGB", _SIZE, PAPER)
         self._shown: list[tuple[list[str], str]] = []  # lines and their colours
 
     def update(self) -> None:
         """Paint the lines that have changed."""
-        lines = [(["Tried from this start to this target:"], _INK)]
-        lines += [([column.head[k] for column in _COLUMNS], _FAINT) for k in (0, 1)]
+        lines = [(["Tried from this start to this target:"], INK)]
+        lines += [([column.head[k] for column in _COLUMNS], FAINT) for k in (0, 1)]
         for key, row in self._tradeoff.rows.items():
-            colour = _NOW if key == self._tradeoff.current else _INK
+            colour = ACCENT if key == self._tradeoff.current else INK
             lines.append(([column.tell(row) for column in _COLUMNS], colour))
-        lines += [([], _INK)] * (len(self._shown) - len(lines))  # where there were more
+        lines += [([], INK)] * (len(self._shown) - len(lines))  # where there were more
         changed = [k for k, line in enumerate(lines) if k >= len(self._shown) or line != self._shown[k]]
         if changed:
             for k in changed:
@@ -76,6 +76,6 @@ class TradeoffTable:
         from PIL import ImageDraw
 
         draw, top = ImageDraw.Draw(self._picture), _LINE * index + (4 if index > 2 else 0)
-        draw.rectangle((0, top, _SIZE[0], top + _LINE - 1), fill=_PAPER)
+        draw.rectangle((0, top, _SIZE[0], top + _LINE - 1), fill=PAPER)
         for index, (text, column) in enumerate(zip(texts, _COLUMNS, strict=False)):
             draw.text((column.x, top + 2), text, colour, self._font, anchor="la" if index < 2 else "ra")

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 from ..errors import InputError
 from .stream import PictureStream
+from .style import ACCENT, PAPER
 from .window import Window
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
@@ -35,10 +36,10 @@ _BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "period": ".",
 }
 _STYLE = """
-html, body { margin: 0; background: #fafafa; }
+html, body { margin: 0; background: PAPER; }
 .picture { position: absolute; inset: 0; width: 100%; height: 100%; pointer-events: none; }
 .busy, .idle { position: fixed; top: 45%; left: 20%; padding: 0.5em 1em; pointer-events: none; }
-.busy, .idle { font: 16px sans-serif; color: white; background: #14468c; border-radius: 6px; }
+.busy, .idle { font: 16px sans-serif; color: white; background: ACCENT; border-radius: 6px; }
 .busy { opacity: 1; transition: opacity 0.1s 0.5s; }  /* what takes less shows by itself */
 .idle { opacity: 0; }
 """
@@ -148,7 +149,7 @@ def _make_page(window: Window) -> tuple[Any, PictureStream]:
     plotter.iren.interactor.AddObserver("RenderEvent", lambda *_: pictures.schedule_render())
     plotter.add_on_render_callback(lambda _: pictures.schedule_render())
     with layouts.DivLayout(server, style=_PLACE):
-        client.Style(_STYLE)
+        client.Style(_STYLE.replace("PAPER", PAPER).replace("ACCENT", ACCENT))
         client.Script(_SCRIPT.replace("KEYS", json.dumps({browser_name(key): key for key in window.keys})))
         with areas.RemoteControlledArea(name=AREA, send_mouse_move=True, event_throttle_ms=_MOVES) as view:
             html.Img(classes="picture")

@@ -108,9 +108,7 @@ def bench_tradeoff(
 def _begin(device: str, out: Path) -> str:
     """Make the folder, and choose the device; torch and Warp are loaded from here on, so that --help is quick."""
     import torch
-    import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

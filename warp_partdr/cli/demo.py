@@ -90,9 +90,10 @@ def demo(
             "out.html, which need none"
         )
     import torch
-    import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
+    from ..interop.devices import choose_device
+
+    choose_device("cpu")
     torch.set_num_threads(1)  # the tensors are small
     # By name: the demo stands above the package, which imports nothing of it until it is asked for.
     state, recording = (import_module(f"..viewer.{name}", __package__) for name in ("state", "recording"))

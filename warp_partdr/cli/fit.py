@@ -84,9 +84,6 @@ def fit(
     values = settings.read()
     person = files.read(photo)
 
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
     from ..fit.fitting import fit_body
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
@@ -94,13 +91,13 @@ def fit(
     from ..results.save import DETAILED_FILES, RESULT_FILES, image_size, save_fit
     from .progress import FitProgress
 
+    where = choose_device(device)
     set_num_threads(take_whole(values, "threads"))
     options = _options(quality, start, values)
     check_folder(out)
     named = (options.network, files.labels, model)
     given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
-    where = choose_device(device)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
         _explain(person, options)

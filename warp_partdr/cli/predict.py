@@ -44,9 +44,7 @@ def predict(
     samples = list(read_folder(folder, None if labels is None else read_label_set(labels)))
 
     import torch
-    import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
     from ..inputs.evidence import weigh_evidence
     from ..inputs.observation import REFERENCE_SIZE, crop_evidence, observe
     from ..interop.devices import choose_device
@@ -56,8 +54,8 @@ def predict(
     from ..results.save import body_file, image_size
     from .progress import FitProgress
 
-    check_folder(out)
     where = choose_device(device)
+    check_folder(out)
     model = load_label_network(network, device=where)
     reading = predicting = 0.0
     told: list[str] = []

@@ -75,18 +75,16 @@ def register_body(
     )
 
     import torch
-    import warp as wp
 
-    wp.config.log_level = wp.LOG_WARNING
     from ..body.posing import pose
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save import DETAILED_FILES
     from .progress import FitProgress
 
+    where = choose_device(device)
     check_folder(out)
     check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
-    where = choose_device(device)
     detailed_model = read_model(model, where)
     names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))

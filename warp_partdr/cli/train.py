@@ -62,9 +62,6 @@ def train_network(
         overrides.append(f"minutes={minutes}")
     numbers = read_config(config, overrides)
 
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
     from ..interop.devices import choose_device
     from ..training.loop import MODEL_FILE, run_training
 

@@ -11,7 +11,7 @@ from ..errors import InputError
 
 
 def choose_device(name: str) -> str:
-    """What ``--device`` names, or the best there is.
+    """The device that ``--device`` names, or the best there is; Warp is quiet from then on but for warnings.
 
     Args:
         name: "auto", "cpu", "cuda" or "cuda:N".
@@ -22,6 +22,7 @@ def choose_device(name: str) -> str:
     import torch
     import warp as wp
 
+    wp.config.log_level = wp.LOG_WARNING
     with without_driver_warning():
         wp.init()
     count = min(torch.cuda.device_count(), wp.get_cuda_device_count())
