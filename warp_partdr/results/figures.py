@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import TYPE_CHECKING, Literal
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -118,7 +118,8 @@ def first_camera(body: Body, camera: Camera | None) -> Camera:
         camera = body.camera
     if camera is None:
         raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
-    return type(camera)(**{field.name: getattr(camera, field.name)[:1].detach() for field in fields(camera)})
+    tensors: dict[str, Any] = {name: value for name, value in vars(camera).items() if isinstance(value, torch.Tensor)}
+    return replace(camera, **{name: value[:1].detach() for name, value in tensors.items()})
 
 
 def find_label_set(given: LabelSet | str | None) -> LabelSet:

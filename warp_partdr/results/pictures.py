@@ -28,6 +28,13 @@ _LIGHT = np.array([-0.35, -0.6, -0.72])  # toward the light, camera frame
 _AMBIENT = 0.45
 _SKIN = np.array([196, 208, 226], dtype=np.uint8)  # apart from people's
 _SAMPLES = 2  # a side, for smooth outlines
+_PANEL_SIDE = 480  # [px]
+# Of the difference picture; told apart by colour-blind people too
+_RIGHT = (215, 215, 215)
+_MISSING = (0, 90, 181)
+_EXTRA = (220, 50, 32)
+_CONFUSED = (255, 194, 10)
+_IGNORED = (150, 150, 150)
 
 
 def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int]) -> np.ndarray:
@@ -180,16 +187,6 @@ def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
         draw.text((x + 20, y - 2), text, fill="black", font=font)
         x += advance
     return sheet
-
-
-_PANEL_SIDE = 480  # [px]
-
-# of the difference picture; told apart by colour-blind people too
-_RIGHT = (215, 215, 215)
-_MISSING = (0, 90, 181)
-_EXTRA = (220, 50, 32)
-_CONFUSED = (255, 194, 10)
-_IGNORED = (150, 150, 150)
 
 
 def loss_chart(result: FitResult) -> Image:

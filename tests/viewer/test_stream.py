@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from warp_partdr.viewer import pictures
-from warp_partdr.viewer.pictures import Picture, Pictures
+from warp_partdr.viewer import stream
+from warp_partdr.viewer.stream import JpegPicture, PictureStream
 
 
 class Drawn:
@@ -30,15 +30,15 @@ def encode(image: int, columns: int, rows: int, quality: int) -> tuple[bytes]:
 
 @pytest.fixture
 def made(monkeypatch):
-    monkeypatch.setattr(pictures, "_QUIET", 0.001)
-    return Pictures(Drawn(), encode)
+    monkeypatch.setattr(stream, "_QUIET", 0.001)
+    return PictureStream(Drawn(), encode)
 
 
 def run(test: Coroutine[Any, Any, None]) -> None:
     asyncio.run(asyncio.wait_for(test, 60))
 
 
-async def waits(task: asyncio.Future[Picture]) -> bool:
+async def waits(task: asyncio.Future[JpegPicture]) -> bool:
     """Whether a task stands still though nothing else is to be done."""
     await asyncio.sleep(0.1)
     return not task.done()
