@@ -8,7 +8,8 @@ from test_registration import ellipbodies
 from warp_partdr.body.posing import Posed
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights, _Loss, surface_samples
+from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights, _Loss
+from warp_partdr.clothing.surfaces import surface_samples
 from warp_partdr.reference.ellipbody import PosedEllipsoid
 from warp_partdr.reference.registration import (
     DetailedSurface,

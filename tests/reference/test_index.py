@@ -36,7 +36,10 @@ def test_names_lead_somewhere(number):
     assert equation.title
     assert f"eq. {number}" in resolve_name(f"warp_partdr.reference.{equation.book}").__doc__.lower()
     for name in (*equation.kernels, *equation.torch):
-        assert callable(resolve_name(f"warp_partdr.{name}"))
+        found = resolve_name(f"warp_partdr.{name}")
+        assert callable(found)
+        module = getattr(found, "func", found).__module__  # of a kernel, its Python function's
+        assert f"warp_partdr.{name}".startswith(f"{module}."), f"{name} is defined in {module}"
     assert equation.torch
     assert equation.tests
     for test in equation.tests:

@@ -152,7 +152,7 @@ EQUATIONS: dict[int, Equation] = {
         formula="e(v, E_i) = ‖2 d_x / l_i, 2 d_y / t¹_i, 2 d_z / t²_i‖",
         book="registration.radial_distance",
         kernels=("kernels.registration.radius", "kernels.registration.vertex_costs"),
-        torch=("clothing.registration.surface_samples", "clothing.registration.register"),
+        torch=("clothing.surfaces.surface_samples", "clothing.registration.register"),
         tests=("tests/reference/test_clothing.py::test_samples_within_another_ellipsoid_do_not_count", _CLOTHING_TEST),
     ),
     18: Equation(
