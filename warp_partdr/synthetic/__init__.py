@@ -1,1 +1,9 @@
-"""People of known truth: their poses, bodies, pictures and the noise of what is seen of them."""
+"""People of known truth: their poses, bodies, pictures and the noise of what is seen of them.
+
+* ``people``: phenotypes, Anny in a pose, before a camera, drawn, and what is hidden of it.
+* ``poses``: the mean body, limbs in the way, the pose prior; ``pose_recipes`` (PartBench), ``procedural_poses`` and
+  ``pose_sampler`` (training), ``mocap`` and ``mocap_files``.
+* ``noise``: PartBench's; ``keypoint_noise``, ``label_noise`` and ``occluders``: training's, in batches.
+* ``partbench_people``, ``training_people``, ``shaded`` (pictures) and ``tradeoff_people`` put them together.
+* ``split``: clips and bodies kept from training; ``rng``: random numbers on a device.
+"""
