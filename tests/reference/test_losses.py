@@ -25,10 +25,9 @@ from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
-from warp_partdr.training import picture_task
 from warp_partdr.training.picture_data import JOINTS
 from warp_partdr.training.picture_losses import HIPS, body_terms
-from warp_partdr.training.posed_landmarks import landmarks
+from warp_partdr.training.predicted_bodies import posed_landmarks, weighted_losses
 
 REFERENCE_SIZE = 256  # [px] of the crop in whose pixels losses count
 
@@ -71,16 +70,16 @@ def test_energy_is_the_books(device, path):
 
 def test_training_terms_are_the_books(rng):
     bodies = moved(walker(), 2)
-    joints, has_joints = landmarks(bodies.posed(), JOINTS).flip(0) + 0.1, torch.ones(2, len(JOINTS))
+    joints, has_joints = posed_landmarks(bodies.posed(), JOINTS).flip(0) + 0.1, torch.ones(2, len(JOINTS))
     has_joints[1, JOINTS.index("neck")] = 0
     keypoints = torch.from_numpy(rng.random((2, len(LANDMARKS), 3))).float()
     terms = body_terms(
         SimpleNamespace(bodies=bodies), SimpleNamespace(joints=joints, has_joints=has_joints, keypoints=keypoints)
     )
     l_3d = l_proj = 0.0
-    points = bodies.camera(REFERENCE_SIZE).project(landmarks(bodies.posed(), LANDMARKS))[..., :2]
+    points = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(bodies.posed(), LANDMARKS))[..., :2]
     for b in range(2):
-        have, wanted = (100 * numpy(each[b]) for each in (landmarks(bodies.posed(), JOINTS), joints))
+        have, wanted = (100 * numpy(each[b]) for each in (posed_landmarks(bodies.posed(), JOINTS), joints))
         known = numpy(has_joints[b])
         l_3d += joint_loss(have - have[HIPS].mean(0), wanted - wanted[HIPS].mean(0), known / known.sum()) / 2
         pixels = (numpy(keypoints[b, :, :2]) + 1) * REFERENCE_SIZE / 2
@@ -93,15 +92,9 @@ def test_training_terms_are_the_books(rng):
 
 
 @pytest.mark.parametrize("left_out", [set(), {"seg"}])
-def test_training_loss_is_the_books(monkeypatch, left_out):
+def test_training_loss_is_the_books(left_out):
     terms, weights = {"joints": 3.0, "proj": 5.0, "seg": 7.0}, {"joints": 1.0, "proj": 0.5, "seg": 1e-2}
-    held = {name: torch.tensor(value) for name, value in terms.items()}
-    monkeypatch.setattr(picture_task, "body_terms", lambda *_: {name: held[name] for name in ("joints", "proj")})
-    monkeypatch.setattr(picture_task, "head_terms", lambda *_: {})
-    monkeypatch.setattr(picture_task, "seg_term", lambda *_, **__: held["seg"])
-    config = SimpleNamespace(weights=weights, data=SimpleNamespace(render_size=8, gradient="partdr"))
-    task = SimpleNamespace(_config=config, _left_out=left_out)
-    loss = picture_task.PictureTask.loss(task, lambda _: None, SimpleNamespace(pictures=None))["total"]
+    loss = weighted_losses({name: torch.tensor(term) for name, term in terms.items()}, weights, left_out)["total"]
     weights = {name: 0.0 if name in left_out else weight for name, weight in weights.items()}
     assert loss.item() == pytest.approx(learning_objective(terms, weights))
 
