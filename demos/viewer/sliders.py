@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
-from .state import DemoState
+from ..body.template import PART_NAMES
+from .state import SIZE_NAMES, DemoState
 from .style import INK
 from .view import VIEW
 
@@ -41,14 +41,13 @@ class Page(NamedTuple):
     sliders: list[Slider]
 
 
-def _num_pages(names: tuple[str, ...]) -> int:
-    return -(-len(names) // _PER_PAGE)
+def _num_pages(field: str) -> int:
+    return -(-len(SIZE_NAMES[field]) // _PER_PAGE)
 
 
-# Kind of each page, and which of its kind it is.
+# Kind of each page, and its number among those of its kind.
 PAGES: tuple[tuple[str, int], ...] = (
-    *(("lengths", k) for k in range(_num_pages(LENGTH_NAMES))),
-    *(("thicknesses", k) for k in range(_num_pages(THICKNESS_NAMES))),
+    *((field, k) for field in SIZE_NAMES for k in range(_num_pages(field))),
     ("camera", 0),
     ("part", 0),
 )
@@ -68,26 +67,22 @@ def make_page(state: DemoState, part: str, index: int) -> Page:
     if kind == "part":
         named = part.replace("_", " ")
         return Page(kind, f"rotation of the {named}", _rotation_sliders(state, part, named))
-    names, set_size = (LENGTH_NAMES, state.set_length) if kind == "lengths" else (THICKNESS_NAMES, state.set_thickness)
-    sliders = _size_sliders(state, kind, names, set_size)[_PER_PAGE * number : _PER_PAGE * (number + 1)]
-    return Page(kind, f"{kind}, {number + 1} of {_num_pages(names)}", sliders)
+    sliders = _size_sliders(state, kind)
+    first = _PER_PAGE * number
+    return Page(kind, f"{kind}, {number + 1} of {_num_pages(kind)}", sliders[first : first + _PER_PAGE])
 
 
-def _size_sliders(
-    state: DemoState, field: str, names: tuple[str, ...], set_size: Callable[[str, float], None]
-) -> list[Slider]:
+def _size_sliders(state: DemoState, field: str) -> list[Slider]:
     low, high = ((100 * bound[0]).tolist() for bound in state.bounds(field))
     values = (100 * state.body.tensors()[field][0].detach()).tolist()
     word = " length" if field == "lengths" else ""
+
+    def resize(name: str) -> Callable[[float], None]:
+        return lambda centimetres: state.set_size(field, name, centimetres / 100)
+
     return [
-        Slider(
-            f"{name}{word} [cm]",
-            low[k],
-            high[k],
-            values[k],
-            lambda value, name=name: set_size(name, value / 100),  # type: ignore[misc]
-        )
-        for k, name in enumerate(names)
+        Slider(f"{name}{word} [cm]", low[k], high[k], values[k], resize(name))
+        for k, name in enumerate(SIZE_NAMES[field])
     ]
 
 

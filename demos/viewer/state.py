@@ -28,6 +28,7 @@ from .settings import Settings
 from .targets import BACKGROUND_COLOUR, Target, TargetPicture, picture_colours, read_body, target_picture
 from .view import VIEW, seen_as, view_of
 
+SIZE_NAMES = {"lengths": LENGTH_NAMES, "thicknesses": THICKNESS_NAMES}
 _TIMED = 15  # the last so many iterations tell the time of one
 _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact ellipsoids
 
@@ -153,16 +154,15 @@ class DemoState:
         """Smallest and largest "lengths" or "thicknesses" [m], shape (1, 12) or (1, 15) each."""
         return size_bounds(name, "cpu")
 
-    def set_length(self, name: str, metres: float) -> None:
-        """Change one of ``LENGTH_NAMES``, within 60 and 140 % of the mean adult's; the edited body is the new start."""
-        self._set_size("lengths", LENGTH_NAMES, name, metres)
+    def set_size(self, field: str, name: str, metres: float) -> None:
+        """Change a length or thickness, within the bounds about the mean adult's; the edited body is the new start.
 
-    def set_thickness(self, name: str, metres: float) -> None:
-        """Change one of ``THICKNESS_NAMES``, within 40 and 160 % of the mean adult's; the same."""
-        self._set_size("thicknesses", THICKNESS_NAMES, name, metres)
-
-    def _set_size(self, field: str, names: tuple[str, ...], name: str, metres: float) -> None:
-        index = _index(field, names, name)
+        Args:
+            field: "lengths" or "thicknesses".
+            name: One of ``SIZE_NAMES[field]``.
+            metres: The new size.
+        """
+        index = _index(field, SIZE_NAMES[field], name)
         low, high = self.bounds(field)
         values = self.body.tensors()[field].detach().clone()
         values[0, index] = min(max(metres, float(low[0, index])), float(high[0, index]))

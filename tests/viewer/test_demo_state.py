@@ -102,7 +102,7 @@ def test_restart_goes_back_and_repeats():
 def test_edits_stay_within_bounds_and_are_the_new_start():
     state = make_state()
     state.history.append(1.0)
-    state.set_length("forearm", 9.0)
+    state.set_size("lengths", "forearm", 9.0)
     state.set_rotation("left_lower_leg", 0, 9.0)
     assert state.body.lengths[0, LENGTH_NAMES.index("forearm")].item() == pytest.approx(
         float(state.bounds("lengths")[1][0, LENGTH_NAMES.index("forearm")])
@@ -194,7 +194,7 @@ def test_bad_names(tmp_path):
     with pytest.raises(InputError, match=r"body: 'dancing'; expected one of t-pose"):
         body_of("dancing")
     with pytest.raises(InputError, match="expected one of hip"):
-        make_state().set_length("nose", 1.0)
+        make_state().set_size("lengths", "nose", 1.0)
     (tmp_path / "broken.npz").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"broken\.npz: not readable"):
         read_body(tmp_path / "broken.npz")
@@ -262,7 +262,7 @@ def test_the_trade_remembers_what_was_tried():
     assert (exact.iterations, coarse.iterations, fine.iterations) == (0, 0, 5)
     assert (fine.f1, fine.joints) == (state.part_f1(), state.joint_error())
     assert tradeoff.rows[tradeoff.current] is fine
-    state.set_length("forearm", 0.3)
+    state.set_size("lengths", "forearm", 0.3)
     tradeoff.update(measure=False)
     assert tradeoff.rows == {}
 

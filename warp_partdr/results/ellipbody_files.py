@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _LINEAR_COLOURS = np.where(
     PART_COLOURS <= 10, PART_COLOURS / 255 / 12.92, ((PART_COLOURS / 255 + 0.055) / 1.055) ** 2.4
 )
-_GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to glTF's (y up, z toward the viewer)
+GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to glTF's (y up, z toward the viewer)
 
 
 def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> trimesh.Scene:
@@ -40,11 +40,11 @@ def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> t
 
     sphere, faces = icosphere(subdivisions)
     points = posed.vertices(subdivisions)[index].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
-    points = points @ _GLTF_FROM_CAMERA.T
+    points = points @ GLTF_FROM_CAMERA.T
     points = points - [0.0, points[..., 1].min(), 0.0]
     # Exact, and so that trimesh need not average those of faces, for which it wants SciPy.
     axes, semi_axes = posed.axes[index].detach().cpu().numpy(), posed.semi_axes[index].detach().cpu().numpy()
-    normals = (sphere / semi_axes[:, None]) @ axes.transpose(0, 2, 1) @ _GLTF_FROM_CAMERA.T
+    normals = (sphere / semi_axes[:, None]) @ axes.transpose(0, 2, 1) @ GLTF_FROM_CAMERA.T
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     scene = trimesh.Scene()
     for k, name in enumerate(PART_NAMES):

@@ -1,6 +1,6 @@
 """Registered detailed bodies as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH of the pose.
 
-All have y up and stand on y = 0, seen from the camera's side, as ``export.py`` has EllipBody; metres, but for BVH:
+All have y up, stand on y = 0, seen from the camera's side, as ``ellipbody_files`` has EllipBody; metres, but for BVH:
 centimetres. trimesh writes no skins, so the GLB is written here (glTF 2.0): its joints hold the pose, so that a viewer
 shows the posed body and Blender can pose it further.
 """
@@ -17,7 +17,7 @@ import torch
 
 from ..body.rotations import rotation_to_axis_angle
 from ..clothing.registration import Registered
-from .ellipbody_files import _GLTF_FROM_CAMERA
+from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 
 SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
@@ -113,9 +113,9 @@ def bvh(registered: Registered, index: int = 0) -> str:
     model = registered.model
     rest = 100 * registered.rest().joints[index].detach().cpu().double().numpy()
     rotations = registered.rotations[index].detach().cpu().double().numpy()
-    rotations[0] = _GLTF_FROM_CAMERA @ rotations[0]
+    rotations[0] = GLTF_FROM_CAMERA @ rotations[0]
     upright = _upright(registered, index, lowered=False)
-    root = _GLTF_FROM_CAMERA @ registered.translation[index].detach().cpu().double().numpy()
+    root = GLTF_FROM_CAMERA @ registered.translation[index].detach().cpu().double().numpy()
     numbers = (100 * (root - [0.0, upright[:, 1].min(), 0.0])).tolist()
     lines = ["HIERARCHY"]
 
@@ -185,7 +185,7 @@ class _Buffer:
 
 def _upright(registered: Registered, index: int, *, lowered: bool = True) -> np.ndarray:
     """Posed vertices with y up, the lowest at y = 0 [m], shape (V, 3)."""
-    vertices = registered.detailed.vertices[index].detach().cpu().double().numpy() @ _GLTF_FROM_CAMERA.T
+    vertices = registered.detailed.vertices[index].detach().cpu().double().numpy() @ GLTF_FROM_CAMERA.T
     return vertices - [0.0, vertices[:, 1].min(), 0.0] if lowered else vertices
 
 
