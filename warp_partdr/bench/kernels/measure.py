@@ -74,9 +74,9 @@ def _time(plan: KernelPlan, group: str, what: str, name: str, batch: int, size: 
         timing = time_graph(capture(launch, plan.device), plan.device, plan.budget)
         return [row("graph", timing, sum(launched.bytes for launched in launches), count_bytes(launches))]
     if what == REFINEMENT:
-        fused = refined_once(scene, GRADIENTS[name])
-        launches = observe_launches(fused.iterate)
-        timing = time_calls(partial(fused.refine, scene.bodies), plan.device, plan.budget)
+        captured = refined_once(scene, GRADIENTS[name])
+        launches = observe_launches(captured.iterate)
+        timing = time_calls(partial(captured.refine, scene.bodies), plan.device, plan.budget)
         moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
         return [row("call", timing, moved, count_bytes(launches))]
     call = _torch_gradient(scene, name)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import torch
 import warp as wp
@@ -34,7 +33,6 @@ from ...render.part_mesh import ellipbody_mesh
 from ...render.renderers import RendererEllipsoids
 from ..scene import LABELS, BenchScene
 
-_VIEW: dict[str, Any] = {"near": -math.inf, "perspective": False}
 _POISON = 77
 NUM_ITERATIONS = 50  # the paper's
 _SUBDIVISIONS = 1  # of the mesh that kinematics places
@@ -66,7 +64,7 @@ class ExactRun:
 
     def labels(self) -> None:
         """The hard label image alone: of the 20 parts, so the index of the nearest is its label."""
-        launch_see(self._ellipsoids, self._part_labels, **_VIEW, seen=self._seen)
+        launch_see(self._ellipsoids, self._part_labels, near=-math.inf, perspective=False, seen=self._seen)
         launch_draw(
             self._seen.silhouettes,
             perspective=False,
@@ -111,17 +109,15 @@ class MeshRun:
     """The mesh renderer, from projected vertices."""
 
     def __init__(self, scene: BenchScene, subdivisions: int) -> None:
-        self._scene, self._subdivisions = scene, subdivisions
-        device = scene.targets.device
-        self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
+        self._scene = scene
+        self._mesh = mesh = ellipbody_mesh(subdivisions, device=scene.targets.device)
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         shape = (scene.batch_size, scene.size, scene.size)
-        self._vertices = warp_array(contiguous(self._points), wp.vec3)
         self._arrays = arrays = MeshArrays()
-        arrays.vertices, arrays.faces = self._vertices, warp_array(mesh.faces, wp.vec3i)
+        arrays.vertices, arrays.faces = warp_array(contiguous(self._points), wp.vec3), warp_array(mesh.faces, wp.vec3i)
         arrays.face_labels, arrays.edges = warp_array(mesh.face_labels), warp_array(mesh.edges)
         arrays.near, arrays.perspective = -math.inf, False
-        where = self._vertices.device
+        where = arrays.vertices.device
         self._zbuffer = rasterize.ZBuffer.make(*shape, where)
         self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
         self._label_image, self._images = ImageArrays(), ImageArrays()
@@ -132,7 +128,7 @@ class MeshRun:
         self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
         self._found = push_xy.SilhouetteList.make(scene.batch_size, arrays.edges.shape[0], where)
         self._hidden = push_z.HiddenPixels.make(self._zbuffer.keys)
-        self._grad = wp.full((*self._vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
+        self._grad = wp.full((*arrays.vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
         self._target = target = LabelTarget()
         target.target = warp_array(contiguous(scene.targets))
         target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
