@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+import warp_partdr
+
 ROOT = Path(__file__).resolve().parents[2]
 # Folder of the repository: its place in the package.
 SOURCES = {"warp_partdr": "", "kernels": "kernels.", "body": "body.", "demos/viewer": "viewer."}
@@ -45,6 +47,8 @@ BESIDE_THE_WINGS = {"__init__", "__main__", "cameras", "errors", "metrics"}
 LONGEST_PRODUCT_FILE = 400
 LONGEST_TEST_FILE = 600
 MOST_PARAMETERS = 10
+MOST_PUBLIC_NAMES = 42
+MOST_WORDS = 22_000  # of all pages in docs/
 # Files and functions that are larger still, to be made smaller; none may join them.
 LONG_FILES: dict[str, int] = {
     "tests/clothing/test_detailed.py": 697,
@@ -230,6 +234,21 @@ def test_a_name_is_defined_once():
     twice = {name: sorted(where) for name, where in public_definitions().items() if len(where) > 1}
     assert {name: where for name, where in twice.items() if name not in DEFINED_TWICE} == {}
     assert sorted(DEFINED_TWICE - twice.keys()) == [], "defined once now"
+
+
+def test_few_names_are_public_and_each_is_shown_at_work():
+    """In the code of a page, in a tutorial script, or in the notebook."""
+    names = [name for name in warp_partdr.__all__ if not name.startswith("_")]
+    assert len(names) <= MOST_PUBLIC_NAMES
+    pages = [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
+    blocks = [block for page in pages for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)]
+    code = "\n".join([*blocks, *(path.read_text() for path in (ROOT / "demos").glob("*.py"))])
+    code += (ROOT / "demos" / "partdr.ipynb").read_text()
+    assert [name for name in names if not re.search(rf"\b{name}\b", code)] == []
+
+
+def test_the_pages_are_short():
+    assert sum(len(page.read_text().split()) for page in (ROOT / "docs").glob("*.md")) <= MOST_WORDS
 
 
 def test_docstrings_begin_with_a_noun_or_a_verb():
