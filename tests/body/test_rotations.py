@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.rotations import (
+    rotation_between,
     rotation_from_6d,
     rotation_from_axis_angle,
     rotation_to_6d,
@@ -106,3 +107,11 @@ def test_axis_angle_is_the_shortest_way(angle):
     turned = rotation_to_axis_angle(rotation_from_axis_angle(angle * axes))
     shortest = angle if angle <= np.pi else angle - 2 * np.pi
     torch.testing.assert_close(turned, shortest * axes, rtol=1e-6, atol=1e-6 * abs(shortest))
+
+
+def test_turns_take_one_direction_to_another_even_the_opposite(device):
+    source = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0]], device=device)
+    target = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, -0.6, 0.8], [0.0, -1.0, 0.0]], device=device)
+    turns = rotation_between(source, target)
+    assert turns.isfinite().all()
+    torch.testing.assert_close((turns @ source[..., None])[:3, :, 0], target[:3], atol=1e-6, rtol=0)

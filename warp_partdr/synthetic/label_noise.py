@@ -76,8 +76,7 @@ class LabelNoise:
         self._set_weights = torch.tensor(list(TRAINING_LABEL_SETS.values()), device=device)
         self._groups = torch.stack([_group_table(labels) for labels in sets]).to(device)
         self._clothed = torch.tensor(["ignore" in labels.ids.values() for labels in sets], device=device)
-        identity = torch.arange(_UNKNOWN + 1)
-        self._identity = identity.to(device)
+        self._identity = torch.arange(_UNKNOWN + 1, device=device)
         self._heirs = torch.tensor([0, *(max(parent, 2) + 1 for parent in PARENTS), _UNKNOWN], device=device)
         self._limb_swaps = torch.stack([_table(_both(limb), _both(limb, swap=True)) for limb in LIMBS]).to(device)
         self._limbs = torch.stack(
@@ -144,18 +143,7 @@ class LabelNoise:
         table = torch.where(limb.gather(1, table), instead, table)
 
         worn = rng.chance(self._clothes_odds, count, len(self._clothes_odds))
-        worn = torch.stack(  # sleeves and trouser legs don't begin at the elbow or the knee
-            [
-                worn[:, 0],
-                worn[:, 1],
-                worn[:, 1] & worn[:, 2],
-                worn[:, 3],
-                worn[:, 3] & worn[:, 4],
-                worn[:, 5],
-                worn[:, 6],
-            ],
-            dim=1,
-        )
+        worn[:, 2:5:2] &= worn[:, 1:4:2]  # sleeves and trouser legs don't begin at the elbow or the knee
         covered = (worn[:, :, None] & self._clothes).any(1) & clothed[:, None]
         return torch.where(covered.gather(1, table), _UNKNOWN, table)
 

@@ -258,15 +258,9 @@ class PeopleMaker:
         aside = distance * _ASIDE * rng.normal(count, 1, 2)
 
         def seen(points: torch.Tensor) -> torch.Tensor:
-            flat, depth = points[..., :2], points[..., 2:]
-            far = depth + distance
-            return torch.cat(
-                [
-                    torch.where(weak, flat, (flat + aside) * (distance / far)),
-                    torch.where(weak, depth + _FAR_AWAY, far),
-                ],
-                dim=-1,
-            )
+            flat, depth = points[..., :2], points[..., 2:] + distance
+            near = torch.cat([(flat + aside) * (distance / depth), depth], dim=-1)
+            return torch.where(weak, torch.cat([flat, points[..., 2:] + _FAR_AWAY], dim=-1), near)
 
         return seen(vertices), tuple(seen(points) for points in landmarks)
 
