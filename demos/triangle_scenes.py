@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from warp_partdr.cameras import WeakPerspective
+from warp_partdr.cameras import ScreenCamera
 from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh
 
@@ -124,7 +124,7 @@ def place(shapes: np.ndarray, centres: np.ndarray, depths: tuple[float, float]) 
 def _scenes(starts: list[np.ndarray], goals: list[np.ndarray], device: torch.device | str) -> Scenes:
     mesh = triangles_mesh(device)
     start, goal = (torch.from_numpy(np.stack(vertices)).to(device) for vertices in (starts, goals))
-    return Scenes(mesh, start, goal, draw_mesh(goal, mesh, WeakPerspective.identity(device), IMAGE_SIZE).labels)
+    return Scenes(mesh, start, goal, draw_mesh(goal, mesh, ScreenCamera(perspective=False), IMAGE_SIZE).labels)
 
 
 def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
@@ -174,7 +174,7 @@ def _is_fair(start: np.ndarray, goal: np.ndarray, device: torch.device | str) ->
     if areas.min() < 150 or both[..., :2].min() < 0 or (both[..., :2] > IMAGE_SIZE[::-1]).any():
         return False
     vertices = torch.from_numpy(both).to(device)
-    camera = WeakPerspective.identity(device)
+    camera = ScreenCamera(perspective=False)
     labels = draw_mesh(vertices, triangles_mesh(device), camera, IMAGE_SIZE).labels.cpu().numpy()
     shown_b, shown_a = (labels[0] == 2).sum() / areas[1], (labels[1] == 1).sum() / areas[2]
     return bool(0.2 < shown_b < 0.95 and 0.3 < shown_a < 0.8)
@@ -194,7 +194,7 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     if not supervision.parts:
         mesh, target = mesh.relabel({1: 1, 2: 1}), target.clamp(max=1)
     count, device = len(scenes.start), scenes.start.device
-    camera = WeakPerspective.identity(device)
+    camera = ScreenCamera(perspective=False)
     shift = torch.zeros(count, 2, 1, 2, device=device, requires_grad=True)  # [px]
     advance = torch.zeros(count, 2, 1, 1, device=device, requires_grad=True)  # [m]
     # Adam divides each coordinate's gradient by its own size, so neither lambda nor the loss's scale has to be chosen.
@@ -221,7 +221,7 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
 
 def judge(scenes: Scenes, vertices: torch.Tensor) -> Outcome:
     """Compare vertices of shape (S, 6, 3) with the goal."""
-    labels = draw_mesh(vertices, scenes.mesh, WeakPerspective.identity(vertices.device), IMAGE_SIZE).labels
+    labels = draw_mesh(vertices, scenes.mesh, ScreenCamera(perspective=False), IMAGE_SIZE).labels
 
     def iou(have: torch.Tensor, want: torch.Tensor) -> torch.Tensor:
         return (have & want).sum((1, 2)) / (have | want).sum((1, 2))

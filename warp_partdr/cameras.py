@@ -40,11 +40,6 @@ class WeakPerspective(Movable):
         shape = (self.scale.shape[0], 2)
         check_tensor("translation", self.translation, shape, dtypes=FLOATS, like=("scale", self.scale))
 
-    @classmethod
-    def identity(cls, device: torch.device | str = "cpu") -> WeakPerspective:
-        """The camera, one for any batch, of points (u [px], v [px], z [m]) that are in the picture already."""
-        return cls(torch.ones(1, device=device), torch.zeros(1, 2, device=device))
-
     @property
     def near_plane(self) -> float:
         """Depth at or before which nothing is drawn [m]."""
@@ -237,11 +232,35 @@ class Crop:
         return points / self.zoom + self.origin_of(points)
 
 
+@dataclass(frozen=True)
+class ScreenCamera:
+    """The camera, one for any batch, of points (u [px], v [px], z [m]) that are in the picture already.
+
+    Attributes:
+        perspective: Kind of the camera that put them there: depth is linear in the picture, or 1 / depth is.
+        near: As of that camera; None takes its default.
+    """
+
+    perspective: bool
+    near: float | None = None
+
+    @property
+    def near_plane(self) -> float:
+        """Depth at or before which nothing is drawn [m]."""
+        if self.perspective:
+            return max(Perspective.near if self.near is None else self.near, _MIN_DEPTH)
+        return WeakPerspective.near if self.near is None else self.near
+
+    def project(self, points: torch.Tensor) -> torch.Tensor:
+        """The same points."""
+        return points
+
+
 Camera = WeakPerspective | Perspective
 
 
-def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> None:
-    """Raise unless it is a camera, one for all B bodies or one a body, where they are.
+def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> torch.Tensor:
+    """Intrinsics of a camera, one for all B bodies or one a body; raise unless it is one, where they are.
 
     Args:
         camera: What the caller passed; another one that has ``intrinsics`` and ``project`` will do.
@@ -256,3 +275,4 @@ def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> 
         raise ValueError(f"camera: {intrinsics.shape[0]} of them; expected {batch}, as {like[0]}, or 1")
     if intrinsics.device != like[1].device:
         raise ValueError(f"camera: on {intrinsics.device}; expected {like[1].device}, as {like[0]}")
+    return intrinsics

@@ -213,8 +213,7 @@ def _check(
     like = ("centres", centres)
     check_tensor("axes", axes, (batch, count, 3, 3), dtypes=FLOATS, like=like)
     check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
-    check_camera(camera, batch, like)
-    intrinsics = camera.intrinsics.expand(batch, 4)
+    intrinsics = check_camera(camera, batch, like).expand(batch, 4)
     refuse_transforms(name, intrinsics)
     height, width = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from ..cameras import Camera, check_camera
+from ..cameras import Camera, ScreenCamera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import once, refuse_transforms
@@ -51,7 +51,7 @@ class _LaterImage(DrawnLater, PartImage):
 def draw_mesh(
     vertices: torch.Tensor,
     mesh: PartMesh,
-    camera: Camera,
+    camera: Camera | ScreenCamera,
     image_size: tuple[int, int],
     *,
     num_maps: int = 0,
@@ -67,8 +67,8 @@ def draw_mesh(
         vertices: In the camera frame [m], shape (B, V, 3). A face with a vertex at or before the camera's near plane is
             not drawn.
         mesh: Topology and labels, on the same device.
-        camera: Weak perspective or perspective, one a body or one for all; of vertices that are on the screen already
-            (u [px], v [px], z [m]), ``WeakPerspective`` with scale 1 and translation 0.
+        camera: Weak perspective or perspective, one a body or one for all; ``ScreenCamera`` of vertices that are in the
+            picture already.
         image_size: (H, W) [px]; need not be square.
         num_maps: K; part maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
         max_distance: Pixels farther than this from an edge do not move it [px]. The paper has no limit, which finds far
@@ -99,7 +99,7 @@ def draw_mesh(
 def mesh_label_loss(
     vertices: torch.Tensor,
     mesh: PartMesh,
-    camera: Camera,
+    camera: Camera | ScreenCamera,
     target: torch.Tensor,
     *,
     max_distance: float = math.inf,
@@ -150,7 +150,7 @@ def _project(
     name: str,
     vertices: torch.Tensor,
     mesh: PartMesh,
-    camera: Camera,
+    camera: Camera | ScreenCamera,
     rule: tuple[float, float],
     validate: bool,
 ) -> tuple[Geometry, MeshOptions]:
@@ -158,8 +158,10 @@ def _project(
     refuse_transforms(name, vertices)
     check_type("mesh", mesh, PartMesh, "such as ellipbody_mesh()")
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
-    check_camera(camera, vertices.shape[0], ("vertices", vertices))
-    refuse_transforms(name, camera.intrinsics)
+    given = {"vertices": vertices}
+    if not isinstance(camera, ScreenCamera):
+        given["camera"] = check_camera(camera, vertices.shape[0], ("vertices", vertices))
+        refuse_transforms(name, given["camera"])
     check_partdr_options(*rule)
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
@@ -167,7 +169,7 @@ def _project(
         raise ValueError(f"vertices: {vertices.shape[1]} a body; expected {mesh.num_vertices} or more, as the mesh")
     screen = camera.project(vertices)
     if validate and not torch.compiler.is_compiling():
-        check_numbers({"vertices": vertices, "camera": camera.intrinsics, "projected vertices": screen})
+        check_numbers({**given, "projected vertices": screen})
     options = MeshOptions(camera.near_plane, camera.perspective, float(rule[0]), float(rule[1]))
     return (screen.float(), mesh.faces, mesh.face_labels, mesh.edges), options
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +11,11 @@ import torch
 from ..body.labels import IGNORE
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, SHAPE_INDICES
+from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..inputs.observation import CROP_MARGIN
 from ..network.landmarks import LANDMARKS
-from ..render.mesh_passes import MeshOptions, draw_images
+from ..render.mesh import draw_mesh
 from .keypoint_noise import KeypointNoise
 from .label_noise import LabelNoise, draw_absent, draw_strengths
 from .occluders import draw_occluders
@@ -53,9 +53,6 @@ _NEAR = 0.35  # of the person's longer extent
 _OPEN = 100.0  # [m], where a side isn't near
 
 _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
-
-# Of vertices that are on the screen already.
-_VIEW = MeshOptions(near=0.01, perspective=True, max_distance=math.inf, depth_weight=0.0)
 
 
 @dataclass(frozen=True)
@@ -203,9 +200,9 @@ class PeopleMaker:
         crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
 
         screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
-        mesh = self.mesh
-        geometry = torch.cat([screen, vertices[..., 2:]], dim=-1), mesh.faces, mesh.face_labels, mesh.edges
-        labels, depth, _ = draw_images(geometry, (self.size, self.size), _VIEW)
+        on_screen, camera = torch.cat([screen, vertices[..., 2:]], dim=-1), ScreenCamera(perspective=True)
+        picture = draw_mesh(on_screen, self.mesh, camera, (self.size, self.size), validate=False)
+        labels, depth = picture.labels, picture.depth
         unseen = crop.unseen(self.size)
         parts = labels.masked_fill(unseen, IGNORE)
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from ...body.parameters import BodyParameters
+from ...cameras import ScreenCamera
 from ...fit.fitting import Progress
 from ...refinement.energy import Energy
 from ...refinement.refine import refine
@@ -113,10 +114,11 @@ def _torch_gradient(scene: BenchScene, name: str) -> Callable[[], object]:
         return lambda: torch.autograd.grad(_Nothing.apply(leaf).sum(), leaf)
     level = LEVELS[name]
     mesh = ellipbody_mesh(level, device=targets.device)
-    vertices = posed.vertices(level).detach().requires_grad_()
+    screen = ScreenCamera(perspective=False)
+    vertices = camera.project(posed.vertices(level)).detach().requires_grad_()
 
     def triangles() -> object:
-        return torch.autograd.grad(mesh_label_loss(vertices, mesh, camera, targets, validate=False)[0].sum(), vertices)
+        return torch.autograd.grad(mesh_label_loss(vertices, mesh, screen, targets, validate=False)[0].sum(), vertices)
 
     return triangles
 

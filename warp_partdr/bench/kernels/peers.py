@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ...cameras import WeakPerspective
+from ...cameras import ScreenCamera
 from ...render.mesh import draw_mesh, mesh_label_loss
 from ...render.part_mesh import PartMesh
 
@@ -36,11 +35,6 @@ class MeshView:
     vertices: torch.Tensor
     mesh: PartMesh
     targets: torch.Tensor
-
-    @cached_property
-    def camera(self) -> WeakPerspective:
-        """Of vertices in pixels."""
-        return WeakPerspective.identity(self.vertices.device)
 
     @property
     def faces(self) -> torch.Tensor:
@@ -82,13 +76,15 @@ class Ours:
     def labels(self) -> torch.Tensor:
         """The hard label image."""
         view = self._view
-        return draw_mesh(view.vertices, view.mesh, view.camera, view.image_size, validate=False).labels
+        return draw_mesh(
+            view.vertices, view.mesh, ScreenCamera(perspective=False), view.image_size, validate=False
+        ).labels
 
     def loss(self, vertices: torch.Tensor) -> torch.Tensor:
         """L_seg."""
-        return mesh_label_loss(vertices, self._view.mesh, self._view.camera, self._view.targets, validate=False)[
-            0
-        ].sum()
+        return mesh_label_loss(
+            vertices, self._view.mesh, ScreenCamera(perspective=False), self._view.targets, validate=False
+        )[0].sum()
 
 
 class Drtk:

@@ -13,7 +13,7 @@ import torch
 import warp as wp
 
 from ...body.ellipbody import bone_tree
-from ...cameras import WeakPerspective
+from ...cameras import ScreenCamera
 from ...interop.arrays import contiguous, warp_array
 from ...kernels import kinematics
 from ...kernels.ellipsoids.picture import launch_draw
@@ -174,7 +174,7 @@ class MeshRun:
         wp.synchronize_device(self._labels.device)
         leaf = self._points.clone().requires_grad_()
         loss, image = mesh_label_loss(
-            leaf, self._mesh, WeakPerspective.identity(leaf.device), self._scene.targets, validate=False
+            leaf, self._mesh, ScreenCamera(perspective=False), self._scene.targets, validate=False
         )
         (want,) = torch.autograd.grad(loss.sum(), leaf)
         for run in (self.labels, self.gradient):
