@@ -10,7 +10,7 @@ from pkgutil import resolve_name
 
 import pytest
 
-from warp_partdr.reference.__main__ import main, markdown
+from warp_partdr.reference.__main__ import markdown, print_equations
 from warp_partdr.reference.index import EQUATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def test_each_equation_has_a_function_of_its_own():
 
 @pytest.mark.parametrize("arguments", [[], *([str(number)] for number in EQUATIONS)], ids=str)
 def test_pages_are_readable(capsys, arguments):
-    assert main(arguments) == 0
+    assert print_equations(arguments) == 0
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 100
     for number, equation in EQUATIONS.items():
@@ -72,7 +72,7 @@ def test_pages_are_readable(capsys, arguments):
 
 @pytest.mark.parametrize("number", ["7", "20", "x", "", "12.0"])
 def test_other_numbers_are_refused_in_a_line(capsys, number):
-    assert main([number]) == 2
+    assert print_equations([number]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1

@@ -10,7 +10,7 @@ from importlib import import_module
 from .index import EQUATIONS
 
 
-def main(arguments: list[str] | None = None) -> int:
+def print_equations(arguments: list[str] | None = None) -> int:
     """Print what is asked for; the exit code is 2 where there is no such equation."""
     parser = argparse.ArgumentParser(prog="python -m warp_partdr.reference", description=__doc__)
     parser.add_argument("number", metavar="N", nargs="?", help="3 to 6 or 8 to 19; by default, the table of all")
@@ -67,4 +67,4 @@ def markdown() -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_equations())
