@@ -74,14 +74,3 @@ def hold_depth(problem: Problem, state: State, weight: float, b: int, k: int):
     push = 2.0 * weight * deviation * _MILLIMETRES
     state.pushes[b, k] = state.pushes[b, k] + wp.vec3(0.0, 0.0, push)
     return weight * deviation * deviation
-
-
-@rule(column=7)
-@wp.func
-def hold_rest(problem: Problem, state: State, weight: float, b: int, k: int):
-    """Squared angle by which joint k is turned from the rest pose."""
-    v = state.bodies.rotations[b, k]
-    if has_bit(problem.skeleton.locked, k):
-        v = wp.vec3(0.0)
-    state.gradient.rotations[b, k] = state.gradient.rotations[b, k] + 2.0 * weight * v
-    return weight * wp.dot(v, v)

@@ -82,10 +82,6 @@ def _depth(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Te
     return ((posed.centres[..., 2] - energy.depths) * _MILLIMETRES).square().sum(1)
 
 
-def _rest(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-    return parameters.free_rotations().square().sum((1, 2))
-
-
 @dataclass(frozen=True)
 class Weights:
     """Weights of the energy's terms, a unit of each: the rows of the table ``TERMS``. The first four are the paper's.
@@ -110,7 +106,6 @@ class Weights:
     thickness: float = _term(1e-3, 3, _thickness)
     prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
     limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
-    rest: float = _term(0.0, 7, _rest)
     depth: float = _term(0.0, 6, _depth, lambda energy: energy.depths is not None)
 
 
