@@ -300,3 +300,18 @@ def test_what_is_left_out_is_not_drawn_and_what_is_in_no_group_hides() -> None:
     groups = dict(zip(PART_NAMES, labels.part_groups[1:].tolist(), strict=True))
     assert [groups[name] for name in ("right_foot", "right_hand", "head", "left_hand")] == [0, 0, 1, 2]
     assert groups["chest"] == IGNORE
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"left_out": ["tail"]}, "left_out: no part 'tail'"),
+        ({"left_out": ["head"]}, "head is in 'left_out' and 'top'"),
+        ({"left_out": "left_hand"}, "left_out: 'left_hand'; expected a list"),
+    ],
+)
+def test_label_sets_that_leave_out_wrongly_are_refused(data, message):
+    whole = {"groups": {"top": ["head"]}, "ids": {"0": "background", "1": "top"}}
+    assert label_set({**whole, "left_out": ["left_hand"]}).part_groups[PART_NAMES.index("left_hand") + 1] == 0
+    with pytest.raises(ValueError, match=message):
+        label_set({**whole, **data})

@@ -1,29 +1,18 @@
 """Forward kinematics: the formula book's walk of the tree, finite differences in float64, and the Warp class."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 import torch
 import warp as wp
-from scipy.spatial.transform import Rotation
+from scenes.bodies import random_parameters
 
 from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
 from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import JOINT_NAMES, PARENTS, SHAPE_INDICES, template
 from warp_partdr.reference.ellipbody import BodyTree, deform_sphere, ellipsoids_of, place_joints
-
-
-def random_parameters(seed: int, batch: int, device="cpu", dtype=torch.float64):
-    rng = np.random.default_rng(seed)
-    parameters = (
-        Rotation.random(batch, rng=rng).as_matrix(),
-        rng.normal(size=(batch, 3)),
-        Rotation.random(batch * 20, rng=rng).as_matrix().reshape(batch, 20, 3, 3),
-        rng.uniform(0.05, 0.5, (batch, 12)),
-        rng.uniform(0.05, 0.3, (batch, 15)),
-    )
-    return [torch.from_numpy(p).to(device, dtype) for p in parameters]
-
 
 TREE = BodyTree(PARENTS, template().rest_directions, template().rest_axes, SHAPE_INDICES)
 

@@ -9,10 +9,13 @@ from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 
-import command_scenes
 import numpy as np
 import pytest
-from command_scenes import (
+from conftest import HANG
+from PIL import Image
+from scenes import commands
+from scenes.bodies import seen_by, walker
+from scenes.commands import (
     ALONE,
     EVERY_FILE,
     GOOD,
@@ -25,17 +28,19 @@ from command_scenes import (
     soft_maps,
     write,
 )
-from conftest import HANG
-from PIL import Image
-from test_detailed import save_npz
+from scenes.files import save_npz
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import convert
+from warp_partdr.cli import fit as command
 from warp_partdr.cli import progress
+from warp_partdr.cli.options import PersonFiles, SettingOptions
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import STAGES
 from warp_partdr.results import save
 from warp_partdr.results.body_file import load_body
 
-files, run = command_scenes.files, command_scenes.run  # fixtures
+files, run = commands.files, commands.run  # fixtures
 
 
 def test_a_real_process_says_what_it_found_and_no_more(files: Path) -> None:
@@ -205,3 +210,36 @@ def test_a_bar_shows_the_stages(capfd: pytest.CaptureFixture[str], monkeypatch: 
     said = capfd.readouterr().err
     assert "labels, fine" in said
     assert "75%" in said
+
+
+def test_command_takes_a_quality_and_settings_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [each.value for each in command.QualityName] == list(STAGES["network"])
+    assert [each.value for each in command.StartName] == list(STAGES)
+    (tmp_path / "points.json").write_text(json.dumps(seen_by(walker())[0].points.tolist()))
+    given: list[FitOptions] = []
+
+    def refuse(*people: object, options: FitOptions, **rest: object) -> None:
+        given.append(options)
+        raise command.InputError("enough")
+
+    monkeypatch.setattr("warp_partdr.fit.fitting.fit_body", refuse)
+    files = PersonFiles(tmp_path / "points.json", "coco17")
+    for flags, overrides in (
+        ({}, []),
+        ({"quality": command.QualityName.fast}, []),
+        ({"quality": command.QualityName.accurate}, ["outline=false"]),
+    ):
+        with pytest.raises(command.InputError, match="enough"):
+            command.fit(
+                files,
+                out=tmp_path / "out",
+                model="none",
+                device="cpu",
+                settings=SettingOptions(None, overrides),
+                **flags,
+            )
+    assert [options.stages for options in given] == [
+        STAGES["network"]["balanced"],
+        STAGES["network"]["fast"],
+        STAGES["network"]["accurate"][:-1],
+    ]

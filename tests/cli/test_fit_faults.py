@@ -7,10 +7,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import command_scenes
 import numpy as np
 import pytest
-from command_scenes import (
+from conftest import HANG
+from scenes import commands
+from scenes.commands import (
     GOOD,
     Run,
     change_keypoints,
@@ -25,7 +26,6 @@ from command_scenes import (
     tree,
     write,
 )
-from conftest import HANG
 
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights
@@ -34,7 +34,7 @@ from warp_partdr.fit import fitting
 from warp_partdr.results import result_sets, save
 from warp_partdr.results.body_file import load_body
 
-files, run = command_scenes.files, command_scenes.run  # fixtures
+files, run = commands.files, commands.run  # fixtures
 
 BAD: dict[str, tuple[str, Callable[[], object], list[str]]] = {
     # name: (arguments, what is done to the good files, what the error must say)

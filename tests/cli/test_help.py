@@ -9,15 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import command_scenes
 import pytest
-from command_scenes import (
-    ALONE,
-    EVERY_FILE,
-    GOOD,
-    Run,
-)
 from conftest import HANG
+from scenes import commands
+from scenes.commands import ALONE, EVERY_FILE, GOOD, Run
 
 from warp_partdr import __version__
 from warp_partdr.body.labels import LABEL_SETS
@@ -27,7 +22,7 @@ from warp_partdr.fit import fitting
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
-files, run = command_scenes.files, command_scenes.run  # fixtures
+files, run = commands.files, commands.run  # fixtures
 
 
 def test_help_teaches(run: Run) -> None:

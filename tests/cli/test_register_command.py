@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
+from scenes.files import EXAMPLE
 from typer.testing import CliRunner
 
 from warp_partdr.body.labels import label_set
+from warp_partdr.body.template import NUM_PARTS, template
 from warp_partdr.cli.main import app
 from warp_partdr.clothing import registration
+from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.registration import RegistrationWeights, register
 from warp_partdr.errors import InputError
 from warp_partdr.fit.fitting import fit_body
@@ -23,7 +28,6 @@ from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_parts, read_photo
 from warp_partdr.results.save import save_fit, save_registered
 
-EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
 LABELS = label_set("cdcl14")
 
 
@@ -91,3 +95,54 @@ def test_labels_of_another_picture_are_refused(fitted: dict[str, object]) -> Non
     with pytest.raises(InputError, match="would replace"):
         call("--parts", "new/detailed.png", "--labels", "cdcl14")
     assert not Path("new/registration.json").exists()
+
+
+def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+    from typer.testing import CliRunner
+
+    from warp_partdr.cli.main import app
+    from warp_partdr.errors import InputError
+    from warp_partdr.results.body_file import BodyFile
+    from warp_partdr.results.save import DETAILED_FILES
+
+    body = BodyFile(
+        global_orient=np.diag([1.0, -1.0, -1.0]),
+        translation=np.zeros(3),
+        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
+        lengths=template().mean_lengths,
+        thicknesses=template().mean_thicknesses,
+        camera_scale=np.array(100.0),
+        camera_translation=np.zeros(2),
+        image_size=np.array([400, 300]),
+    )
+    body.save(tmp_path / "body.npz")
+    monkeypatch.chdir(tmp_path)
+    Image.new("RGB", (300, 400), "white").save("photo.png")
+    line = ["register", "body.npz", "--photo", "photo.png", "--out", "detailed", "--device", "cpu"]
+    done = CliRunner().invoke(app, line)
+    assert done.exit_code == 0, done.output
+    assert "detailed/detailed.png" in done.output
+    names = {path.name for path in (tmp_path / "detailed").iterdir()}
+    assert names == set(DETAILED_FILES)
+    with Image.open("detailed/detailed.png") as shown:
+        assert shown.size == (300, 400)
+        assert shown.getpixel((299, 0)) == (255, 255, 255)
+    with np.load(tmp_path / "detailed" / "detailed.npz", allow_pickle=False) as saved:
+        model = anny()
+        takes = [name for name in inspect.signature(model.pose).parameters if name in saved]
+        again = model.pose(**{name: torch.from_numpy(saved[name])[None] for name in takes})
+    mesh = trimesh.load(tmp_path / "detailed" / "detailed.ply", process=False)
+    assert abs(np.ptp(again.vertices[0, :, 1].numpy()) - mesh.extents[1]) < 1e-4
+
+    Image.new("RGB", (400, 300)).save("photo.png")
+    for wrong, says in (
+        (["--model", "nobody.npz"], "--model: nobody.npz"),
+        (["--model", "none"], "--model: none"),
+        (["--photo", "photo.png"], "body: 300x400; photo: 400x300"),
+        (["--out", "body.npz"], "body.npz: Not a directory"),
+    ):
+        refused = CliRunner().invoke(app, ["register", "body.npz", *wrong])
+        assert isinstance(refused.exception, InputError)
+        assert says in str(refused.exception)
+    assert not (tmp_path / "out").exists()

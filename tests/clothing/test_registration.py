@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
-import io
-import json
-import math
-import struct
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes.bodies
 import torch
 import trimesh
-from scipy.spatial.transform import Rotation
+from scenes.bodies import QUICK_REGISTRATION, ellipbodies
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "demos"))
-
-import edit_body
-
-from warp_partdr.body.posing import Posed, pose
-from warp_partdr.body.rotations import rotation_from_axis_angle
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, THICKNESS_NAMES, template
+from warp_partdr.body.posing import Posed
+from warp_partdr.body.template import JOINT_NAMES, NUM_PARTS, PARENTS
 from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.growth import MEASURES, UNGROWN, Growth
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import (
     MATCHED_JOINTS,
@@ -33,43 +21,12 @@ from warp_partdr.clothing.registration import (
     RegistrationOptions,
     RegistrationWeights,
     _Loss,
-    _Tailor,
     register,
     shape_from_lengths,
 )
 from warp_partdr.clothing.surfaces import BAND, PartCells, _VertexCosts, skin_vertices, surface_samples, vertex_parts
-from warp_partdr.results.skinned_files import bvh, glb, save_detailed
 
-QUICK = RegistrationOptions(iterations=40)
-
-
-def ellipbodies(
-    device: str, count: int = 2, *, longer: dict[str, float] | None = None, thicker: dict[str, float] | None = None
-) -> Posed:
-    """Bodies in random poses near the rest pose, camera frame; one length or thickness times a factor."""
-    generator = torch.Generator().manual_seed(0)
-    turns = 0.3 * torch.randn(count, NUM_PARTS, 3, generator=generator)
-    turns[:, :2] = 0
-    lengths, thicknesses = (
-        torch.tensor(values * [factors.get(name, 1.0) for name in names], dtype=torch.float32)
-        for values, factors, names in (
-            (template().mean_lengths, longer or {}, LENGTH_NAMES),
-            (template().mean_thicknesses, thicker or {}, THICKNESS_NAMES),
-        )
-    )
-    given = (
-        torch.diag(torch.tensor([1.0, -1.0, -1.0])).repeat(count, 1, 1),
-        torch.tensor([0.1, -0.2, 3.0]).repeat(count, 1),
-        rotation_from_axis_angle(turns),
-        lengths.repeat(count, 1),
-        thicknesses.repeat(count, 1),
-    )
-    return pose(*(tensor.to(device) for tensor in given))
-
-
-@pytest.fixture(scope="module")
-def registered(device: str) -> Registered:
-    return register(ellipbodies(device), anny(torch.device(device)), options=QUICK)
+registered = scenes.bodies.registered  # a fixture
 
 
 def test_the_mean_body_is_anny_s_default_adult(registered: Registered, device: str) -> None:
@@ -102,123 +59,10 @@ def test_refinement_lowers_the_loss(registered: Registered, device: str) -> None
 
 def test_bodies_of_a_batch_do_not_touch_each_other(registered: Registered, device: str) -> None:
     posed = ellipbodies(device)
-    alone = register(Posed(*(tensor[1:] for tensor in vars(posed).values())), registered.model, options=QUICK)
-    assert (alone.detailed.vertices[0] - registered.detailed.vertices[1]).norm(dim=-1).max() < 2e-3
-
-
-@pytest.fixture(scope="module")
-def edits() -> tuple[list[edit_body.Body], list[Registered]]:
-    body = edit_body.mean_body()
-    bodies = [body.edited(edit) for edit in edit_body.EDITS]
-    return bodies, edit_body.register_all(bodies)
-
-
-def test_the_mesh_follows_edits_and_other_parts_stay(edits: tuple[list[edit_body.Body], list[Registered]]) -> None:
-    for followed, others in edit_body.following(*edits):
-        assert all(0.8 < share < 1.25 for share in followed.values()), followed
-        assert all(share < 0.2 for share in others.values()), others
-
-
-def test_growth_turns_no_face_over_and_makes_no_steps(
-    edits: tuple[list[edit_body.Body], list[Registered]],
-) -> None:
-    first, *others = (result.rest().vertices[0] for result in edits[1])
-    corners = edits[1][0].model.faces.long()
-    skin = (skin_vertices(edits[1][0].model) > 0)[corners].all(1)
-
-    def normals(vertices: torch.Tensor) -> torch.Tensor:
-        edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
-        return torch.nn.functional.normalize(torch.linalg.cross(edges[:, 0], edges[:, 1]), dim=-1)
-
-    starts, ends = corners.flatten(), corners.roll(-1, 1).flatten()
-    for other in others:
-        turned = (normals(first) * normals(other)).sum(-1)[skin]
-        assert turned.min() > 0
-        assert turned.mean() > 0.97
-        # An edge is stretched by no more than the edit's factor and what is shared with the neighbours.
-        ratios = (other[starts] - other[ends]).norm(dim=-1) / (first[starts] - first[ends]).norm(dim=-1)
-        assert 0.55 < ratios.quantile(0.001) < ratios.quantile(0.999) < 1.8
-
-
-def test_between_two_bodies_nothing_jumps() -> None:
-    body = edit_body.mean_body()
-    other = body
-    for edit in edit_body.EDITS[1:4]:
-        other = other.edited(edit)
-    shares = torch.linspace(0, 1, 5).tolist()
-    results = edit_body.register_all([body.toward(other, share) for share in shares])
-    vertices = torch.cat([result.detailed.vertices for result in results])
-    steps = vertices.diff(dim=0)
-    whole = (vertices[-1] - vertices[0]).norm(dim=-1)
-    assert whole.max() > 0.08
-    assert (steps.norm(dim=-1) < whole / len(steps) + 0.012).all()
-    assert steps.diff(dim=0).norm(dim=-1).max() < 0.02
-
-
-def test_growth_is_seen_on_any_device(registered: Registered, device: str) -> None:
-    options = replace(QUICK, iterations=10)
-    longer = ellipbodies(device, longer={"lower leg": 1.2}, thicker={"head thickness": 1.3})
-    edited = register(longer, registered.model, start=registered, options=options)
-    names = [list(MEASURES).index(name) for name in ("lower leg", "head thickness")]
-    assert (edited.growth[:, names] > torch.tensor([1.1, 1.15], device=device)).all()
-    still = [list(MEASURES).index(name) for name in ("upper arm", "hand", "upper arm thickness", *UNGROWN)]
-    assert (edited.growth[:, still] / registered.growth[:, still] - 1).abs().max() < 0.04
-    alone = register(longer, registered.model, options=options)
-    assert torch.equal(alone.growth, torch.ones_like(alone.growth))
-    asked = register(longer, registered.model, options=replace(options, growth=True))
-    assert (asked.growth[:, names[1]] > 1.15).all()
-
-
-def test_growth_is_what_a_robust_fit_gives_up(registered: Registered, device: str) -> None:
-    """Of a measure off by r, r³ / (r² + d²), d being what people differ by: hardly anything of what is usual."""
-    model, shape = registered.model, registered.shape
-    parts, areas = vertex_parts(model)
-    posed = ellipbodies(device, longer={"lower leg": 1.02}, thicker={"head thickness": 1.3, "foot width": 0.8})
-    tailor = _Tailor(model, posed, replace(QUICK, growth=True), parts, areas, shape, None)
-    for _ in range(12):
-        tailor.grow(shape)
-    body = Growth(model, parts, areas, shape)
-    off = body.demanded(posed.semi_axes) - body.measured(shape)
-    wanted = off / (1 + (2 * body.spreads / off).square())
-    got = body.measured(shape, tailor.stretches) - body.measured(shape)
-    for name, low, high in (("lower leg", 0.0, 0.6), ("head thickness", 0.85, 1.0), ("foot width", 0.5, 0.95)):
-        index = MEASURES.index(name)
-        torch.testing.assert_close(got[:, index], wanted[:, index], rtol=0.02, atol=2e-3)
-        shares = (wanted / off)[:, index]
-        assert ((low < shares) & (shares < high)).all(), (name, shares)
-
-
-def test_a_body_is_its_own_edit(registered: Registered, device: str) -> None:
-    again = register(ellipbodies(device), registered.model, start=registered, options=QUICK)
-    assert (again.detailed.vertices - registered.detailed.vertices).norm(dim=-1).mean() < 0.004
-    assert (again.growth - 1).abs().max() < 0.02
-
-
-def test_stretches_of_one_are_none_and_of_all_scale_the_body(device: str) -> None:
-    model = anny(torch.device(device))
-    shape = anny_shape(torch.tensor([[0.2, 0.9, 0.4, 0.6, 0.5, 0.5]], device=device))
-    rest = model.rest(shape)
-    whole = torch.eye(3, device=device).expand(1, NUM_PARTS, 3, 3)
-    for factor in (1.0, 1.3):
-        scaled = model.rest(shape, stretches=factor * whole)
-        root = rest.joints[:, :1]
-        assert (scaled.vertices - root - factor * (rest.vertices - root)).abs().max() < 1e-5
-        assert (scaled.joints - root - factor * (rest.joints - root)).abs().max() < 1e-5
-    # The measures of a body follow: lengths and thicknesses by the factor.
-    body = Growth(model, *vertex_parts(model), shape)
-    grown = body.stretches(torch.full((1, len(MEASURES)), 1.3, device=device))
-    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 1e-3
-
-
-def test_inscribed_bodies_never_thin_the_person(device: str) -> None:
-    thin = dict.fromkeys(THICKNESS_NAMES, 0.6)
-    options = replace(QUICK, iterations=5, growth=True, weights=RegistrationWeights.inscribed())
-    within = register(ellipbodies(device, thicker=thin), anny(torch.device(device)), options=options)
-    assert (within.growth[:, len(LENGTH_NAMES) :] > 0.99).all()
-    fitted = register(
-        ellipbodies(device, thicker=thin), within.model, options=replace(QUICK, iterations=5, growth=True)
+    alone = register(
+        Posed(*(tensor[1:] for tensor in vars(posed).values())), registered.model, options=QUICK_REGISTRATION
     )
-    assert (fitted.growth[:, len(LENGTH_NAMES) :].amin(1) < 0.9).all()
+    assert (alone.detailed.vertices[0] - registered.detailed.vertices[1]).norm(dim=-1).max() < 2e-3
 
 
 def test_shape_from_lengths_is_exact_for_bodies_of_the_model(device: str) -> None:
@@ -379,7 +223,7 @@ def test_what_is_in_the_mouth_is_no_skin(device: str) -> None:
 
 def test_no_bodies(device: str) -> None:
     posed = Posed(*(tensor[:0] for tensor in vars(ellipbodies(device)).values()))
-    result = register(posed, anny(torch.device(device)), options=QUICK)
+    result = register(posed, anny(torch.device(device)), options=QUICK_REGISTRATION)
     assert result.detailed.vertices.shape == (0, 13718, 3)
 
 
@@ -392,150 +236,3 @@ def test_bad_bodies_are_refused(device: str) -> None:
         register(replace(posed, joints=broken), model)
     with pytest.raises(ValueError, match=r"joints: torch\.float64; expected torch\.float32"):
         register(Posed(*(tensor.double() for tensor in vars(posed).values())), model)
-
-
-def read_glb(data: bytes) -> tuple[dict, list[np.ndarray]]:
-    """The JSON and the arrays of a GLB, by glTF 2.0's description."""
-    magic, version, size = struct.unpack_from("<4sII", data)
-    assert (magic, version, size) == (b"glTF", 2, len(data))
-    length, kind = struct.unpack_from("<I4s", data, 12)
-    assert kind == b"JSON"
-    document = json.loads(data[20 : 20 + length])
-    body = data[20 + length + 8 :]
-    arrays = []
-    for accessor in document["accessors"]:
-        view = document["bufferViews"][accessor["bufferView"]]
-        dtype = {5126: np.float32, 5123: np.uint16, 5125: np.uint32}[accessor["componentType"]]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
-        values = np.frombuffer(body, dtype, accessor["count"] * width, view["byteOffset"])
-        arrays.append(values.reshape(accessor["count"], width))
-    return document, arrays
-
-
-def standing(registered: Registered, points: torch.Tensor) -> np.ndarray:
-    """Camera frame to the files': y up, the lowest vertex at 0."""
-    flip = np.array([1.0, -1.0, -1.0])
-    lowest = (registered.detailed.vertices[0].cpu().numpy() * flip)[:, 1].min()
-    return points.cpu().numpy() * flip - [0.0, lowest, 0.0]
-
-
-def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:
-    data = glb(registered)
-    document, arrays = read_glb(data)
-    # trimesh follows the nodes; the skin is applied here.
-    scene = trimesh.load(io.BytesIO(data), file_type="glb")
-    skin = document["skins"][0]
-    names = [document["nodes"][joint]["name"] for joint in skin["joints"]]
-    world = np.stack([scene.graph.get(name)[0] for name in names])
-    joints = standing(registered, registered.detailed.joints[0])
-    assert np.abs(world[:, :3, 3] - joints).max() < 1e-4
-    inverse_bind = arrays[skin["inverseBindMatrices"]].reshape(-1, 4, 4).transpose(0, 2, 1)
-    attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    bind, bones, weights = (arrays[attributes[name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
-    assert np.abs(weights.sum(1) - 1).max() < 1e-5
-    blended = np.einsum("vk,vkij->vij", weights, (world @ inverse_bind)[bones])
-    posed = (blended[:, :3] @ np.column_stack([bind, np.ones(len(bind))])[..., None])[..., 0]
-    assert np.abs(posed - standing(registered, registered.detailed.vertices[0])).max() < 1e-4
-    assert next(iter(scene.geometry.values())).faces.shape == (27420, 3)
-
-
-def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path) -> None:
-    save_detailed(registered, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh")}
-    expected = standing(registered, registered.detailed.vertices[0])
-    for kind in ("obj", "ply"):
-        mesh = trimesh.load(tmp_path / f"detailed.{kind}", process=False)
-        assert mesh.faces.shape == (27420, 3)
-        assert np.abs(mesh.triangles - expected[registered.model.faces.cpu().numpy()]).max() < 1e-4
-
-
-def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
-    words = iter(bvh(registered).split())
-    names, offsets, parents, channels, stack = [], [], [], [], []
-    for word in words:
-        if word in ("ROOT", "JOINT"):
-            parents.append(stack[-1] if stack else -1)
-            names.append(next(words))
-        elif word == "End":
-            next(words)
-            names.append("")
-            parents.append(stack[-1])
-        elif word == "{":
-            stack.append(len(names) - 1)
-        elif word == "}":
-            stack.pop()
-        elif word == "OFFSET":
-            offsets.append([float(next(words)) for _ in range(3)])
-        elif word == "CHANNELS":
-            channels.append((len(names) - 1, [next(words) for _ in range(int(next(words)))]))
-        elif word == "Time:":
-            next(words)
-            break
-    values = iter(map(float, words))
-    world: dict[int, np.ndarray] = {}
-    for joint, given in channels:
-        local = np.eye(4)
-        local[:3, 3] = offsets[joint]
-        for channel in given:
-            value = next(values)
-            if channel.endswith("position"):
-                local["XYZ".index(channel[0]), 3] += value
-            else:
-                local[:3, :3] = local[:3, :3] @ Rotation.from_euler(channel[0].lower(), value, degrees=True).as_matrix()
-        world[joint] = (world[parents[joint]] if parents[joint] >= 0 else np.eye(4)) @ local
-    assert next(values, None) is None
-    joints = standing(registered, registered.detailed.joints[0])
-    for joint, matrix in world.items():
-        expected = 100 * joints[registered.model.joint_names.index(names[joint])]
-        assert np.abs(matrix[:3, 3] - expected).max() < 0.01
-
-
-def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from PIL import Image
-    from typer.testing import CliRunner
-
-    from warp_partdr.cli.main import app
-    from warp_partdr.errors import InputError
-    from warp_partdr.results.body_file import BodyFile
-    from warp_partdr.results.save import DETAILED_FILES
-
-    body = BodyFile(
-        global_orient=np.diag([1.0, -1.0, -1.0]),
-        translation=np.zeros(3),
-        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
-        lengths=template().mean_lengths,
-        thicknesses=template().mean_thicknesses,
-        camera_scale=np.array(100.0),
-        camera_translation=np.zeros(2),
-        image_size=np.array([400, 300]),
-    )
-    body.save(tmp_path / "body.npz")
-    monkeypatch.chdir(tmp_path)
-    Image.new("RGB", (300, 400), "white").save("photo.png")
-    line = ["register", "body.npz", "--photo", "photo.png", "--out", "detailed", "--device", "cpu"]
-    done = CliRunner().invoke(app, line)
-    assert done.exit_code == 0, done.output
-    assert "detailed/detailed.png" in done.output
-    names = {path.name for path in (tmp_path / "detailed").iterdir()}
-    assert names == set(DETAILED_FILES)
-    with Image.open("detailed/detailed.png") as shown:
-        assert shown.size == (300, 400)
-        assert shown.getpixel((299, 0)) == (255, 255, 255)
-    with np.load(tmp_path / "detailed" / "detailed.npz", allow_pickle=False) as saved:
-        model = anny()
-        takes = [name for name in inspect.signature(model.pose).parameters if name in saved]
-        again = model.pose(**{name: torch.from_numpy(saved[name])[None] for name in takes})
-    mesh = trimesh.load(tmp_path / "detailed" / "detailed.ply", process=False)
-    assert abs(np.ptp(again.vertices[0, :, 1].numpy()) - mesh.extents[1]) < 1e-4
-
-    Image.new("RGB", (400, 300)).save("photo.png")
-    for wrong, says in (
-        (["--model", "nobody.npz"], "--model: nobody.npz"),
-        (["--model", "none"], "--model: none"),
-        (["--photo", "photo.png"], "body: 300x400; photo: 400x300"),
-        (["--out", "body.npz"], "body.npz: Not a directory"),
-    ):
-        refused = CliRunner().invoke(app, ["register", "body.npz", *wrong])
-        assert isinstance(refused.exception, InputError)
-        assert says in str(refused.exception)
-    assert not (tmp_path / "out").exists()

@@ -15,7 +15,7 @@ import pytest
 import torch
 from conftest import HANG
 from PIL import Image
-from test_missing_labels import standing
+from scenes.bodies import standing_adult
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import skeleton
@@ -140,8 +140,8 @@ def test_what_is_not_known_is_not_scored(rng):
 
 def test_background_that_keypoints_contradict_is_disputed():
     """Labels lost an arm that the body has: wrong where its pixels are background, and not where that is disputed."""
-    whole = standing()[1].groups
-    keypoints, parts = standing("left_forearm", "left_hand")
+    whole = standing_adult()[1].groups
+    keypoints, parts = standing_adult("left_forearm", "left_hand")
     body = SimpleNamespace(
         hypotheses=1,
         camera=Body.camera,

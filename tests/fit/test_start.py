@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes import refine_by_autograd
-from test_fitting import seen_by, walker
+from scenes.bodies import refine_by_autograd, seen_by, walker
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.fit.fitting import fit_body

@@ -8,7 +8,7 @@ import pytest
 import torch
 from conftest import HANG
 from PIL import Image
-from scenes import loss_on_screen
+from scenes.pictures import loss_on_screen
 
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
 sys.path.insert(0, str(DEMOS))

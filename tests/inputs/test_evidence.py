@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
 from warp_partdr.body.landmarks import mirror_name
@@ -26,7 +27,6 @@ from warp_partdr.inputs.person import select_person
 from warp_partdr.inputs.stray_labels import ignore_stray_labels
 from warp_partdr.results.save import compared_labels, draw_overlay, score_labels
 
-EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
 CDCL = label_set("cdcl14")
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 MOST_LOST = 0.03  # part F1

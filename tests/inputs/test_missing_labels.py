@@ -7,30 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from test_fitting import QUICK, seen_by, walker
+from scenes.bodies import QUICK_SEARCH, seen_by, standing_adult, walker
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE
-from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import PART_NAMES, THICKNESS_NAMES, template
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.missing_labels import ignore_missing_limbs
 from warp_partdr.inputs.observation import observe
-from warp_partdr.inputs.part_labels import PartLabels
 
 LIMBS = {"upper_arm": "elbow", "forearm": "wrist", "upper_leg": "knee", "lower_leg": "ankle"}  # and where they end
 
 
 def label(name: str) -> int:
     return PART_NAMES.index(name) + 1
-
-
-def standing(*lost: str) -> tuple[Keypoints2D, PartLabels]:
-    """The mean adult with arms out to the sides, 97 px tall; the labels of some parts are lost."""
-    keypoints, parts = seen_by(replace(BodyParameters.mean(1), log_scale=torch.full((1,), -0.3)))
-    groups = parts.groups.copy()
-    groups[np.isin(groups, [label(name) for name in lost])] = BACKGROUND
-    return keypoints, replace(parts, groups=groups)
 
 
 def column(keypoints: Keypoints2D, landmark: str) -> float:
@@ -48,8 +38,8 @@ def confidence(keypoints: Keypoints2D, landmark: str, value: float) -> Keypoints
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("limb", LIMBS)
 def test_background_along_a_missing_limb_is_ignored(limb: str, side: str) -> None:
-    full = standing()[1].groups
-    keypoints, parts = standing(f"{side}_{limb}")
+    full = standing_adult()[1].groups
+    keypoints, parts = standing_adult(f"{side}_{limb}")
     groups = ignore_missing_limbs(parts.groups, keypoints)
     changed = groups != parts.groups
     assert (groups[changed] == IGNORE).all()
@@ -62,22 +52,22 @@ def test_background_along_a_missing_limb_is_ignored(limb: str, side: str) -> Non
 
 
 def test_the_hand_goes_with_the_forearm() -> None:
-    full = standing()[1].groups
-    keypoints, parts = standing("left_forearm", "left_hand")
+    full = standing_adult()[1].groups
+    keypoints, parts = standing_adult("left_forearm", "left_hand")
     groups = ignore_missing_limbs(parts.groups, keypoints)
     assert (groups[full == label("left_hand")] == IGNORE).mean() > 0.7
-    keypoints, parts = standing("left_hand")
+    keypoints, parts = standing_adult("left_hand")
     np.testing.assert_array_equal(ignore_missing_limbs(parts.groups, keypoints), parts.groups)
 
 
 def test_labels_that_miss_nothing_stay() -> None:
-    for keypoints, parts in (standing(), seen_by(walker())):
+    for keypoints, parts in (standing_adult(), seen_by(walker())):
         np.testing.assert_array_equal(ignore_missing_limbs(parts.groups, keypoints), parts.groups)
 
 
 @pytest.mark.parametrize("limb", LIMBS)
 def test_a_limb_behind_another_part_or_person_stays(limb: str) -> None:
-    keypoints, parts = standing()
+    keypoints, parts = standing_adult()
     for other in (label("chest"), IGNORE):
         groups = np.where(parts.groups == label(f"left_{limb}"), other, parts.groups).astype(np.uint8)
         np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)
@@ -86,19 +76,19 @@ def test_a_limb_behind_another_part_or_person_stays(limb: str) -> None:
 @pytest.mark.parametrize("value", [0.0, 0.2])
 @pytest.mark.parametrize("limb", LIMBS)
 def test_keypoints_of_low_confidence_change_nothing(limb: str, value: float) -> None:
-    keypoints, parts = standing(f"right_{limb}")
+    keypoints, parts = standing_adult(f"right_{limb}")
     doubtful = confidence(keypoints, f"right_{LIMBS[limb]}", value)
     np.testing.assert_array_equal(ignore_missing_limbs(parts.groups, doubtful), parts.groups)
 
 
 def test_a_limb_beyond_the_border_stays() -> None:
-    keypoints, parts = standing("left_forearm")
+    keypoints, parts = standing_adult("left_forearm")
     groups = parts.groups[:, : int(column(keypoints, "left_elbow"))]  # The person's left arm is at the picture's right.
     np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)
 
 
 def test_a_small_gap_stays() -> None:
-    keypoints, parts = standing()
+    keypoints, parts = standing_adult()
     elbow, wrist = column(keypoints, "left_elbow"), column(keypoints, "left_wrist")
     arm = np.isin(parts.groups, [label("left_forearm"), label("left_hand")])
     for share, stays in ((0.25, True), (0.45, False)):
@@ -108,31 +98,31 @@ def test_a_small_gap_stays() -> None:
 
 
 def test_observations_of_labels_and_of_maps_ignore_the_same() -> None:
-    keypoints, parts = standing("left_forearm", "right_lower_leg")
+    keypoints, parts = standing_adult("left_forearm", "right_lower_leg")
     maps = (parts.groups == np.arange(len(PART_NAMES) + 1)[:, None, None]).astype(np.float32)
     seen, _ = observe(keypoints, replace(parts, maps=maps))
     assert seen.labels is not None
     assert seen.known is not None
-    whole, _ = observe(*standing())
+    whole, _ = observe(*standing_adult())
     assert whole.labels is not None
     assert (seen.labels == IGNORE).sum() > (whole.labels == IGNORE).sum() + 1000
     torch.testing.assert_close(seen.known, (seen.labels != IGNORE).float())
 
 
 def test_a_fit_keeps_an_arm_whose_labels_are_lost() -> None:
-    keypoints, parts = standing("left_upper_arm", "left_forearm", "left_hand", "right_forearm", "right_hand")
-    result = fit_body(keypoints, parts, options=QUICK)
+    keypoints, parts = standing_adult("left_upper_arm", "left_forearm", "left_hand", "right_forearm", "right_hand")
+    result = fit_body(keypoints, parts, options=QUICK_SEARCH)
     index = THICKNESS_NAMES.index("forearm thickness")
     assert result.parameters.thicknesses[0, index].item() > 0.75 * template().mean_thicknesses[index]
     shown = result.draw(parts.groups.shape).labels[0].numpy()
-    full = standing()[1].groups
+    full = standing_adult()[1].groups
     arm = np.isin(full, [label("left_upper_arm"), label("left_forearm")])
     assert np.isin(shown[arm], [label("left_upper_arm"), label("left_forearm")]).mean() > 0.7
 
 
 def test_a_limb_that_the_border_cuts_off_stays() -> None:
     """What the camera never saw is no background: of this forearm a quarter is, and that is too little."""
-    keypoints, parts = standing("left_forearm", "left_hand")
+    keypoints, parts = standing_adult("left_forearm", "left_hand")
     elbow, wrist = column(keypoints, "left_elbow"), column(keypoints, "left_wrist")
     groups = parts.groups[:, : round(elbow + 0.25 * (wrist - elbow))]
     np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)

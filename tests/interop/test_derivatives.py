@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from scenes import draw_on_screen, loss_on_screen
-from test_posing import random_parameters
-from test_registration import ellipbodies
+from scenes.bodies import ellipbodies, random_parameters
+from scenes.pictures import draw_on_screen, loss_on_screen
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 import torch
-from scenes import loss_on_screen
+from scenes.pictures import loss_on_screen
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import Posed, pose

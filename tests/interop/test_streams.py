@@ -10,7 +10,7 @@ import pytest
 import torch
 import warp as wp
 from conftest import HANG
-from test_fitting import seen_by, walker
+from scenes.bodies import seen_by, walker
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.fit.fitting import fit_body

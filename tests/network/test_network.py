@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from test_fitting import seen_by, walker
+from scenes.bodies import seen_by, walker
 
 from warp_partdr.body.labels import LABEL_SETS, label_set
 from warp_partdr.body.parameters import BodyParameters

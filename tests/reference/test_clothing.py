@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from test_registration import ellipbodies
+from scenes.bodies import ellipbodies
 
 from warp_partdr.body.posing import Posed
 from warp_partdr.clothing.anny import anny

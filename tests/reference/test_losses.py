@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from test_fitting import walker
-from test_fused import LABELS, SIZE, moved, observation
+from scenes.bodies import moved_bodies, unsure_observation, walker
 
+from warp_partdr.body.labels import label_set
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.reference.losses import (
@@ -29,6 +29,7 @@ from warp_partdr.training.picture_data import JOINTS
 from warp_partdr.training.picture_losses import HIPS, body_terms
 from warp_partdr.training.predicted_bodies import posed_landmarks, weighted_losses
 
+SIZE, LABELS = 64, label_set("surreal14")
 REFERENCE_SIZE = 256  # [px] of the crop in whose pixels losses count
 
 
@@ -43,11 +44,11 @@ def maps_of(labels: np.ndarray, count: int) -> np.ndarray:
 @pytest.mark.parametrize("path", ["torch", "kernels"])
 def test_energy_is_the_books(device, path):
     body = walker(device)
-    seen = observation(body, labels=True)
+    seen = unsure_observation(body, labels=LABELS)
     seen.labels[:9, :30] = IGNORE
     weights = {"seg": 1e-2, "proj": 1.0, "l": 1e-3, "t": 2e-3}
     energy = Energy(seen, size=SIZE, weights=Weights(1.0, 1e-2, 1e-3, 2e-3))
-    bodies = moved(body, 3)
+    bodies = moved_bodies(body, 3)
     terms = energy(bodies) if path == "torch" else CapturedRefinement(energy, 3, iterations=0).refine(bodies).terms
     found = torch.stack([terms[name] for name in ("proj", "seg", "length", "thickness")])
 
@@ -69,7 +70,7 @@ def test_energy_is_the_books(device, path):
 
 
 def test_training_terms_are_the_books(rng):
-    bodies = moved(walker(), 2)
+    bodies = moved_bodies(walker(), 2)
     joints, has_joints = posed_landmarks(bodies.posed(), JOINTS).flip(0) + 0.1, torch.ones(2, len(JOINTS))
     has_joints[1, JOINTS.index("neck")] = 0
     keypoints = torch.from_numpy(rng.random((2, len(LANDMARKS), 3))).float()
@@ -101,7 +102,7 @@ def test_training_loss_is_the_books(left_out):
 
 @pytest.mark.parametrize("renderer", [RendererMesh(), RendererEllipsoids()], ids=["mesh", "ellipsoids"])
 def test_label_losses_are_the_books(device, rng, renderer):
-    bodies = moved(walker(device), 2)
+    bodies = moved_bodies(walker(device), 2)
     target = torch.from_numpy(rng.integers(0, 22, (2, SIZE, SIZE))).to(device, torch.uint8)
     target[target == 21] = IGNORE
     loss, image = renderer.label_loss(bodies.posed(), bodies.camera(SIZE), target)

@@ -1,10 +1,12 @@
-"""The energy's parts, each on its own: labels made smaller, votes, weights, and what is not known of maps."""
+"""The energy's terms, units, votes and weights, labels made smaller, and what is not known of maps."""
+
+from __future__ import annotations
 
 from dataclasses import fields, replace
 
 import pytest
 import torch
-from test_fitting import observation_of, walker
+from scenes.bodies import observation_of, walker
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
@@ -36,7 +38,7 @@ def test_smaller_labels_are_those_under_pixel_centres():
 
 def test_landmarks_of_a_part_share_its_vote(device):
     """COCO's nose, eyes and ears are the head's: together they count as much as a knee."""
-    seen = observation_of(walker(device), device)
+    seen = observation_of(walker(device))
     votes = dict(zip(seen.landmarks, Energy(seen).votes.tolist(), strict=True))
     face = ["nose", "left_eye", "right_eye", "left_ear", "right_ear"]
     assert [votes[name] for name in face] == pytest.approx([0.2] * 5)
@@ -49,7 +51,7 @@ def test_landmarks_of_a_part_share_its_vote(device):
 def test_keypoints_cost_their_way_along_either_axis(device):
     """L1, as the paper has it: 4 px to the right and 3 px up are 7 px."""
     body = walker(device)
-    energy = Energy(observation_of(body, device), weights=Weights(proj=1.0))
+    energy = Energy(observation_of(body), weights=Weights(proj=1.0))
     for across, up in ((4.0, 0.0), (0.0, 3.0), (4.0, -3.0)):
         moved = replace(body, shift=body.shift + torch.tensor([across, up], device=device) / 128)
         cost = energy(moved)["proj"].item()
@@ -61,7 +63,7 @@ def test_each_weight_weighs_its_own_term(device, name):
     body = walker(device)
     depths = body.posed().centres[0, :, 2]
     ones = Weights(**{field.name: 1.0 for field in fields(Weights)})
-    energy = Energy(observation_of(body, device), size=64, weights=ones, prior=PosePrior().to(device), depths=depths)
+    energy = Energy(observation_of(body), size=64, weights=ones, prior=PosePrior().to(device), depths=depths)
     terms = energy(off(body))
     assert terms.keys() == {field.name for field in fields(Weights)}
     assert all(term.item() > 1e-2 for term in terms.values())
@@ -72,7 +74,7 @@ def test_each_weight_weighs_its_own_term(device, name):
 
 def test_what_is_not_known_of_maps_does_not_count(device):
     body = walker(device)
-    seen = observation_of(body, device)
+    seen = observation_of(body)
     maps = (seen.labels[None] == torch.arange(1, 21, device=device)[:, None, None]).float()
     known = torch.ones(256, 256, device=device)
     known[:, 128:] = 0.0
@@ -83,3 +85,43 @@ def test_what_is_not_known_of_maps_does_not_count(device):
     torch.testing.assert_close(costs[0], costs[1])
     half = Energy(replace(seen, maps=maps, known=0.5 * known))(moved)["seg"]
     torch.testing.assert_close(half, 0.5 * costs[0])
+
+
+def test_energy_of_the_truth_is_its_prior_alone(device):
+    body = walker(device)
+    energy = Energy(observation_of(body), prior=PosePrior().to(device))
+    terms = energy(body)
+    assert terms["seg"].item() == 0
+    assert terms["proj"].item() == pytest.approx(0, abs=1e-2)
+    assert terms["length"].item() == pytest.approx(0, abs=1e-6)
+    assert terms["limits"].item() < 1e-3
+
+
+def test_losses_have_the_stated_units(device):
+    body = walker(device)
+    seen = observation_of(body)
+    weights = Weights(proj=1.0, seg=1.0, length=1.0, thickness=1.0)
+    energy = Energy(seen, weights=weights)
+    shifted = replace(body, shift=body.shift + torch.tensor([4 / 128, 0.0], device=device))
+    assert energy(shifted)["proj"].item() == pytest.approx(4 * energy.votes.sum().item(), rel=1e-3)
+    longer = replace(body, lengths=body.lengths + 0.002)
+    assert energy(longer)["length"].item() == pytest.approx(12 * 4, rel=1e-3)
+    # the same shift costs about the same, whatever size is drawn
+    fine = energy(shifted)["seg"].item()
+    coarse = Energy(seen, size=128, weights=weights)(shifted)["seg"].item()
+    assert coarse == pytest.approx(fine, rel=0.15)
+
+
+def test_soft_maps_of_certain_labels_are_the_labels_loss(device):
+    body = walker(device)
+    seen = observation_of(body)
+    maps = (seen.labels[None] == torch.arange(1, 21, device=device)[:, None, None]).float()
+    soft = replace(seen, maps=maps, known=torch.ones(256, 256, device=device))
+    moved = replace(body, shift=body.shift + 0.05).leaves()
+    values, gradients = [], []
+    for observation in (seen, soft):
+        term = Energy(observation)(moved)["seg"]
+        values.append(term.item())
+        gradients.append(torch.autograd.grad(term.sum(), moved.shift)[0])
+    assert values[0] == pytest.approx(values[1], rel=1e-4)
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-3, atol=1e-2)

@@ -2,8 +2,7 @@
 
 import pytest
 import torch
-from scenes import draw_on_screen, loss_on_screen
-from test_render import body_scene, noisy_target
+from scenes.pictures import draw_on_screen, loss_on_screen, noisy_picture, projected_bodies
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import pose
@@ -16,9 +15,9 @@ SIZE = (24, 20)
 
 
 def scene(device):
-    vertices, mesh = body_scene(6, SIZE, device, subdivisions=0, batch=2)
+    vertices, mesh = projected_bodies(6, SIZE, device, subdivisions=0, batch=2)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    return leaf, mesh, noisy_target(draw_on_screen(leaf, mesh, SIZE).labels, 20, 3)
+    return leaf, mesh, noisy_picture(draw_on_screen(leaf, mesh, SIZE).labels, 20, 3)
 
 
 def untouched(mesh: PartMesh) -> PartMesh:

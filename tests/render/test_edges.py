@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from test_ellipsoids import (
+from scenes.pictures import (
     CAMERAS,
     GROUPS,
     Leaves,

@@ -3,171 +3,40 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scenes import draw_on_screen, loss_on_screen
-from scipy.spatial.transform import Rotation
+from scenes.pictures import (
+    CAMERAS,
+    GRADIENTS,
+    GROUPS,
+    Intrinsics,
+    Leaves,
+    body_camera,
+    body_parameters,
+    body_scene,
+    draw_on_screen,
+    noisy_target,
+    random_scene,
+    relative_error,
+)
 
 from warp_partdr import label_set
-from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
-from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 
-CAMERAS = [False, True]  # perspective?
 SMALL = [(21, 34), (30, 17)]
-GROUPS = np.array([1, 2, 3, 4, 2, 255])  # a label of two ellipsoids, and one that hides and means nothing
 LSP6 = np.asarray(label_set("lsp6").part_groups[1:])
-
-
-# --- Scenes ------------------------------------------------------------------------------------------------------
-
-
-def float32(values):
-    """What the kernels see, in double."""
-    return np.asarray(values, dtype=np.float32).astype(float)
-
-
-def random_scene(seed, size, perspective, count=6, labels=None):
-    """Ellipsoids that overlap, meet in space and hide each other; principal point and focal lengths askew."""
-    rng = np.random.default_rng(seed)
-    height, width = size
-    centres = rng.uniform(-0.35, 0.35, (count, 3)) * (1, 1, 0.6) + (0, 0, 2.0 * perspective)
-    axes = Rotation.from_rotvec(rng.normal(size=(count, 3))).as_matrix()
-    focal = (1.5 * height, 1.4 * height) if perspective else (0.8 * height, 0.85 * height)
-    camera = (*focal, width / 2 + 1.3, height / 2 - 0.7)
-    labels = np.arange(1, count + 1) if labels is None else labels
-    numbers = (centres, axes, rng.uniform(0.05, 0.3, (count, 3)), camera)
-    return reference.EllipsoidScene(*map(float32, numbers), labels, perspective, 0.01 if perspective else -np.inf)
-
-
-def apart(scene):
-    """The same one behind the other, so that no two meet in space: outlines bound everything."""
-    way = np.arange(len(scene.centres))[:, None] * (0.0, 0.0, 0.7)
-    if not scene.perspective:
-        return replace(scene, centres=float32(scene.centres + way))
-    centres = scene.centres + way
-    return replace(
-        scene, centres=float32(centres * centres[:, 2:] / scene.centres[:, 2:] * (1, 1, 0) + (0, 0, 1) * centres)
-    )
-
-
-def body_parameters(seed, device="cpu", batch=1):
-    """A mean adult in random poses, 3 m away."""
-    rng = np.random.default_rng(seed)
-    shape = EllipBody.mean(batch, device=device).torch()
-    rotations = Rotation.from_rotvec(rng.normal(0, 0.5, (batch * 20, 3))).as_matrix().reshape(batch, 20, 3, 3)
-    turn = Rotation.from_rotvec(rng.normal(0, 1.0, (batch, 3))).as_matrix() @ np.diag([1.0, -1, -1])
-    values = {
-        "global_orient": torch.from_numpy(turn).float(),
-        "translation": torch.tensor([[0.0, 0.0, 3.0]] * batch),
-        "rotations": torch.from_numpy(rotations).float(),
-        "lengths": shape["lengths"],
-        "thicknesses": shape["thicknesses"],
-    }
-    return {name: value.to(device) for name, value in values.items()}
-
-
-def body_camera(size, perspective, batch=1, device="cpu"):
-    height, width = size
-    middle = torch.tensor([[width / 2.0, height / 2.2]] * batch, device=device)
-    if perspective:
-        return Perspective(torch.full((batch, 2), height * 1.4, device=device), middle)
-    return WeakPerspective(torch.full((batch,), height / 2.0, device=device), middle)
-
-
-def body_scene(seed, size, perspective, device, labels=None):
-    """Posed on the device under test: a machine that tests CUDA may be unable to compile for the CPU."""
-    return scene_of(pose(**body_parameters(seed, device)), body_camera(size, perspective), labels)
-
-
-def scene_of(posed, camera, labels=None):
-    """A body and its camera as the reference takes them."""
-    numbers = (posed.centres[0], posed.axes[0], posed.semi_axes[0], camera.intrinsics[0])
-    labels = np.arange(1, 21) if labels is None else labels
-    numbers = [float32(tensor.detach().cpu()) for tensor in numbers]
-    return reference.EllipsoidScene(*numbers, labels, camera.perspective, 0.01 if camera.perspective else -np.inf)
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """A camera whose four numbers are one leaf."""
-
-    intrinsics: torch.Tensor
-    perspective: bool
-    near: float | None = None
-
-    @property
-    def near_plane(self) -> float:
-        return self.near if self.near is not None else 0.01 if self.perspective else -math.inf
-
-
-@dataclass(frozen=True)
-class Leaves:
-    """A scene on a device, ready to collect gradients."""
-
-    ellipsoids: Ellipsoids
-    camera: Intrinsics
-
-    @classmethod
-    def of(cls, *scenes, device="cpu"):
-        def leaf(name):
-            values = np.stack([getattr(scene, name) for scene in scenes])
-            return torch.tensor(values, dtype=torch.float32, device=device, requires_grad=True)
-
-        shape = Ellipsoids(leaf("centres"), leaf("axes"), leaf("semi_axes"))
-        return cls(shape, Intrinsics(leaf("camera"), scenes[0].perspective))
-
-    def tensors(self):
-        e = self.ellipsoids
-        return {"centres": e.centres, "axes": e.axes, "semi_axes": e.semi_axes, "camera": self.camera.intrinsics}
-
-    def gradients(self, b=0):
-        return {name: tensor.grad[b].cpu().numpy().astype(float) for name, tensor in self.tensors().items()}
-
-
-def turn_gradient(axes, grad_axes):
-    """Gradient of small rotations from the left, (P, 3)."""
-    generators = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 1)  # skew(e_i)
-    return np.einsum("pij,aik,pkj->pa", grad_axes, generators, axes)
-
-
-def axes_gradient(axes, grad_turns):
-    """A gradient of axes whose ``turn_gradient`` this is: half of skew(grad_turns) times the axes."""
-    return 0.5 * np.cross(grad_turns[:, None], axes.transpose(0, 2, 1)).transpose(0, 2, 1)
-
-
-def smooth_maps(seed, count, size):
-    """A smooth random weight of each label at each pixel."""
-    rng = np.random.default_rng(seed)
-    x, y = reference.pixel_centres(size)
-    waves = [np.cos(rng.normal() * x / 20 + rng.normal() * y / 20 + rng.uniform(0, 6)) for _ in range(count)]
-    return float32(np.stack(waves) + rng.normal(size=(count, 1, 1)))
-
-
-def noisy_target(labels, num_labels, seed):
-    """The picture moved, with other labels and ignored pixels strewn in."""
-    rng = np.random.default_rng(seed)
-    target = np.roll(labels, (2, -3), (0, 1))
-    strewn = rng.random(target.shape)
-    target = np.where(strewn < 0.1, rng.integers(0, num_labels + 1, target.shape), target)
-    return np.where(strewn > 0.95, 255, target).astype(np.uint8)
-
-
-def relative_error(have, want):
-    return float(np.linalg.norm(have - want) / np.linalg.norm(want))
-
-
 # --- Forward -----------------------------------------------------------------------------------------------------
 
 # Where float32 may differ from double: |margin| is how far a ray passes inside or outside, as a share of the ellipsoid.
+
+
 MARGIN, LEAD = 1e-5, 1e-5  # [1], [m]
 
 
@@ -230,145 +99,6 @@ def test_equal_depths_go_to_the_lower_index(device):
     image = draw_ellipsoids(twins, body_camera((20, 20), False, device=device), (20, 20), part_labels=[7, 5, 6])
     assert set(image.labels.unique().tolist()) == {0, 7}
     assert set(image.parts.unique().tolist()) == {0, 1}
-
-
-# --- The gradient of covered area --------------------------------------------------------------------------------
-
-FINE = {"samples_per_pixel": 32.0}
-
-
-def coverage_errors(scene, maps, device, lines=16, **options):
-    """Relative error of each parameter's gradient through the maps."""
-    leaves = Leaves.of(scene, device=device)
-    size = maps.shape[1:]
-    drawn = draw_ellipsoids(
-        leaves.ellipsoids, leaves.camera, size, part_labels=scene.labels, num_maps=len(maps), **options
-    )
-    (drawn.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
-    return gradient_errors(scene, leaves, coverage.coverage_gradient(scene, coverage.dense_costs(maps), lines))
-
-
-def gradient_errors(scene, leaves, want):
-    have = leaves.gradients()
-    have["turns"] = turn_gradient(scene.axes, have.pop("axes"))
-    return {name: relative_error(have[name], want[name]) for name in want}
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_gradient_of_outlines_is_that_of_area(device, seed, perspective):
-    size = (96, 112)
-    scene = apart(random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2])))
-    maps = smooth_maps(seed, 5, size)
-    # What moves the whole picture leaves little: the forces on opposite sides of each ellipsoid nearly cancel.
-    for options in (FINE, {}):
-        errors = coverage_errors(scene, maps, device, **options)
-        assert errors.pop("camera") < 0.01
-        assert max(errors.values()) < 0.004
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-def test_gradient_of_a_bodys_outlines_is_that_of_area(device, perspective):
-    size = (112, 96)
-    scene = body_scene(0, size, perspective, device)
-    errors = coverage_errors(apart(scene), smooth_maps(0, 20, size), device, 48, **FINE)
-    assert errors.pop("camera") < 0.03
-    assert max(errors.values()) < 0.005
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_gradient_of_creases_is_that_of_area(device, seed, perspective):
-    size = (96, 112)
-    scene = random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
-    errors = coverage_errors(scene, smooth_maps(seed, 5, size), device, 64, **FINE)
-    assert max(errors.values()) < 0.005
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-def test_gradient_of_what_the_pictures_border_cuts(device, perspective):
-    """Outlines and creases run off the picture on all sides; what lies outside costs nothing."""
-    size = (48, 56)
-    scene = random_scene(2, size, perspective)
-    scene = replace(scene, camera=scene.camera * (4, 4, 1, 1))
-    labels = reference.ray_cast(scene, size)[0]
-    assert all(len(set(edge) - {0}) > 1 for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]))
-    errors = coverage_errors(scene, smooth_maps(3, 6, size), device, 64, **FINE)
-    assert max(errors.values()) < 0.005
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-@pytest.mark.parametrize("seed", [0, 1, 16, 19])  # 1, 16, 19: creases along an outline, slivers, spikes
-def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
-    """The label loss of random bodies, down to the numbers that pose them."""
-    size = (112, 96)
-    leaves = {name: value.requires_grad_() for name, value in body_parameters(seed, device).items()}
-    posed = pose(**leaves)
-    camera = Intrinsics(body_camera(size, perspective, device=device).intrinsics.requires_grad_(), perspective)
-    scene = scene_of(posed, camera)
-    target = noisy_target(reference.ray_cast(scene, size)[0], 20, seed)
-    wanted = coverage.coverage_gradient(scene, coverage.target_costs(target, 20), 64)
-    ellipsoids = {"centres": posed.centres, "axes": posed.axes, "semi_axes": posed.semi_axes}
-    forces = (wanted["centres"], axes_gradient(scene.axes, wanted["turns"]), wanted["semi_axes"])
-    forces = [torch.tensor(force, dtype=torch.float32, device=device)[None] for force in forces]
-    through_pose = torch.autograd.grad(list(ellipsoids.values()), list(leaves.values()), forces, retain_graph=True)
-    want = dict(zip(ellipsoids, forces, strict=True)) | dict(zip(leaves, through_pose, strict=True))
-    want["camera"] = torch.tensor(wanted["camera"])[None]
-    tensors = ellipsoids | leaves | {"camera": camera.intrinsics}
-
-    def errors(**options):
-        target_image = torch.from_numpy(target).to(device)[None]
-        loss, _ = ellipsoid_label_loss(posed, camera, target_image, **options)
-        have = torch.autograd.grad(loss.sum(), list(tensors.values()), retain_graph=True)
-        found = {}
-        for (name, tensor), gradient in zip(tensors.items(), have, strict=True):
-            values, both = tensor.detach()[0].cpu().numpy(), (gradient[0], want[name][0])
-            both = [one.cpu().numpy().astype(float) for one in both]
-            if values.shape[-2:] == (3, 3):  # of a rotation, what turns it
-                both = [turn_gradient(values.reshape(-1, 3, 3), one.reshape(-1, 3, 3)) for one in both]
-            found[name] = relative_error(*both)
-        return found
-
-    assert max(errors(**FINE).values()) < 0.01
-    assert max(errors(samples_per_pixel=4.0).values()) < 0.025
-    assert max(errors().values()) < 0.1
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-def test_coverage_gradient_of_the_label_loss_is_that_of_area(device, perspective):
-    """Costs that jump from pixel to pixel along a border: looser than with smooth maps."""
-    size = (96, 112)
-    scene = apart(random_scene(2, size, perspective, labels=GROUPS))
-    target = reference.ray_cast(replace(scene, centres=scene.centres + np.array([0.03, -0.04, 0])), size)[0]
-    target[20:30, 40:60] = 255
-    leaves = Leaves.of(scene, device=device)
-    target_image = torch.from_numpy(target.astype(np.uint8)).to(device)[None]
-    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target_image, part_labels=GROUPS, **FINE)
-    loss.sum().backward()
-    want = coverage.coverage_gradient(scene, coverage.target_costs(target, 4), 32)
-    errors = gradient_errors(scene, leaves, want)
-    assert errors.pop("camera") < 0.05
-    assert max(errors.values()) < 0.01
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-def test_the_reference_is_the_derivative_of_area(perspective):
-    """The reference's sum over borders against differences of the area itself, along random directions."""
-    size = (48, 56)
-    scene = random_scene(1, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
-    costs = coverage.dense_costs(np.ones((5, *size)) * np.linspace(-1, 1, 5)[:, None, None])  # no kinks at pixels
-    gradients = coverage.coverage_gradient(scene, costs, 64)
-    rng = np.random.default_rng(0)
-    for name in coverage.NAMES:
-        for _ in range(2):
-            way = rng.normal(size=gradients[name].shape) * (0.01 if name != "camera" else 0.3)
-            both = []
-            for sign in (0.5, -0.5):
-                there = scene
-                for index in np.ndindex(way.shape):
-                    there = coverage.moved(there, name, index, sign * way[index])
-                both.append(coverage.area_cost(there, costs, 64))
-            assert both[0] - both[1] == pytest.approx((way * gradients[name]).sum(), rel=0.03, abs=0.05)
 
 
 # --- PartDR's rule -----------------------------------------------------------------------------------------------
@@ -444,11 +174,6 @@ def test_of_hidden_twins_the_first_comes_forward(device):
     assert first > 0  # descent brings it forward, to a smaller z
     assert front == pytest.approx(-first)
     assert second == 0
-
-
-# --- What holds for both estimates -------------------------------------------------------------------------------
-
-GRADIENTS = ["edges", "coverage", "partdr"]
 
 
 def body_loss(leaves, camera, target, gradient, **options):
@@ -580,35 +305,6 @@ def test_sizes_at_the_limits(device, gradient, batch, count, size):
         check_picture(image, scenes[b], size, b)
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
-def test_other_precisions_are_cast(device, dtype):
-    leaves = Leaves.of(random_scene(0, (20, 20), True), device=device)
-    tensors = {name: tensor.detach().to(dtype).requires_grad_() for name, tensor in leaves.tensors().items()}
-    bodies = Ellipsoids(tensors["centres"], tensors["axes"], tensors["semi_axes"])
-    target = torch.zeros(1, 20, 20, dtype=torch.uint8, device=device)
-    loss, _ = ellipsoid_label_loss(bodies, Intrinsics(tensors["camera"], True), target)
-    loss.sum().backward()
-    for tensor in tensors.values():
-        assert tensor.grad.dtype == dtype
-        assert torch.isfinite(tensor.grad).all()
-
-
-def test_strides_do_not_matter(device):
-    size = (24, 20)
-    plain = Leaves.of(random_scene(0, size, True), device=device)
-    e = plain.ellipsoids
-    strided = Ellipsoids(
-        e.centres.transpose(1, 2).contiguous().transpose(1, 2),
-        e.axes.transpose(2, 3).contiguous().transpose(2, 3),
-        e.semi_axes.expand(2, -1, -1)[:1],
-    )
-    assert not strided.centres.is_contiguous()
-    assert not strided.axes.is_contiguous()
-    have, want = (draw_ellipsoids(bodies, plain.camera, size) for bodies in (strided, e))
-    assert torch.equal(have.labels, want.labels)
-    assert torch.equal(have.depth, want.depth)
-
-
 @pytest.mark.parametrize("gradient", GRADIENTS)
 def test_moving_an_ellipsoid_toward_its_target_lowers_the_loss(device, gradient):
     size = (32, 32)
@@ -645,103 +341,6 @@ def test_groups_are_unions(device):
         loss.sum().backward()
         assert (centres.grad[0, 1] == 0).all()
         assert (centres.grad[0, 0, :2] != 0).all()
-
-
-# --- Extremes ----------------------------------------------------------------------------------------------------
-
-
-def one_ellipsoid(centre, semi_axes, device, axes=None):
-    numbers = (np.array([centre]), np.eye(3)[None] if axes is None else axes[None], np.array([semi_axes]))
-    centres, axes, semi_axes = (torch.tensor(v, dtype=torch.float32, device=device)[None] for v in numbers)
-    return Ellipsoids(centres.requires_grad_(), axes.requires_grad_(), semi_axes.requires_grad_())
-
-
-def edge_on():
-    """The third axis lies in the picture's plane."""
-    return Rotation.from_rotvec([0.0, np.pi / 2, 0.0]).as_matrix()
-
-
-EXTREMES = {  # name: (centre, semi-axes, axes, intrinsics of weak and perspective), what shows
-    "needle": ((0, 0, 3), (1e-6, 0.5, 0.5), None, "few"),
-    "disc": ((0, 0, 3), (0.5, 0.5, 1e-6), None, "some"),
-    "edge-on disc": ((0, 0, 3), (0.5, 0.5, 1e-6), edge_on(), "few"),
-    "point": ((0, 0, 3), (1e-6, 1e-6, 1e-6), None, "few"),
-    "rod": ((0, 0, 3), (1e3, 0.1, 0.1), None, "some"),
-    "wall": ((0, 0, 3), (1e3, 1e3, 0.1), None, "all"),
-    "far away": ((1e5, -1e5, 3), (0.5, 0.5, 0.5), None, "none"),
-    "far away and large": ((1e5, 0, 3), (1e5, 0.5, 0.5), None, "any"),
-}
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-@pytest.mark.parametrize("perspective", CAMERAS)
-@pytest.mark.parametrize("name", EXTREMES)
-def test_extremes_stay_finite(device, name, perspective, gradient):
-    size = (24, 32)
-    centre, semi_axes, axes, shows = EXTREMES[name]
-    bodies = one_ellipsoid(centre, semi_axes, device, axes)
-    camera = body_camera(size, perspective, device=device)
-    target = torch.ones(1, *size, dtype=torch.uint8, device=device)
-    target[:, :, :10] = 0
-    loss, image = ellipsoid_label_loss(bodies, camera, target, gradient=gradient)
-    loss.sum().backward()
-    share = (image.labels == 1).float().mean().item()
-    low, high = {"none": (0, 0), "few": (0, 0.1), "some": (0.05, 0.95), "all": (1, 1), "any": (0, 1)}[shows]
-    assert low <= share <= high
-    assert torch.isfinite(image.depth[image.labels > 0]).all()
-    for tensor in (bodies.centres, bodies.axes, bodies.semi_axes):
-        assert torch.isfinite(tensor.grad).all()
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-def test_coordinates_of_a_million_pixels(device, gradient):
-    """The same picture, seen far off the origin of a large one: nothing shows, nothing hangs, nothing is NaN."""
-    size = (24, 32)
-    target = torch.ones(1, *size, dtype=torch.uint8, device=device)
-    for focal, middle in ((20.0, 1e6), (1e6, 0.0), (1e6, 1e6)):
-        bodies = one_ellipsoid((0.1, 0.0, 3.0), (0.5, 0.3, 0.2), device)
-        numbers = torch.tensor([[focal, focal, middle, middle]], device=device)
-        loss, image = ellipsoid_label_loss(bodies, Intrinsics(numbers, True), target, gradient=gradient)
-        loss.sum().backward()
-        assert (image.labels == 1).all() == (middle == 0.0)
-        assert torch.isfinite(bodies.centres.grad).all()
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-@pytest.mark.parametrize("depth", [-3.0, -0.2, 0.0, 0.2, 0.3, 0.305])
-def test_ellipsoids_at_the_camera_are_left_out(device, depth, gradient):
-    size = (20, 20)
-    bodies = one_ellipsoid((0.0, 0.05, depth), (0.3, 0.3, 0.3), device)
-    target = torch.ones(1, *size, dtype=torch.uint8, device=device)
-    loss, image = ellipsoid_label_loss(bodies, body_camera(size, True, device=device), target, gradient=gradient)
-    loss.sum().backward()
-    assert (image.labels == 0).all()
-    assert torch.isinf(image.depth).all()
-    for tensor in (bodies.centres, bodies.axes, bodies.semi_axes):
-        assert (tensor.grad == 0).all()
-
-
-@pytest.mark.parametrize("perspective", CAMERAS)
-def test_near_plane(device, perspective):
-    size = (20, 20)
-    bodies = one_ellipsoid((0.0, 0.0, 1.0), (0.3, 0.3, 0.3), device)
-    intrinsics = body_camera(size, perspective, device=device).intrinsics
-    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.69), size).labels == 1).any()
-    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.71), size).labels == 0).all()
-
-
-def test_unchecked_nonsense_is_not_drawn(device):
-    """Without validation, an ellipsoid that is none leaves the others alone."""
-    size = (20, 20)
-    nan = float("nan")
-    scene = random_scene(0, size, False, count=4)
-    bodies = Leaves.of(scene, device=device)
-    with torch.no_grad():
-        bodies.ellipsoids.centres[0, 0, 2] = nan
-        bodies.ellipsoids.semi_axes[0, 1, 0] = 0.0
-        bodies.ellipsoids.axes[0, 2] = nan
-    image = draw_ellipsoids(bodies.ellipsoids, bodies.camera, size, validate=False)
-    assert set(image.labels.unique().tolist()) == {0, 4}
 
 
 # --- Errors ------------------------------------------------------------------------------------------------------
@@ -820,15 +419,3 @@ def test_bad_calls_name_the_argument(message):
     camera = Intrinsics(leaves.camera.intrinsics.detach(), False)
     with pytest.raises(ValueError, match=message):
         BAD_CALLS[message](bodies, camera)
-
-
-@pytest.mark.parametrize(
-    "option", [{"max_distance": -1.0}, {"max_distance": NAN}, {"depth_weight": -0.5}, {"depth_weight": NAN}]
-)
-def test_the_mesh_renderer_refuses_the_same_options(option):
-    mesh = ellipbody_mesh(0)
-    vertices = torch.zeros(1, mesh.num_vertices, 3)
-    with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        draw_on_screen(vertices, mesh, (8, 8), **option)
-    with pytest.raises(ValueError, match=f"{next(iter(option))}: "):
-        loss_on_screen(vertices, mesh, TARGET, **option)

@@ -9,8 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import loss_on_screen
-from test_ellipsoids import CAMERAS, GRADIENTS, Leaves, body_camera, body_parameters, random_scene
+from scenes.pictures import CAMERAS, GRADIENTS, Leaves, body_camera, body_parameters, loss_on_screen, random_scene
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import PARENTS, PART_NAMES

@@ -1,39 +1,531 @@
-"""The topology of part-labelled meshes, and which pixels a face's border gives it."""
+"""The mesh renderer against the float64 reference, on every device."""
 
 import numpy as np
 import pytest
 import torch
-from scenes import draw_on_screen
+import warp as wp
+from scenes.pictures import CAMERAS, draw_on_screen, loss_on_screen, noisy_picture, projected_bodies, relative_error
 
+from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.kernels.labels import DenseGradient
+from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
+from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
+from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
+from warp_partdr.reference import mesh as reference
+from warp_partdr.reference.losses import label_gradient
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
-
-def test_edges_of_three_faces_stand_alone():
-    """Where three faces of a part meet, no two of them are a pair: each may be the silhouette."""
-    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
-    edges = PartMesh.from_faces(faces, np.array([1, 1, 1])).edges.tolist()
-    shared = sorted(edge[2:] for edge in edges if edge[:2] == [0, 1])
-    assert shared == [[0, -1, 2, 2], [1, -1, 3, 3], [2, -1, 4, 4]]
-    assert len(edges) == 3 + 6
-    assert all(edge[3] == -1 for edge in edges)
+SIZES = [(21, 34), (30, 17)]
 
 
-def test_edges_of_two_faces_are_one_where_they_show_one_part():
-    faces = np.array([[0, 1, 2], [1, 0, 3]])
-    one, two = (PartMesh.from_faces(faces, np.array(labels)).edges.tolist() for labels in ([1, 1], [1, 2]))
-    assert [edge for edge in one if edge[:2] == [0, 1]] == [[0, 1, 0, 1, 2, 3]]
-    assert sorted(edge for edge in two if edge[:2] == [0, 1]) == [[0, 1, 0, -1, 2, 2], [0, 1, 1, -1, 3, 3]]
-    assert (len(one), len(two)) == (5, 6)
+def random_scene(seed: int, size: tuple[int, int], faces: int = 10, batch: int = 2):
+    """Overlapping triangles of four parts, some far outside the picture."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    corners = rng.uniform(-0.3, 1.3, (batch, faces, 3, 2)) * (width, height)
+    corners = corners.mean(2, keepdims=True) + (corners - corners.mean(2, keepdims=True)) * 0.8
+    vertices = np.concatenate([corners, rng.uniform(1, 3, (batch, faces, 3, 1))], -1).reshape(batch, -1, 3)
+    index = np.arange(3 * faces).reshape(-1, 3)
+    # every other pair of faces shares an edge
+    index[1::2, :2] = index[::2, [2, 1]]
+    labels = np.repeat(rng.integers(1, 5, (faces + 1) // 2), 2)[:faces]
+    return vertices.astype(np.float32), index, labels
 
 
-@pytest.mark.parametrize("order", [[0, 1, 2], [0, 2, 1], [2, 0, 1]])
-def test_fill_rule_of_borders_on_pixel_centres(device, order):
-    """What goes down the picture, or level to the left, belongs to the face; whatever way the face is turned."""
-    vertices = torch.tensor([[[2.5, 2.5, 1.0], [8.5, 2.5, 1.0], [2.5, 8.5, 1.0]]], device=device)
-    mesh = PartMesh.from_faces(np.array([order]), np.array([1]), device=device)
-    rows, columns = np.mgrid[:12, :12]
-    inside = (columns > 2) & (rows > 2) & (columns + rows <= 10)
-    np.testing.assert_array_equal(draw_on_screen(vertices, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
-    turned = torch.tensor([[[8.5, 8.5, 1.0], [2.5, 8.5, 1.0], [8.5, 2.5, 1.0]]], device=device)
-    inside = (columns <= 8) & (rows <= 8) & (columns + rows > 10)
-    np.testing.assert_array_equal(draw_on_screen(turned, mesh, (12, 12)).labels[0].cpu().numpy(), inside)
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("size", SIZES)
+def test_forward_is_the_reference(device, size, perspective):
+    flips = pixels = 0
+    for seed in range(4):
+        vertices, faces, labels = random_scene(seed, size)
+        mesh = PartMesh.from_faces(faces, labels, device=device)
+        image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
+        for b in range(len(vertices)):
+            want = reference.rasterize(vertices[b].astype(float), faces, labels, size, perspective=perspective)
+            have = [t[b].cpu().numpy() for t in (image.labels, image.depth, image.face_index)]
+            same = have[2] == want[2]
+            flips += (~same).sum()
+            pixels += same.size
+            np.testing.assert_array_equal(have[0][same], want[0][same])
+            np.testing.assert_allclose(have[1][same], want[1][same], rtol=1e-5)
+    # A centre within float32 rounding of an edge may fall on the other side.
+    assert flips <= pixels * 2e-4
+
+
+@pytest.mark.parametrize("scale", [30.0, 3e3])
+def test_large_and_thin_faces_lose_no_pixel(device, scale):
+    """Rows are cut where the faces' edges cross them: what rounding may add to a row must not be missing."""
+    size = (24, 32)
+    rng = np.random.default_rng(0)
+    ends = rng.normal(0, scale, (10, 2))
+    thin = ends + rng.normal(0, 8, (10, 2))
+    corners = np.stack([ends, -ends, thin], 1).reshape(1, 30, 2) + np.array(
+        [16, 12]
+    )  # each runs right across the picture
+    vertices = np.concatenate([corners, rng.uniform(1, 3, (1, 30, 1))], -1).astype(np.float32)
+    faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
+    mesh = PartMesh.from_faces(faces, labels, device=device)
+    image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size)
+    want = reference.rasterize(vertices[0].astype(float), faces, labels, size)[0]
+    assert (want > 0).any()
+    assert (image.labels[0].cpu().numpy() != want).sum() <= 1
+
+
+@pytest.mark.parametrize("max_distance", [np.inf, 2.5])
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_dense_gradient_is_the_reference(device, perspective, max_distance):
+    for seed, size in enumerate(SIZES):
+        vertices, faces, labels = random_scene(seed, size)
+        mesh = PartMesh.from_faces(faces, labels, device=device)
+        leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+        image = draw_on_screen(
+            leaf,
+            mesh,
+            size,
+            perspective=perspective,
+            num_maps=4,
+            max_distance=max_distance,
+            depth_weight=0.7,
+            near=0.01,
+        )
+        g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
+        (image.maps * g).sum().backward()
+        for b in range(len(vertices)):
+            want = reference.gradient(
+                vertices[b].astype(float),
+                faces,
+                labels,
+                image.labels[b].cpu().numpy(),
+                image.face_index[b].cpu().numpy(),
+                g[b].cpu().numpy().astype(float),
+                perspective=perspective,
+                depth=image.depth[b].cpu().numpy(),
+                max_distance=max_distance,
+                depth_weight=0.7,
+            )
+            have = leaf.grad[b].cpu().numpy()
+            assert relative_error(have[:, :2], want[:, :2]) < 1e-4
+            assert relative_error(have[:, 2], want[:, 2]) < 1e-4
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_label_loss_gradient_is_the_reference_on_ellipbody(device, perspective):
+    size = (40, 32)
+    vertices, mesh = projected_bodies(3, size, device, perspective)
+    faces, labels = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy()
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    target = noisy_picture(draw_on_screen(leaf, mesh, size, perspective=perspective).labels, 20, 0)
+    loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
+    loss.sum().backward()
+    shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
+    g = label_gradient(shown, wanted, 20)
+    want = reference.gradient(
+        vertices[0].astype(float),
+        faces,
+        labels,
+        shown,
+        image.face_index[0].cpu().numpy(),
+        g,
+        perspective=perspective,
+        depth=image.depth[0].cpu().numpy(),
+    )
+    have = leaf.grad[0].cpu().numpy()
+    assert relative_error(have[:, :2], want[:, :2]) < 1e-4
+    assert relative_error(have[:, 2], want[:, 2]) < 1e-4
+    assert loss.item() == pytest.approx((np.abs(g).sum() / 2), rel=1e-5)
+
+
+def test_label_loss_is_the_maps_loss(device):
+    """The fused path and the general one agree: value, and gradient through squared differences of maps."""
+    size = (48, 40)
+    vertices, mesh = projected_bodies(5, size, device, subdivisions=1, batch=3)
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 1)
+    target[target == 255] = 0
+    loss, _ = loss_on_screen(leaf, mesh, target)
+    (fused,) = torch.autograd.grad(loss.sum(), leaf)
+    maps = draw_on_screen(leaf, mesh, size, num_maps=20).maps
+    wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
+    general_loss = (maps - wanted).square().sum((1, 2, 3))
+    (general,) = torch.autograd.grad(general_loss.sum(), leaf)
+    torch.testing.assert_close(loss, general_loss)
+    torch.testing.assert_close(fused, general, rtol=1e-4, atol=1e-3)
+
+
+def test_forward_is_deterministic_to_the_bit(device):
+    vertices, mesh = projected_bodies(1, (64, 64), device, subdivisions=2, batch=4)
+    vertices = torch.from_numpy(vertices).to(device)
+    first = draw_on_screen(vertices, mesh, (64, 64))
+    for _ in range(3):
+        again = draw_on_screen(vertices, mesh, (64, 64))
+        assert torch.equal(first.labels, again.labels)
+        assert torch.equal(first.face_index, again.face_index)
+        assert torch.equal(first.depth, again.depth)
+
+
+def test_batch_equals_its_members(device):
+    vertices, mesh = projected_bodies(2, (40, 56), device, subdivisions=1, batch=3)
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    target = noisy_picture(draw_on_screen(leaf, mesh, (40, 56)).labels, 20, 2)
+    loss, image = loss_on_screen(leaf, mesh, target)
+    (whole,) = torch.autograd.grad(loss.sum(), leaf)
+    for b in range(3):
+        one = leaf.detach()[b : b + 1].requires_grad_()
+        loss_one, image_one = loss_on_screen(one, mesh, target[b : b + 1])
+        (gradient,) = torch.autograd.grad(loss_one.sum(), one)
+        assert torch.equal(image.labels[b], image_one.labels[0])
+        assert loss[b] == loss_one[0]
+        torch.testing.assert_close(whole[b], gradient[0], rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 7])
+def test_threads_change_no_bit(threads):
+    vertices, mesh = projected_bodies(2, (40, 56), "cpu", subdivisions=1, batch=14)
+    leaf = torch.from_numpy(vertices).requires_grad_()
+    target = noisy_picture(draw_on_screen(leaf, mesh, (40, 56)).labels, 20, 2)
+
+    def results() -> list[torch.Tensor]:
+        loss, image = loss_on_screen(leaf, mesh, target)
+        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        maps = draw_on_screen(leaf, mesh, (40, 56), num_maps=20).maps
+        (general,) = torch.autograd.grad(maps.square().sum(), leaf)
+        return [loss, image.labels, image.depth, image.face_index, fused, general]
+
+    try:
+        set_num_threads(1)
+        want = results()
+        set_num_threads(threads)
+        have = results()
+    finally:
+        set_num_threads(0)
+    assert all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
+
+
+def test_slices_cover_the_batch_once():
+    assert get_num_threads() >= 1
+    try:
+        set_num_threads(3)
+        for batch in (0, 1, 2, 3, 10):
+            seen = []
+            launch_in_slices(seen.append, batch, wp.get_device("cpu"))
+            assert sorted(b for part in seen for b in range(batch)[part]) == list(range(batch))
+            assert len(seen) == (3 if batch == 10 else 1)
+
+        def fail(part: slice) -> None:
+            if part.start > 0:
+                raise RuntimeError("in a thread")
+
+        with pytest.raises(RuntimeError, match="in a thread"):
+            launch_in_slices(fail, 6, wp.get_device("cpu"))
+        with pytest.raises(ValueError, match="count: -1"):
+            set_num_threads(-1)
+    finally:
+        set_num_threads(0)
+
+
+def arrays_of(points: torch.Tensor, mesh: PartMesh) -> MeshArrays:
+    arrays = MeshArrays()
+    arrays.vertices, arrays.faces = wp.from_torch(points, dtype=wp.vec3), wp.from_torch(mesh.faces, dtype=wp.vec3i)
+    arrays.face_labels, arrays.edges = wp.from_torch(mesh.face_labels), wp.from_torch(mesh.edges)
+    arrays.near, arrays.perspective = -np.inf, False
+    return arrays
+
+
+def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
+    """Two pictures through one z-buffer are those through fresh ones, and only what shows is written."""
+    size = (40, 56)
+    wp_device = wp.get_device(device)
+    zbuffer = rasterize.ZBuffer.make(2, *size, wp_device)
+    for seed in (1, 2):
+        vertices, mesh = projected_bodies(seed, size, device, subdivisions=1, batch=2)
+        points = torch.from_numpy(vertices).to(device)
+        want = draw_on_screen(points, mesh, size)
+        labels = wp.full((2, *size), 77, dtype=wp.uint8, device=wp_device)
+        depth = wp.full((2, *size), -5.0, dtype=wp.float32, device=wp_device)
+        images = ImageArrays()
+        images.labels, images.depth = labels, depth
+        rasterize.launch_rasterize(
+            arrays_of(points, mesh),
+            images,
+            zbuffer=zbuffer,
+            background=False,
+        )
+        assert torch.equal(wp.to_torch(labels), want.labels)
+        expected = torch.where(want.labels > 0, want.depth, torch.full_like(want.depth, -5.0))
+        assert torch.equal(wp.to_torch(depth), expected)
+        assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+
+
+@pytest.mark.parametrize("offset", [0, 1])
+@pytest.mark.parametrize("size", [(20, 24), (21, 34), (6, 300), (4, 131), (1, 1)])
+def test_labels_are_compared_at_any_width_and_address(device, size, offset):
+    """Four at a time where memory allows it; loss and extents are those of single pixels, extents rounded to blocks."""
+    rng = np.random.default_rng(size[1])
+    (height, width), labels_end = size, 7
+    shown = rng.integers(0, labels_end, (2, *size)).astype(np.uint8)
+    wanted = np.where(rng.random(shown.shape) < 0.05, rng.integers(0, labels_end, shown.shape), shown)
+    wanted = np.where(rng.random(shown.shape) < 0.1, 255, wanted).astype(np.uint8)
+    weights = np.ones(256, dtype=np.float32)
+    weights[[0, 255]] = 0.0
+
+    def on_device(image: np.ndarray) -> wp.array:
+        held = torch.empty(image.size + offset, dtype=torch.uint8, device=device)[offset:].view(image.shape)
+        return wp.from_torch(held.copy_(torch.from_numpy(image)))
+
+    extents = wp.full((2, rasterize.NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
+    lanes = rasterize.pixel_lanes((2, *size), wp.get_device(device).is_cpu)
+    losses = wp.full(lanes, np.nan, dtype=wp.float32, device=device)
+    rasterize.launch_compare_labels(on_device(shown), on_device(wanted), extents=extents, losses=losses)
+    wrong = (shown != wanted) & (wanted != 255)
+    costs = (weights[shown] + weights[wanted]) * wrong
+    np.testing.assert_allclose(losses.numpy().sum((1, 2)), costs.sum((1, 2)), rtol=1e-5)
+    for b in range(2):
+        for label in range(1, labels_end):
+            missing = wrong[b] & (wanted[b] == label)
+            kinds = {
+                rasterize.MISSING: missing,
+                rasterize.SURPLUS: wrong[b] & (shown[b] == label),
+                rasterize.HIDDEN: missing & (shown[b] != 0),
+            }
+            for kind, pixels in kinds.items():
+                have = extents.numpy()[b, int(kind), label]
+                rows, columns = (np.flatnonzero(pixels.any(axis)) // 4 for axis in (1, 0))
+                want = [0, 0, 0, 0]
+                if pixels.any():
+                    want = [height - 4 * rows[0], 4 * rows[-1] + 4, width - 4 * columns[0], 4 * columns[-1] + 4]
+                assert have.tolist() == np.minimum(want, [height, height, width, width]).tolist()
+
+
+@pytest.mark.parametrize("how", ["lanes", "threads", "launches"])
+def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
+    size = (40, 57)
+    vertices, mesh = projected_bodies(6, size, device, subdivisions=1, batch=5)
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 2)
+
+    def results() -> list[torch.Tensor]:
+        other = projected_bodies(6, size, device, subdivisions=1, batch=5)[1]  # a mesh that no captured graph knows
+        loss, image = loss_on_screen(leaf, other, target)
+        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        maps = draw_on_screen(leaf, other, size, num_maps=20).maps
+        (general,) = torch.autograd.grad((maps * torch.arange(1, 21, device=device)[:, None, None]).sum(), leaf)
+        return [image.labels, image.depth, image.face_index, loss, fused, general]
+
+    want = results()
+    threads = []
+    if how == "lanes":
+        for module in (rasterize, push_z):
+            monkeypatch.setattr(module, "row_lane_bits", lambda count, device: 2)
+    elif how == "threads":
+        real, shared = rasterize.launch_bodies, {"push_edges": 37, "push_depths": 5}
+
+        def launch(kernel: wp.Kernel, batch: int, count: int, *rest: object) -> None:
+            threads.append(shared.get(kernel.key, count))
+            real(kernel, batch, threads[-1], *rest)
+
+        for module in (push_xy, push_z):
+            monkeypatch.setattr(module, "launch_bodies", launch)
+    else:
+        monkeypatch.setattr(rasterize, "_MAX_THREADS", 4000)
+    have = results()
+    assert how != "threads" or {37, 5} <= set(threads)
+    assert all(torch.equal(a, b) for a, b in zip(have[:4], want[:4], strict=True))
+    for a, b in zip(have[4:], want[4:], strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
+
+
+def test_hidden_pixels_serve_again(device):
+    """A second z pass with the same scratch adds the same once more."""
+    size = (40, 56)
+    vertices, mesh = projected_bodies(3, size, device, subdivisions=1, batch=2)
+    points = torch.from_numpy(vertices).to(device)
+    image = draw_on_screen(points, mesh, size)
+    images = ImageArrays()
+    images.labels, images.face_index = wp.from_torch(image.labels), wp.from_torch(image.face_index)
+    gradient = DenseGradient()
+    gradient.maps = wp.from_torch(torch.randn(2, 20, *size, device=device))
+    hidden = push_z.HiddenPixels.make(rasterize.empty_keys((2, *size), wp.get_device(device)))
+    grads = torch.zeros(2, points.shape[1], 3, device=device)
+    sums = []
+    for label in (4, 7, 4, 7):
+        gradient.label = label
+        push_z.launch_push_depths(
+            arrays_of(points, mesh),
+            images,
+            depth_weight=1.0,
+            gradient=gradient,
+            hidden=hidden,
+            grad_vertices=wp.from_torch(grads),
+        )
+        assert (hidden.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
+        sums.append(grads.clone())
+    assert sums[0].abs().max() > 0
+    assert not torch.equal(sums[0], sums[1])
+    torch.testing.assert_close(sums[3], 2 * sums[1], rtol=1e-4, atol=1e-4 * float(sums[1].abs().max()))
+
+
+@pytest.mark.parametrize("middle", [8.0, 7.5])
+def test_shared_edges_are_drawn_once(device, middle):
+    """A fan of triangles tiles a square exactly: no pixel is missed, and the fill rule gives each to one face."""
+    size = (16, 16)
+    # On pixel corners, or on centres, with edges of all eight directions through others. So are the rim's vertices.
+    centre = [middle, middle, 1.0]
+    rim = [[x + 0.5, y + 0.5, 1.0] for x, y in [(0, 0), (7, 0), (15, 0), (15, 7), (15, 15), (7, 15), (0, 15), (0, 7)]]
+    vertices = np.array([[centre, *rim]], dtype=np.float32)
+    faces = np.array([[0, 1 + k, 1 + (k + 1) % 8] for k in range(8)])
+    drawn = np.zeros(size, dtype=int)
+    for k in range(8):
+        mesh = PartMesh.from_faces(faces[k : k + 1], np.array([1]), device=device)
+        drawn += draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
+    assert (drawn[1:15, 1:15] == 1).all()
+    assert drawn.max() == 1
+
+
+def test_equal_depths_go_to_the_lower_face(device):
+    triangle = [[1.0, 1.0, 2.0], [14.0, 2.0, 2.0], [5.0, 13.0, 2.0]]
+    vertices = torch.tensor([triangle + triangle], device=device)
+    mesh = PartMesh.from_faces(np.array([[0, 1, 2], [3, 4, 5]]), np.array([2, 1]), device=device)
+    image = draw_on_screen(vertices, mesh, (16, 16))
+    assert set(image.labels.unique().tolist()) == {0, 2}
+    assert image.depth[image.labels > 0].eq(2.0).all()
+
+
+def test_target_equal_to_picture_has_exactly_no_gradient(device):
+    vertices, mesh = projected_bodies(4, (40, 40), device, subdivisions=1)
+    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    loss, _ = loss_on_screen(leaf, mesh, draw_on_screen(leaf, mesh, (40, 40)).labels)
+    loss.sum().backward()
+    assert loss.item() == 0
+    assert (leaf.grad == 0).all()
+
+
+def test_moving_a_part_toward_its_target_lowers_the_loss(device):
+    """A triangle off its target: descending the gradient must bring it there from either side, in x and in y."""
+    size = (32, 32)
+    base = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
+    mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
+    target = draw_on_screen(base, mesh, size).labels
+    for shift in [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]:
+        move = torch.tensor([*shift, 0.0], device=device, requires_grad=True)
+        optimizer = torch.optim.Adam([move], lr=0.5)
+        schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.97)
+        for _ in range(120):
+            loss, _ = loss_on_screen(base + move, mesh, target)
+            optimizer.zero_grad()
+            loss.sum().backward()
+            optimizer.step()
+            schedule.step()
+        assert move.abs().max() < 0.6, f"from {shift}: {loss.item()} pixels wrong at {move.tolist()}"
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
+def test_other_precisions_are_cast(device, dtype):
+    vertices, mesh = projected_bodies(4, (20, 20), device)
+    leaf = torch.from_numpy(vertices).to(device, dtype).requires_grad_()
+    loss, _ = loss_on_screen(leaf, mesh, torch.zeros(1, 20, 20, dtype=torch.uint8, device=device))
+    loss.sum().backward()
+    assert leaf.grad.dtype == dtype
+    assert torch.isfinite(leaf.grad).all()
+
+
+def test_non_contiguous_and_empty_batches(device):
+    vertices, mesh = projected_bodies(4, (20, 24), device)
+    contiguous = torch.from_numpy(vertices).to(device)
+    strided = contiguous.transpose(1, 2).contiguous().transpose(1, 2)
+    assert not strided.is_contiguous()
+    assert torch.equal(
+        draw_on_screen(strided, mesh, (20, 24)).labels, draw_on_screen(contiguous, mesh, (20, 24)).labels
+    )
+    expanded = contiguous.expand(3, -1, -1)
+    assert draw_on_screen(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
+    leaf = contiguous[:0].requires_grad_()
+    loss, image = loss_on_screen(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
+    loss.sum().backward()
+    assert image.labels.shape == (0, 20, 24)
+    assert leaf.grad.shape == (0, *vertices.shape[1:])
+
+
+def test_degenerate_faces_and_wild_coordinates_stay_finite(device):
+    vertices = torch.tensor(
+        [
+            [
+                [5.0, 5.0, 1.0],
+                [5.0, 5.0, 1.0],
+                [5.0, 5.0, 1.0],  # no area
+                [1.0, 1.0, 1.0],
+                [9.0, 9.0, 1.0],
+                [17.0, 17.0, 2.0],  # a needle
+                [-1e6, -1e6, 1.0],
+                [1e6, -1e6, 1.0],
+                [0.0, 1e6, 1.5],  # covers everything
+            ]
+        ],
+        device=device,
+        requires_grad=True,
+    )
+    mesh = PartMesh.from_faces(np.arange(9).reshape(3, 3), np.array([1, 2, 3]), device=device)
+    target = torch.randint(0, 4, (1, 18, 18), generator=torch.Generator().manual_seed(0)).to(torch.uint8).to(device)
+    loss, image = loss_on_screen(vertices, mesh, target)
+    loss.sum().backward()
+    assert (image.labels == 3).any()
+    assert torch.isfinite(vertices.grad).all()
+
+
+def test_faces_at_the_camera_are_left_out(device):
+    points = torch.tensor([[[-1.0, -1.0, 0.0], [1.0, -1.0, 2.0], [0.0, 1.0, 2.0]]], device=device)
+    camera = Perspective(torch.tensor([[20.0, 20.0]], device=device), torch.tensor([[10.0, 10.0]], device=device))
+    mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
+    assert draw_mesh(points, mesh, camera, (20, 20)).labels.eq(0).all()
+
+
+BAD_CALLS = {
+    "vertices: shape": lambda v, m: draw_on_screen(v[0], m, (8, 8)),
+    "vertices: torch.int32": lambda v, m: draw_on_screen(v.int(), m, (8, 8)),
+    "vertices: holds NaN": lambda v, m: draw_on_screen(v * float("nan"), m, (8, 8)),
+    "vertices: 2 a body": lambda v, m: draw_on_screen(v[:, :2], m, (8, 8)),
+    "image_size": lambda v, m: draw_on_screen(v, m, (0, 8)),
+    "num_maps": lambda v, m: draw_on_screen(v, m, (8, 8), num_maps=300),
+    "target: batch 2": lambda v, m: loss_on_screen(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
+    "target: shape": lambda v, m: loss_on_screen(v, m, torch.zeros(8, 8, dtype=torch.uint8)),
+    "camera: 2 of them": lambda v, m: draw_mesh(v, m, WeakPerspective(torch.ones(2), torch.zeros(2, 2)), (8, 8)),
+    "target: torch.int64": lambda v, m: loss_on_screen(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
+    "target: label 9": lambda v, m: loss_on_screen(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
+}
+
+
+@pytest.mark.parametrize("message", BAD_CALLS)
+def test_bad_calls_name_the_argument(message):
+    vertices = torch.tensor([[[1.0, 1.0, 1.0], [6.0, 1.0, 1.0], [3.0, 6.0, 1.0]]])
+    mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]))
+    with pytest.raises(ValueError, match=message):
+        BAD_CALLS[message](vertices, mesh)
+
+
+@pytest.mark.parametrize(
+    ("faces", "labels", "message"),
+    [
+        (np.zeros((2, 4)), np.ones(2), "faces: shape"),
+        (np.array([[0, 1, -1]]), np.ones(1), "faces: index -1"),
+        (np.array([[0, 1, 2]]), np.ones(2), "face_labels: shape"),
+        (np.array([[0, 1, 2]]), np.array([255]), "face_labels: 255"),
+    ],
+)
+def test_bad_meshes_name_the_argument(faces, labels, message):
+    with pytest.raises(ValueError, match=message):
+        PartMesh.from_faces(faces, labels)
+
+
+def test_parts_in_no_group_cost_nothing_but_still_hide(device):
+    """A face relabelled to 255 draws as 255: no loss, no gradient, yet what lies behind it stays hidden."""
+    front = [[2.0, 2.0, 1.0], [12.0, 2.0, 1.0], [6.0, 12.0, 1.0]]
+    back = [[2.0, 2.0, 2.0], [14.0, 2.0, 2.0], [6.0, 14.0, 2.0]]
+    vertices = torch.tensor([front + back], device=device, requires_grad=True)
+    mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device).relabel({1: 255, 2: 1})
+    assert mesh.num_labels == 1
+    loss, image = loss_on_screen(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
+    loss.sum().backward()
+    assert set(image.labels.unique().tolist()) == {0, 1, 255}
+    assert loss.item() == (image.labels == 1).sum().item()
+    assert (vertices.grad[0, :3] == 0).all()
+    assert (vertices.grad[0, 3:] != 0).any()

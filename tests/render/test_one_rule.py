@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scenes import draw_on_screen, loss_on_screen
+from scenes.pictures import draw_on_screen, loss_on_screen
 from scipy.spatial.transform import Rotation
 
 from warp_partdr import label_set

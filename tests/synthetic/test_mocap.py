@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes.bodies import clips
 
 from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES
 from warp_partdr.synthetic import mocap, mocap_files
 
 LIMBS = ("upper_leg", "lower_leg", "upper_arm", "forearm", "hand")
-
-
-@cache
-def clips(folder: Path) -> tuple[mocap.Clip, ...]:
-    return tuple(mocap_files.load_clips(folder / "data" / "mocap"))
 
 
 def directions(clip: mocap.Clip) -> np.ndarray:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from test_mocap import clips
+from scenes.bodies import bank, clips
 
 from warp_partdr.body.landmarks import mirror_order
 from warp_partdr.body.pose_prior import PosePrior
@@ -20,11 +19,6 @@ from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler, Shares, pa
 from warp_partdr.synthetic.poses import clear_poses, mean_body, mirrored_half
 from warp_partdr.synthetic.procedural_poses import draw_procedural
 from warp_partdr.synthetic.rng import TorchRng
-
-
-@cache
-def bank() -> PoseBank:
-    return PoseBank.of_prior(64)
 
 
 def test_packed_poses_keep_clips_apart(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from test_mocap import clips
+from scenes.bodies import clips
 
 from warp_partdr.clothing.anny import PHENOTYPE_ANCHORS
 from warp_partdr.synthetic import split

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from test_poses import bank
+from scenes.bodies import bank
 
 from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.body.posing import pose

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import pytest
 import torch
-from test_fitting import walker
+from scenes.bodies import walker
 
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_from_axis_angle

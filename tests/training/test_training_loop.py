@@ -13,13 +13,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import tiny_task
 import torch
 from conftest import HANG
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
-from tiny_task import TASK
-from tiny_task import tiny_config as config
+from scenes.training import TASK, TinyModel, TinyTask
+from scenes.training import tiny_config as config
 
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
@@ -55,14 +54,14 @@ def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> boo
 
 def tell(monkeypatch, step: int, number: int) -> None:
     """Send this process a signal while it makes its batch of this number, counted from 1."""
-    batch = tiny_task.TinyTask.batch
+    batch = TinyTask.batch
 
     def told(self, device):
         if self.made == step - 1:
             os.kill(os.getpid(), number)
         return batch(self, device)
 
-    monkeypatch.setattr(tiny_task.TinyTask, "batch", told)
+    monkeypatch.setattr(TinyTask, "batch", told)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -90,13 +89,14 @@ def test_stopped_and_resumed_is_bit_for_bit_uninterrupted(tmp_path, monkeypatch,
 
 # Code that has a process kill itself: while it makes batch 8, or when checkpoint 3 is written, but not in its place.
 IN_A_STEP = """
-import os, signal, tiny_task
-batch = tiny_task.TinyTask.batch
+import os, signal
+from scenes.training import TinyTask
+batch = TinyTask.batch
 def killed(self, device):
     if self.made == 7:
         os.kill(os.getpid(), signal.SIGKILL)
     return batch(self, device)
-tiny_task.TinyTask.batch = killed
+TinyTask.batch = killed
 """
 IN_A_CHECKPOINT = """
 import os, signal
@@ -133,7 +133,7 @@ def script(folder: Path, out: str, numbers: dict, first: str = "") -> Path:
 import json, sys
 sys.modules["tensorboard"] = None
 from pathlib import Path
-from tiny_task import tiny_config
+from scenes.training import tiny_config
 from warp_partdr.training.loop import run_training
 {first}
 run_training(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(numbers)!r})), device="cpu")
@@ -143,9 +143,8 @@ run_training(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(n
 
 
 def environment() -> dict[str, str]:
-    here = Path(__file__).resolve().parent
     threads = str(torch.get_num_threads())  # sums on as many threads as here are the same to the last bit
-    return {**os.environ, "PYTHONPATH": f"{here}{os.pathsep}{here.parent}", "OMP_NUM_THREADS": threads}
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1]), "OMP_NUM_THREADS": threads}
 
 
 def train_in_two(tmp_path: Path, numbers: dict) -> list[str]:
@@ -292,7 +291,7 @@ def test_nan_stops_and_leaves_the_batch_that_led_to_it(tmp_path, monkeypatch, de
         term = error.square().mean()
         return {"fit": term, "total": term}
 
-    monkeypatch.setattr(tiny_task.TinyTask, "loss", loss)
+    monkeypatch.setattr(TinyTask, "loss", loss)
     with pytest.raises(InputError, match="step 3: loss or gradient is NaN"):
         run_training(config(tmp_path, steps=30, checkpoint_every=2, validate_every=0), device=device)
     with safe_open(tmp_path / "nan-batch.safetensors", "pt") as file:
@@ -309,7 +308,7 @@ def test_out_of_memory_says_which_setting_to_lower(tmp_path, monkeypatch, error)
     def loss(self, model, batch):
         raise error
 
-    monkeypatch.setattr(tiny_task.TinyTask, "loss", loss)
+    monkeypatch.setattr(TinyTask, "loss", loss)
     with pytest.raises(InputError, match="batch_size: 8: out of memory; expected a smaller one"):
         run_training(config(tmp_path), device="cpu")
 
@@ -355,14 +354,14 @@ def test_schedule(tmp_path):
 
 def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
     """By a clock on which a batch takes a second."""
-    batch, now = tiny_task.TinyTask.batch, itertools.count(1)
+    batch, now = TinyTask.batch, itertools.count(1)
     clock = SimpleNamespace(now=0, monotonic=lambda: clock.now)
 
     def timed(self, device):
         clock.now = next(now)
         return batch(self, device)
 
-    monkeypatch.setattr(tiny_task.TinyTask, "batch", timed)
+    monkeypatch.setattr(TinyTask, "batch", timed)
     monkeypatch.setattr("warp_partdr.training.loop.time", clock)
     values = {"steps": 100_000, "minutes": 0.5, "log_every": 1}
     trained = run_training(config(tmp_path, validate_every=0, **values), device="cpu")
@@ -469,7 +468,7 @@ def test_config_is_read_as_written(tmp_path):
     assert (numbers.steps, numbers.epochs, numbers.out) == (None, 2.0, Path("somewhere/else"))
     assert numbers.weights == {"fit": 3.0, "small": 1e-3}
     assert numbers.phases == (Phase(frozen=("0.",)),)
-    assert numbers.model == tiny_task.TinyModel(inputs=3)
+    assert numbers.model == TinyModel(inputs=3)
     assert make_config(numbers.to_json()) == numbers
 
 
@@ -488,7 +487,7 @@ def test_no_such_config():
 
 def test_epochs_count_samples(tmp_path, monkeypatch):
     assert run_training(config(tmp_path, epochs=0.5, steps=None), device="cpu").step == 4  # of 64 samples, 8 a step
-    monkeypatch.setattr(tiny_task.TinyTask, "epoch", None)
+    monkeypatch.setattr(TinyTask, "epoch", None)
     with pytest.raises(InputError, match=r"epochs: 0\.5; expected steps"):
         run_training(config(tmp_path / "endless", epochs=0.5, steps=None), device="cpu")
 

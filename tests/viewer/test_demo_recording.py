@@ -6,17 +6,17 @@ import sys
 
 import numpy as np
 import pytest
-import viewer_scenes
 from PIL import Image
+from scenes import viewer
+from scenes.viewer import click, make_state
 from typer.testing import CliRunner
-from viewer_scenes import click, make_state
 
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.viewer.recording import Film, check_format, frames, write
 from warp_partdr.viewer.scene import Scene
 
-one_thread, window = viewer_scenes.one_thread, viewer_scenes.window  # fixtures
+one_thread, window = viewer.one_thread, viewer.window  # fixtures
 
 
 @pytest.mark.parametrize("name", ["out.gif", "out.html"])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import viewer_scenes
 from PIL import Image
-from viewer_scenes import EXAMPLE, SMALL, make_state, read_target
+from scenes import viewer
+from scenes.viewer import EXAMPLE, SMALL, make_state, read_target
 
 from warp_partdr import load_body
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
@@ -27,7 +27,7 @@ from warp_partdr.viewer.targets import (
 from warp_partdr.viewer.tradeoff import Tradeoff
 from warp_partdr.viewer.view import VIEW, seen_as, view_of
 
-one_thread = viewer_scenes.one_thread  # a fixture
+one_thread = viewer.one_thread  # a fixture
 
 
 @pytest.mark.parametrize("name", [*PRESETS, RANDOM])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import viewer_scenes
 from PIL import Image
-from viewer_scenes import EXAMPLE, SMALL, click, image, make_state, read_target, send
+from scenes import viewer
+from scenes.viewer import EXAMPLE, SMALL, click, image, make_state, read_target, send
 
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.errors import InputError
@@ -26,7 +26,7 @@ from warp_partdr.viewer.targets import (
 )
 from warp_partdr.viewer.window import Window
 
-one_thread, window = viewer_scenes.one_thread, viewer_scenes.window  # fixtures
+one_thread, window = viewer.one_thread, viewer.window  # fixtures
 
 
 def test_a_slider_changes_what_it_should(window):

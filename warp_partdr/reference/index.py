@@ -31,10 +31,10 @@ class Equation:
 
 _LABEL_LOSSES = ("render.mesh.mesh_label_loss", "render.ellipsoids.ellipsoid_label_loss")
 _GRADIENT_TESTS = (
-    "tests/render/test_render.py::test_dense_gradient_is_the_reference",
+    "tests/render/test_mesh.py::test_dense_gradient_is_the_reference",
     "tests/render/test_ellipsoids.py::test_partdr_gradient_of_maps_is_the_reference",
 )
-_PICTURE_TEST = "tests/render/test_render.py::test_forward_is_the_reference"
+_PICTURE_TEST = "tests/render/test_mesh.py::test_forward_is_the_reference"
 _BODY_TEST = "tests/body/test_posing.py::test_pose_is_the_walk"
 _ENERGY_TEST = "tests/reference/test_losses.py::test_energy_is_the_books"
 _CLOTHING_TEST = "tests/reference/test_clothing.py::test_registration_terms_are_the_books"
@@ -72,7 +72,7 @@ EQUATIONS: dict[int, Equation] = {
         torch=_LABEL_LOSSES,
         tests=(
             "tests/reference/test_losses.py::test_label_losses_are_the_books",
-            "tests/render/test_render.py::test_label_loss_gradient_is_the_reference_on_ellipbody",
+            "tests/render/test_mesh.py::test_label_loss_gradient_is_the_reference_on_ellipbody",
         ),
     ),
     8: Equation(

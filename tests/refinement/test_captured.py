@@ -1,4 +1,6 @@
-"""The fused refinement against the flexible one: terms, gradients by autograd, whole runs, and its own promises."""
+"""The captured refinement against the one by autograd: terms, gradients, whole runs, and its own promises."""
+
+from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -8,68 +10,35 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from scenes import refine_by_autograd
-from test_fitting import walker
+from scenes.bodies import moved_bodies, noise, refine_by_autograd, unsure_observation, walker
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.body.posing import LandmarkGather
-from warp_partdr.body.skeletons import skeleton
-from warp_partdr.inputs.observation import Observation
 from warp_partdr.kernels.ellipsoids.forces import Forces
 from warp_partdr.kernels.refine.state import Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.refinement.steps import SIZES
-from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 64
 LABELS = label_set("surreal14")
 
 
-def moved(body: BodyParameters, batch: int, seed: int = 0, amount: float = 0.15) -> BodyParameters:
-    """Bodies near ``body``, no two alike."""
-    rng = np.random.default_rng(seed)
-    return BodyParameters(
-        **{
-            name: tensor + amount * (0.1 if name in ("lengths", "thicknesses") else 1.0) * noise(rng, tensor, batch)
-            for name, tensor in body.tensors().items()
-        }
-    )
-
-
-def noise(rng: np.random.Generator, like: torch.Tensor, batch: int) -> torch.Tensor:
-    return torch.from_numpy(rng.standard_normal((batch, *like.shape[1:])).astype(np.float32)).to(like.device)
-
-
-def observation(body: BodyParameters, fmt: str = "body25", labels: bool = False) -> Observation:
-    """Keypoints of a body, some unsure, and its labels if asked for."""
-    device = body.shift.device
-    names = skeleton(fmt).landmarks
-    points = body.camera(2).project(LandmarkGather(names, device)(body.posed()))[0, :, :2] - 1
-    confidence = torch.linspace(0.0, 1.0, len(names), device=device)
-    image = None
-    if labels:
-        groups = LABELS.part_groups[1:].tolist()
-        image = draw_ellipsoids(body.posed(), body.camera(SIZE), (SIZE, SIZE), part_labels=groups).labels[0]
-    return Observation(names, points.detach(), confidence, image, LABELS if labels else None)
-
-
 def energy_of(body: BodyParameters, *, labels: bool = False, **options) -> Energy:
     prior = PosePrior().to(body.shift.device)
-    return Energy(observation(body, labels=labels), size=SIZE, prior=prior, **options)
+    return Energy(unsure_observation(body, labels=LABELS if labels else None), size=SIZE, prior=prior, **options)
 
 
 def gradient_at(energy: Energy, bodies: BodyParameters) -> tuple[dict, dict]:
-    """Terms and gradient of the fused path."""
-    fused = CapturedRefinement(energy, bodies.batch_size, iterations=0)
-    return fused.refine(bodies).terms, _split(fused._gradient)
+    """Terms and gradient of the captured path."""
+    captured = CapturedRefinement(energy, bodies.batch_size, iterations=0)
+    return captured.refine(bodies).terms, _split(captured._gradient)
 
 
 def autograd_at(energy, bodies: BodyParameters) -> tuple[dict, dict]:
-    """The same of the flexible path."""
+    """The same of the path by autograd."""
     leaves = bodies.leaves()
     terms = energy(leaves)
     torch.stack(list(terms.values())).sum().backward()
@@ -113,7 +82,7 @@ class FixedForces:
 def test_terms_and_gradient_are_those_of_autograd(device):
     body = walker(device)
     energy = energy_of(body)
-    bodies = moved(body, 5, amount=0.3)
+    bodies = moved_bodies(body, 5, amount=0.3)
     (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
     assert_same(terms, want_terms, 1e-6)
     assert_same(gradient, want, 1e-5)
@@ -127,7 +96,7 @@ def test_depth_is_held_as_in_torch(device):
     depths = body.posed().centres[0, :, 2]
     free = energy_of(body, weights=Weights(depth=0.01))
     energies = [replace(free, depths=depths + offset) for offset in (0.0, 0.05)]
-    bodies = moved(body, 4, amount=0.3)
+    bodies = moved_bodies(body, 4, amount=0.3)
     terms, gradient = gradient_at(energies, bodies)
     for number, energy in enumerate(energies):
         mine = slice(number, None, 2)
@@ -143,8 +112,8 @@ def test_depth_is_held_as_in_torch(device):
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
 def test_every_format_of_keypoints(device, fmt):
     body = walker(device)
-    energy = Energy(observation(body, fmt), weights=Weights(length=0.0, thickness=0.0))
-    bodies = moved(body, 3)
+    energy = Energy(unsure_observation(body, fmt), weights=Weights(length=0.0, thickness=0.0))
+    bodies = moved_bodies(body, 3)
     (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
     assert_same(terms, want_terms, 1e-6)
     assert_same(gradient, want, 1e-5)
@@ -156,7 +125,7 @@ def test_given_forces_reach_every_parameter(device, monkeypatch):
     energy = energy_of(
         body, labels=True, weights=Weights(proj=0.0, seg=1.0, length=0.0, thickness=0.0, prior=0.0, limits=0.0)
     )
-    bodies = moved(body, 4, amount=0.5)
+    bodies = moved_bodies(body, 4, amount=0.5)
     made = []
 
     def make(*arguments):
@@ -182,7 +151,7 @@ def test_given_forces_reach_every_parameter(device, monkeypatch):
 def test_labels_cost_and_pull_as_in_torch(device, gradient):
     body = walker(device)
     energy = energy_of(body, labels=True, weights=Weights(seg=0.5), renderer=RendererEllipsoids(gradient, 9.0))
-    bodies = moved(body, 3)
+    bodies = moved_bodies(body, 3)
     have, have_gradient = gradient_at(energy, bodies)
     want, want_gradient = autograd_at(energy, bodies)
     assert_same(have, want, 1e-6)
@@ -193,7 +162,7 @@ def test_labels_cost_and_pull_as_in_torch(device, gradient):
 def test_rotations_of_any_size(device, angle):
     body = walker(device)
     axes = torch.nn.functional.normalize(noise(np.random.default_rng(0), body.rotations, 1), dim=-1)
-    bodies = replace(moved(body, 1), rotations=angle * axes)
+    bodies = replace(moved_bodies(body, 1), rotations=angle * axes)
     (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
     assert_same(terms, want_terms, 1e-5)
     assert_same(gradient, want, 2e-5)
@@ -212,7 +181,7 @@ def test_rotations_of_any_size(device, angle):
 )
 def test_orientations_of_any_columns(device, columns):
     body = walker(device)
-    bodies = replace(moved(body, 1), orientation=torch.tensor([columns], device=device))
+    bodies = replace(moved_bodies(body, 1), orientation=torch.tensor([columns], device=device))
     (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
     assert_same(terms, want_terms, 1e-4)
     assert all(torch.isfinite(tensor).all() for tensor in gradient.values())
@@ -228,11 +197,11 @@ def test_a_run_ends_where_the_flexible_one_does(device, iterations):
     50 iterations a body goes another way for a while. So most bodies are held to rounding and all to a loose bound.
     """
     body = walker(device)
-    energy, start = energy_of(body), moved(body, 8)
+    energy, start = energy_of(body), moved_bodies(body, 8)
     want = refine_by_autograd(start, energy, iterations=iterations, learning_rate=0.02)
     steps: list[int] = []
-    fused = CapturedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
-    have = fused.refine(start, on_iteration=steps.append)
+    captured = CapturedRefinement(energy, 8, iterations=iterations, learning_rate=0.02)
+    have = captured.refine(start, on_iteration=steps.append)
     assert steps == list(range(1, iterations + 1))
     for name, tensor in want.parameters.tensors().items():
         error = (have.parameters.tensors()[name] - tensor).abs().reshape(8, -1).amax(1).sort().values
@@ -248,7 +217,7 @@ def test_a_run_ends_where_the_flexible_one_does(device, iterations):
 def test_labels_bring_a_moved_body_back(device):
     body = walker(device)
     energy = energy_of(body, labels=True, weights=Weights(seg=0.3), renderer=RendererEllipsoids("coverage"))
-    start = moved(body, 3, amount=0.08)
+    start = moved_bodies(body, 3, amount=0.08)
     have = CapturedRefinement(energy, 3, learning_rate=0.02).refine(start)
     want = refine_by_autograd(start, energy, learning_rate=0.02)
     assert (have.terms["seg"] < 0.4 * gradient_at(energy, start)[0]["seg"]).all()
@@ -258,7 +227,7 @@ def test_labels_bring_a_moved_body_back(device):
 
 def test_sizes_stay_within_bounds(device):
     body = walker(device)
-    huge = replace(observation(body), points=100 * observation(body).points)
+    huge = replace(unsure_observation(body), points=100 * unsure_observation(body).points)
     have = CapturedRefinement(Energy(huge), 1, learning_rate=1.0).refine(body).parameters
     mean = BodyParameters.mean(1, device=device)
     at_a_bound = 0
@@ -273,7 +242,7 @@ def test_sizes_stay_within_bounds(device):
 def test_a_run_repeats_bit_for_bit(device):
     body = walker(device)
     energy = energy_of(body, labels=True)
-    runs = [CapturedRefinement(energy, 4).refine(moved(body, 4)) for _ in range(2)]
+    runs = [CapturedRefinement(energy, 4).refine(moved_bodies(body, 4)) for _ in range(2)]
     for name, tensor in runs[0].parameters.tensors().items():
         assert torch.equal(tensor, runs[1].parameters.tensors()[name]), name
     assert torch.equal(runs[0].history, runs[1].history)
@@ -282,37 +251,37 @@ def test_a_run_repeats_bit_for_bit(device):
 def test_further_iterations_leave_bodies_where_they_are(device):
     """They repeat the last one, and write nothing beyond the history."""
     body = walker(device)
-    fused = CapturedRefinement(energy_of(body, labels=True), 2, iterations=3)
-    want = fused.refine(moved(body, 2))
-    parameters, history = fused._parameters.clone(), fused._history.clone()
+    captured = CapturedRefinement(energy_of(body, labels=True), 2, iterations=3)
+    want = captured.refine(moved_bodies(body, 2))
+    parameters, history = captured._parameters.clone(), captured._history.clone()
     wp.synchronize_device(device)
     for _ in range(5):
-        fused.iterate()
+        captured.iterate()
     wp.synchronize_device(device)
-    assert torch.equal(fused._parameters, parameters)
-    assert torch.equal(fused._history, history)
-    assert torch.equal(fused.refine(moved(body, 2)).history, want.history)
+    assert torch.equal(captured._parameters, parameters)
+    assert torch.equal(captured._history, history)
+    assert torch.equal(captured.refine(moved_bodies(body, 2)).history, want.history)
 
 
 def test_two_threads_give_what_one_gives():
     """Replays on the CPU device share nothing; a tile there would."""
     body = walker()
-    energy, start = energy_of(body), moved(body, 16)
-    fused = [CapturedRefinement(energy, 16) for _ in range(2)]
-    want = fused[0].refine(start).history
+    energy, start = energy_of(body), moved_bodies(body, 16)
+    captured = [CapturedRefinement(energy, 16) for _ in range(2)]
+    want = captured[0].refine(start).history
     with ThreadPoolExecutor(2) as pool:
         for _ in range(5):
-            for have in pool.map(lambda one: one.refine(start).history, fused):
+            for have in pool.map(lambda one: one.refine(start).history, captured):
                 assert torch.equal(have, want)
 
 
 def test_bodies_do_not_influence_one_another(device):
     """Not even one that is not a number; and each sees its own observation."""
     body = walker(device)
-    other = moved(body, 1, seed=7)
+    other = moved_bodies(body, 1, seed=7)
     energies = [energy_of(body, labels=True), energy_of(other, labels=True)]
     energies[1].prior = energies[0].prior
-    start = moved(body, 4)
+    start = moved_bodies(body, 4)
     start.shift[2] = math.nan
     together = CapturedRefinement(energies, 4, iterations=20).refine(start)
     for b in (0, 1, 3):
@@ -326,31 +295,31 @@ def test_bodies_do_not_influence_one_another(device):
 
 def test_buffers_serve_again(device):
     body = walker(device)
-    other = moved(body, 1, seed=7)
+    other = moved_bodies(body, 1, seed=7)
     first, second = energy_of(body, labels=True), energy_of(other, labels=True)
     second.prior = first.prior
     second.observation = replace(second.observation)
-    start = moved(body, 2)
-    fused = CapturedRefinement(first, 2, iterations=10)
-    before = fused.refine(start)
+    start = moved_bodies(body, 2)
+    captured = CapturedRefinement(first, 2, iterations=10)
+    before = captured.refine(start)
     kept = before.history.clone()
-    fused.observe(second)
-    changed = fused.refine(moved(body, 2, seed=5))
-    fresh = CapturedRefinement(second, 2, iterations=10).refine(moved(body, 2, seed=5))
+    captured.observe(second)
+    changed = captured.refine(moved_bodies(body, 2, seed=5))
+    fresh = CapturedRefinement(second, 2, iterations=10).refine(moved_bodies(body, 2, seed=5))
     assert torch.equal(changed.history, fresh.history)
     assert torch.equal(before.history, kept)  # results are copies
-    fused.observe(first)
-    assert torch.equal(fused.refine(start).history, kept)
+    captured.observe(first)
+    assert torch.equal(captured.refine(start).history, kept)
 
 
 def test_keypoints_that_are_gone_pull_no_more(device):
     body = walker(device)
-    many, few = observation(body, "body25"), observation(body, "lsp14")
-    fused = CapturedRefinement(Energy(many), 1, iterations=3)
-    fused.observe(Energy(few))
+    many, few = unsure_observation(body, "body25"), unsure_observation(body, "lsp14")
+    captured = CapturedRefinement(Energy(many), 1, iterations=3)
+    captured.observe(Energy(few))
     assert torch.equal(
-        fused.refine(moved(body, 1)).history,
-        CapturedRefinement(Energy(few), 1, iterations=3).refine(moved(body, 1)).history,
+        captured.refine(moved_bodies(body, 1)).history,
+        CapturedRefinement(Energy(few), 1, iterations=3).refine(moved_bodies(body, 1)).history,
     )
 
 
@@ -363,19 +332,21 @@ def test_empty_batch(device):
 def test_bad_calls_name_the_argument(device):
     body = walker(device)
     energy = energy_of(body)
-    fused = CapturedRefinement(energy, 2)
+    captured = CapturedRefinement(energy, 2)
     with pytest.raises(ValueError, match="shape"):
-        fused.refine(body)
+        captured.refine(body)
     with pytest.raises(ValueError, match="float64"):
-        fused.refine(replace(moved(body, 2), shift=torch.zeros(2, 2, dtype=torch.float64, device=device)))
+        captured.refine(replace(moved_bodies(body, 2), shift=torch.zeros(2, 2, dtype=torch.float64, device=device)))
     with pytest.raises(ValueError, match="weights"):
-        fused.observe(replace(energy, weights=Weights(proj=2.0)))
+        captured.observe(replace(energy, weights=Weights(proj=2.0)))
     with pytest.raises(ValueError, match="energies: 2; expected 1"):
-        fused.observe([energy, energy])
+        captured.observe([energy, energy])
     with pytest.raises(ValueError, match="labels"):
-        fused.observe(replace(energy, observation=observation(body, labels=True)))
+        captured.observe(replace(energy, observation=unsure_observation(body, labels=LABELS)))
     with pytest.raises(ValueError, match=r"RendererMesh.*expected exact ellipsoids"):
         CapturedRefinement(energy_of(body, labels=True, renderer=RendererMesh()), 1)
-    soft = replace(observation(body, labels=True), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE))
+    soft = replace(
+        unsure_observation(body, labels=LABELS), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE)
+    )
     with pytest.raises(ValueError, match="probabilities"):
         CapturedRefinement(Energy(soft), 1)

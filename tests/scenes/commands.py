@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from scenes.files import EXAMPLE
 from warp_partdr.cli import main
 from warp_partdr.fit import stages
 from warp_partdr.fit.stages import Stage
 from warp_partdr.results import save
 
-EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
 QUICK = (Stage("lift", 8, 6, 0.1), Stage("labels", 2, 4, 0.02, 64))
 GOOD = "photo.png --keypoints k.json --parts p.png --labels cdcl14 --out out"
 ALONE = "--model none"  # no detailed model: that takes most of a quick fit's time

@@ -12,7 +12,8 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
-from scenes import draw_on_screen
+from scenes.files import EXAMPLE
+from scenes.pictures import draw_on_screen
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
@@ -35,7 +36,6 @@ from warp_partdr.results.ellipbody_files import ellipbody_scene
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import loss_chart, panels
 
-EXAMPLE = Path(__file__).parents[2] / "warp_partdr" / "assets" / "example"
 QUICK = FitOptions(
     start="search",
     stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),

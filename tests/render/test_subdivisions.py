@@ -1,32 +1,21 @@
-"""Qualities of a fit, and the level of the mesh that keeps a tolerance."""
+"""The level of the mesh that keeps a tolerance, against silhouettes that are measured."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from scenes.bodies import observation_of, random_bodies
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.icosphere import icosphere
-from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.body.posing import LandmarkGather, Posed
-from warp_partdr.body.skeletons import skeleton
+from warp_partdr.body.posing import Posed
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
-from warp_partdr.cli import fit as command
-from warp_partdr.cli.options import PersonFiles, SettingOptions
-from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.result import FitResult
-from warp_partdr.fit.stages import STAGES, Stage, Start
-from warp_partdr.inputs.keypoints import Keypoints2D
-from warp_partdr.inputs.observation import Observation
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
@@ -34,27 +23,8 @@ from warp_partdr.render.part_mesh import ellipbody_mesh
 from warp_partdr.render.renderers import RendererMesh
 from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
 
-LABELS = label_set("ellipbody20")
-COCO = skeleton("coco17")
 SIZE = 128
 FINE = 8  # samples a side of a pixel, where silhouettes are measured
-
-
-def random_bodies(count: int, device: str) -> BodyParameters:
-    generator = torch.Generator().manual_seed(count)
-
-    def noise(like: torch.Tensor, spread: float) -> torch.Tensor:
-        return (spread * torch.randn(like.shape, generator=generator)).to(device)
-
-    mean = BodyParameters.mean(count, device=device)
-    return replace(
-        mean,
-        orientation=mean.orientation + noise(mean.orientation, 0.5),
-        rotations=noise(mean.rotations, 0.4),
-        lengths=mean.lengths * noise(mean.lengths, 0.1).exp(),
-        thicknesses=mean.thicknesses * noise(mean.thicknesses, 0.2).exp(),
-        log_scale=noise(mean.log_scale, 0.3) - 0.3,
-    )
 
 
 def views(bodies: BodyParameters) -> dict[str, tuple[Posed | Ellipsoids, Camera]]:
@@ -157,94 +127,11 @@ def test_nothing_to_draw_needs_no_level(device: str) -> None:
     assert float(silhouette_error(behind, camera, 0).max()) == 0.0
 
 
-def observation(bodies: BodyParameters) -> Observation:
-    posed = bodies.posed()
-    points = bodies.camera(2).project(LandmarkGather(COCO.landmarks, bodies.shift.device)(posed))[0, :, :2] - 1
-    labels = draw_ellipsoids(posed, bodies.camera(SIZE), (SIZE, SIZE)).labels[0]
-    return Observation(COCO.landmarks, points, torch.ones_like(points[:, 0]), labels, LABELS)
-
-
 def test_energy_and_result_take_auto(device: str) -> None:
     bodies = random_bodies(1, device)
-    seen = observation(bodies)
+    seen = observation_of(bodies, size=SIZE)
     found = Energy(seen, SIZE, renderer=RendererMesh("auto", 0.3))(bodies)["seg"]
     level = coarsest_subdivisions(bodies.posed(), bodies.camera(SIZE), tolerance=0.3)
     assert level > 0
     assert float(found) == float(Energy(seen, SIZE, renderer=RendererMesh(level))(bodies)["seg"])
     assert float(found) != float(Energy(seen, SIZE, renderer=RendererMesh(level - 1))(bodies)["seg"])
-
-
-def person(device: str) -> tuple[Keypoints2D, BodyParameters]:
-    bodies = random_bodies(1, device)
-    points = (observation(bodies).points.cpu().numpy() + 1) * SIZE / 2
-    return Keypoints2D("coco17", points.astype(np.float32), np.ones(len(points), dtype=np.float32)), bodies
-
-
-def short(result: FitResult) -> list[tuple[str, int, int]]:
-    return [(stage.name, stage.iterations, stage.size) for stage in result.stages]
-
-
-def test_balanced_is_the_default(device: str) -> None:
-    assert FitOptions() == FitOptions.at("balanced")
-    keypoints, _ = person(device)
-    assert short(fit_body(keypoints, device=device)) == short(fit_body(keypoints, quality="balanced", device=device))
-
-
-def test_quality_chooses_the_stages_and_options_override_it(device: str) -> None:
-    keypoints, _ = person(device)
-    fast = fit_body(keypoints, quality="fast", device=device)
-    assert fast.stages == tuple(replace(stage, size=0) for stage in STAGES["network"]["fast"])
-    searched = fit_body(keypoints, options=FitOptions.at("fast", "search"), device=device)
-    assert searched.stages == tuple(stage for stage in STAGES["search"]["fast"] if stage.size == 0)
-    own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
-    assert fit_body(keypoints, quality="fast", options=own, device=device).stages == own.stages
-    assert FitOptions.at("accurate").without_outline().stages == STAGES["network"]["accurate"][:-1]
-
-
-def test_command_takes_a_quality_and_settings_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [each.value for each in command.QualityName] == list(STAGES["network"])
-    assert [each.value for each in command.StartName] == list(STAGES)
-    (tmp_path / "points.json").write_text(json.dumps(person("cpu")[0].points.tolist()))
-    given: list[FitOptions] = []
-
-    def refuse(*people: object, options: FitOptions, **rest: object) -> None:
-        given.append(options)
-        raise command.InputError("enough")
-
-    monkeypatch.setattr("warp_partdr.fit.fitting.fit_body", refuse)
-    files = PersonFiles(tmp_path / "points.json", "coco17")
-    for flags, overrides in (
-        ({}, []),
-        ({"quality": command.QualityName.fast}, []),
-        ({"quality": command.QualityName.accurate}, ["outline=false"]),
-    ):
-        with pytest.raises(command.InputError, match="enough"):
-            command.fit(
-                files,
-                out=tmp_path / "out",
-                model="none",
-                device="cpu",
-                settings=SettingOptions(None, overrides),
-                **flags,
-            )
-    assert [options.stages for options in given] == [
-        STAGES["network"]["balanced"],
-        STAGES["network"]["fast"],
-        STAGES["network"]["accurate"][:-1],
-    ]
-
-
-def test_unknown_quality_is_said(device: str) -> None:
-    keypoints, _ = person(device)
-    with pytest.raises(ValueError, match="quality: 'best'; expected fast, balanced, accurate"):
-        fit_body(keypoints, quality="best", device=device)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("start", STAGES)
-def test_qualities_are_in_order_of_work(start: Start) -> None:
-    """Pixels drawn: bodies times iterations times the area of the picture."""
-    work = {
-        quality: sum(stage.bodies * stage.iterations * stage.size**2 for stage in stages)
-        for quality, stages in STAGES[start].items()
-    }
-    assert 4 * work["fast"] < work["balanced"] < work["accurate"]

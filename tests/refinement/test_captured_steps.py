@@ -1,13 +1,12 @@
-"""What the fused refinement does with a gradient: Adam's step, the falling rate, and orientations of any columns."""
+"""What the captured refinement does with a gradient: Adam's step, the falling rate, and orientations of any columns."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scenes.bodies import unsure_observation, walker
 from scipy.spatial.transform import Rotation
-from test_fitting import walker
-from test_fused import observation
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.refinement.captured import CapturedRefinement, _split
@@ -18,7 +17,7 @@ from warp_partdr.refinement.steps import FINAL_RATE, SHAPE_RATE, rate_share
 def springs(weight: float, body: BodyParameters) -> Energy:
     """Nothing but squares of sizes' deviations: gradients in closed form, of any size."""
     weights = Weights(proj=0.0, seg=0.0, length=weight, thickness=weight, prior=0.0, limits=0.0)
-    return Energy(observation(body), weights=weights)
+    return Energy(unsure_observation(body), weights=weights)
 
 
 @pytest.mark.parametrize("weight", [1e-9, 1e-3, 1e6])
@@ -27,9 +26,9 @@ def test_a_step_is_adams(device, weight, steps):
     """Kingma and Ba's with torch's numbers, however large the gradient is: the first step is the rate itself."""
     rate, body = 0.01, walker(device)
     start = replace(body, lengths=body.lengths + 0.01, thicknesses=body.thicknesses - 0.004)
-    fused = CapturedRefinement(springs(weight, body), 1, iterations=steps, learning_rate=rate)
-    fused.refine(start)
-    last = _split(fused._parameters)
+    captured = CapturedRefinement(springs(weight, body), 1, iterations=steps, learning_rate=rate)
+    captured.refine(start)
+    last = _split(captured._parameters)
     for name in ("lengths", "thicknesses"):
         usual, moved = body.tensors()[name].double(), start.tensors()[name].double().requires_grad_()
         adam = torch.optim.Adam([moved], lr=SHAPE_RATE * rate)
@@ -61,8 +60,8 @@ def test_nearly_collinear_columns_are_a_rotation(device, gap):
     first, aside = axes[..., 0], axes[..., 1]
     body = walker(device)
     bodies = BodyParameters(**{name: torch.cat([tensor] * 8) for name, tensor in body.tensors().items()})
-    fused = CapturedRefinement(springs(1.0, body), 8, iterations=0)
-    fused.refine(replace(bodies, orientation=torch.cat([first, first + gap * aside], dim=1)))
-    found = torch.from_numpy(fused._state.orientations.numpy()).to(device)
+    captured = CapturedRefinement(springs(1.0, body), 8, iterations=0)
+    captured.refine(replace(bodies, orientation=torch.cat([first, first + gap * aside], dim=1)))
+    found = torch.from_numpy(captured._state.orientations.numpy()).to(device)
     torch.testing.assert_close(found.mT @ found, torch.eye(3, device=device).expand(8, 3, 3), rtol=0, atol=2e-6)
     assert (found - axes).abs().max() < 1e-6 / gap

@@ -13,7 +13,7 @@ from PIL import Image
 from warp_partdr.training.config import TrainingConfig
 from warp_partdr.training.config_files import make_config
 
-TASK = "tiny_task:TinyTask"
+TASK = "scenes.training:TinyTask"
 
 
 @dataclass(frozen=True)

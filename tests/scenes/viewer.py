@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from scenes.files import EXAMPLE
 from warp_partdr.clothing.registration import RegistrationOptions
 from warp_partdr.inputs.person_files import read_person
 from warp_partdr.viewer.controls import Clothing
@@ -22,7 +23,6 @@ from warp_partdr.viewer.targets import (
 )
 from warp_partdr.viewer.window import Window
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
 SMALL = Settings(size=64, steps=40)
 
 

@@ -1,0 +1,103 @@
+"""A fit says what it models and what it leaves out."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+from rich.console import Console
+from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, observation_of
+
+from warp_partdr import label_set
+from warp_partdr.body.labels import LabelSet
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.fit.explain import explain, print_choices
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import Stage
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.part_labels import PartLabels
+
+
+def seen_by(body: BodyParameters, labels: LabelSet, image: tuple[int, int] = (300, 400)) -> tuple:
+    """Keypoints and labels of a picture with the body in its upper left corner."""
+    size = 200
+    seen = observation_of(body, labels, size)
+    points = ((seen.points + 1) * size / 2).cpu().numpy()
+    groups = np.zeros(image, dtype=np.uint8)
+    groups[:size, :size] = seen.labels.cpu().numpy()
+    confidence = np.ones(len(points), dtype=np.float32)
+    confidence[:3] = 0.0
+    return Keypoints2D("coco17", points.astype(np.float32), confidence), PartLabels(labels, groups)
+
+
+def test_a_fit_says_what_it_models():
+    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    choices = {choice.what: choice for choice in explain(keypoints, parts)}
+    assert choices["keypoints"].modelled.startswith("14 of 17")
+    assert choices["keypoints"].left_out == "nose; left_eye; right_eye"
+    assert choices["ellipsoids"].modelled == "16 of 20 drawn"
+    assert set(choices["ellipsoids"].left_out.split("; ")) == set(TIPS)
+    assert 50 < float(choices["picture"].left_out.split()[0]) < 95
+    assert choices["groups of parts"].left_out == ""
+    assert "16 maps" in choices["L_seg"].left_out
+    assert choices["z gradient"].modelled == ""
+    assert choices["start"].modelled == "the label network's body"
+    assert choices["an iteration"].left_out == "autograd, Python"
+
+
+def test_a_fit_says_why_it_looks_for_no_depth():
+    keypoints, parts = seen_by(bent_bodies(), label_set("full1"))
+    depth = next(choice for choice in explain(keypoints, parts) if choice.what == "z gradient")
+    assert depth.modelled == ""
+    assert "one label" in depth.why
+
+
+def test_a_fit_without_labels_draws_nothing():
+    keypoints, _ = seen_by(bent_bodies(), label_set("body14"))
+    last = explain(keypoints)[-1]
+    assert last.what == "part labels"
+    assert last.left_out == "L_seg; outline"
+    searched = explain(keypoints, options=FitOptions.at("balanced", "search"))
+    assert "labels, fine; outline" in searched[-1].left_out
+    assert searched[1].left_out == "the label network"
+
+
+def test_a_searching_fit_looks_for_depth_where_parts_hide_one_another():
+    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    choices = explain(keypoints, parts, options=FitOptions.at("balanced", "search"))
+    depth = next(choice for choice in choices if choice.what == "z gradient")
+    assert depth.modelled.startswith("stages labels, coarse")
+
+
+def test_the_table_holds_every_choice(capsys):
+    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    choices = explain(keypoints, parts)
+    print_choices(choices, Console(width=200))
+    shown = capsys.readouterr().out
+    assert all(choice.what in shown for choice in choices)
+
+
+def test_fits_of_a_few_stages_still_fit():
+    """What is explained is what is done: the same stages, the same crop."""
+    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    options = FitOptions(stages=(Stage("lift", 8, 5, 0.1), Stage("labels", 2, 3, 0.02, 64)))
+    result = fit_body(keypoints, parts, options=options)
+    picture = next(choice for choice in explain(keypoints, parts, options=options) if choice.what == "picture")
+    assert picture.modelled == f"{256 / result.crop.zoom:.0f} x {256 / result.crop.zoom:.0f} px around the person, " + (
+        "drawn at 64 px"
+    )
+
+
+def test_the_commands_run(tmp_path):
+    from typer.testing import CliRunner
+
+    from warp_partdr.cli import main
+
+    example = resources.files("warp_partdr") / "assets" / "example"
+    inputs = [str(example / "photo.png"), "--keypoints", str(example / "keypoints.json")]
+    run = CliRunner().invoke(main.app, ["fit", *inputs, "--explain", "--model", "none", "--out", str(tmp_path / "fit")])
+    assert run.exit_code == 0, run.output
+    assert "What is modelled" in run.output
+    run = CliRunner().invoke(main.app, ["bench", "savings", "--help"])
+    assert run.exit_code == 0

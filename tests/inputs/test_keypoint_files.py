@@ -1,0 +1,222 @@
+"""Keypoint files in all their formats, and faulty ones."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_partdr.body.skeletons import SKELETONS, convert
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
+from warp_partdr.inputs.keypoints import person_height
+
+NAN, INF = math.nan, math.inf
+PHOTOS = ("000000032081", "000000203864", "000000468632")
+
+
+def rows(count: int, width: int = 3) -> list[list[float]]:
+    """Distinct keypoints of confidence 0.5."""
+    return [[10.0 + 3 * k, 20.0 + 5 * k, 0.5][:width] for k in range(count)]
+
+
+def flat(values: list[list[float]]) -> list[float]:
+    return [value for row in values for value in row]
+
+
+def write(path: Path, data: Any) -> Path:
+    path.write_text(data if isinstance(data, str) else json.dumps(data))
+    return path
+
+
+@pytest.mark.parametrize("name", list(SKELETONS))
+@pytest.mark.parametrize("width", [2, 3])
+@pytest.mark.parametrize("shape", ["object", "flat", "list", "bare"])
+def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Path) -> None:
+    values = rows(len(SKELETONS[name]), width)
+    data: Any = {"format": name, "keypoints": flat(values) if shape == "flat" else values}
+    if shape == "list":
+        data = [data]
+    path = write(tmp_path / "k.json", values if shape == "bare" else data)
+    (keypoints,) = read_keypoints(path, name if shape == "bare" and name == "h36m17" else None)
+    assert keypoints.skeleton == name
+    assert keypoints.points.dtype == keypoints.confidence.dtype == np.float32
+    np.testing.assert_allclose(keypoints.points, np.array(values)[:, :2])
+    np.testing.assert_allclose(keypoints.confidence, 0.5 if width == 3 else 1.0)
+    # What the format has in common with another survives the way there and back.
+    there = convert(keypoints.points, name, "body25")
+    back = convert(there, "body25", name)
+    shared = ~np.isnan(back[:, 0])
+    assert shared.sum() >= 12
+    np.testing.assert_array_equal(back[shared], keypoints.points[shared])
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("BlazePose33 x,y,visibility px", "blazepose33"),
+        ("MediaPipe", "blazepose33"),
+        ("BODY_25", "body25"),
+        ("OpenPose BODY_25", "body25"),
+        ("COCO-17", "coco17"),
+        ("Human3.6M", "h36m17"),
+        ("Human3.6M 17", "h36m17"),
+        ("LSP", "lsp14"),
+        ("mpii", "mpii16"),
+    ],
+)
+def test_spellings_of_formats(text: str, name: str) -> None:
+    values = rows(len(SKELETONS[name]))
+    assert parse_keypoints({"format": text, "keypoints": values})[0].skeleton == name
+    assert parse_keypoints(values, text)[0].skeleton == name
+
+
+def test_openpose_json() -> None:
+    first, second = rows(25), [[x + 100, y, 0.9] for x, y, _ in rows(25)]
+    second[3] = [0, 0, 0]
+    data = {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": flat(p)} for p in (first, second)]}
+    people = parse_keypoints(data)
+    assert [person.skeleton for person in people] == ["body25", "body25"]
+    np.testing.assert_allclose(people[1].points[2], second[2][:2])
+    assert np.flatnonzero(~people[1].visible).tolist() == [3]
+
+
+def test_coco_json() -> None:
+    values = [[10 + k, 20 + 2 * k, k % 3] for k in range(17)]
+    annotation = {"image_id": 5, "category_id": 1, "num_keypoints": 11, "keypoints": flat(values)}
+    for data in (annotation, [annotation], {"images": [], "annotations": [annotation, annotation]}):
+        keypoints = parse_keypoints(data)[0]
+        assert keypoints.skeleton == "coco17"
+        assert keypoints.confidence[:4].tolist() == [0.0, 0.5, 1.0, 0.0]
+    with pytest.raises(InputError, match="people of 2 pictures; expected those of one"):
+        parse_keypoints([annotation, annotation | {"image_id": 6}])
+
+
+def test_mmpose_json() -> None:
+    instance = {"keypoints": rows(17, 2), "keypoint_scores": [0.25] * 16 + [1.2]}
+    for data in ([instance, instance], {"instances": [instance, instance]}):
+        people = parse_keypoints(data)
+        assert len(people) == 2
+        assert people[0].confidence[[0, 16]].tolist() == [0.25, 1.0]
+
+
+def test_lists_of_several_people() -> None:
+    assert len(parse_keypoints([rows(17), rows(17)])) == 2
+    assert len(parse_keypoints([flat(rows(17)), flat(rows(17)), flat(rows(17))])) == 3
+    assert len(parse_keypoints({"format": "h36m17", "keypoints": [rows(17), rows(17)]})) == 2
+    people = parse_keypoints([rows(17), [[0, 0, 0]] * 17])
+    assert len(people) == 1  # Who has no visible keypoint is left out.
+
+
+def test_missing_keypoints() -> None:
+    values: list[Any] = rows(17)
+    values[1:6] = [[NAN, NAN, 0], [5, 5, 0], [None, None, None], [NAN, NAN, NAN], None]
+    (keypoints,) = parse_keypoints(values)
+    assert np.flatnonzero(~keypoints.visible).tolist() == [1, 2, 3, 4, 5]
+    assert not keypoints.points[1:6].any()
+    pairs: list[Any] = rows(17, 2)
+    pairs[1:4] = [[0, 0], [None, None], [NAN, NAN]]
+    assert np.flatnonzero(~parse_keypoints(pairs)[0].visible).tolist() == [1, 2, 3]
+
+
+def changed(joint: int, row: Any) -> list[Any]:
+    values: list[Any] = rows(17)
+    values[joint] = row
+    return values
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ("", "not JSON"),
+        ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        ("3", "int; expected an object or a list of keypoints"),
+        ("[]", "nobody in it; expected keypoints of at least one person"),
+        ({"people": []}, "nobody in it; expected keypoints of at least one person"),
+        ({"people": [3]}, "person 0: int; expected an object or a list"),
+        ({}, "no list of keypoints; expected one under keypoints or pose_keypoints_2d"),
+        ({"keypoints": "abc"}, "no list of keypoints; expected one under"),
+        ({"format": "dance", "keypoints": rows(17)}, "format: 'dance'; expected one of coco17, body25"),
+        ({"format": "lsp14", "keypoints": rows(17)}, "17 keypoints; expected 14 of lsp14"),
+        ({"format": "lsp14", "keypoints": flat(rows(17))}, "51 numbers; expected 3 (x, y, confidence) or 2 a keypoint"),
+        (rows(18), "18 keypoints; expected 14 (lsp14), 16 (mpii16), 17 (coco17)"),
+        (
+            {"people": [{"pose_keypoints_2d": flat(rows(18))}]},
+            "54 numbers; expected 3 (x, y, confidence) or 2 a keypoint",
+        ),
+        ([[1, 2, 3, 4]] * 17, "4 numbers; expected 3 (x, y, confidence) or 2"),
+        ({"keypoints": [[1], *rows(16)]}, "rows of 1 or 3 numbers; expected [x, y] or [x, y, confidence] each"),
+        ({"keypoints": [*rows(16), 5]}, "rows of 3 numbers; expected [x, y]"),
+        ({"keypoints": rows(17, 2), "keypoint_scores": [1.0]}, "keypoint_scores: not one a keypoint; expected 17"),
+        (changed(4, [1, NAN, 0.5]), "keypoint 4 (right_ear): [1, nan, 0.5]; expected finite numbers"),
+        (changed(4, [INF, 1, 0.5]), "keypoint 4 (right_ear): [inf, 1, 0.5]; expected finite numbers"),
+        (changed(4, [3, 1, NAN]), "keypoint 4 (right_ear): [3, 1, nan]; expected finite numbers"),
+        (changed(4, [10**400, 1, 1]), "keypoint 4 (right_ear): [inf, 1, 1]; expected finite numbers"),
+        (changed(4, [1e300, 1, 1]), "keypoint 4 (right_ear): [1e+300, 1]; expected pixels, up to 1e+06"),
+        ([rows(17), changed(4, [1, -1e30, 1])], "person 1: keypoint 4 (right_ear): [1, -1e+30]; expected pixels"),
+        (changed(4, ["1", 1, 1]), "keypoint 4 (right_ear): '1'; expected numbers"),
+        (changed(4, [True, 1, 1]), "keypoint 4 (right_ear): True; expected numbers"),
+        (changed(0, [1, 1, 37.5]), "keypoint 0 (nose): confidence 37.5; expected 0 to 1"),
+        (changed(0, [1, 1, -1]), "keypoint 0 (nose): confidence -1; expected 0 to 1"),
+        ([[5, 6, 0]] * 17, "no visible keypoint; expected some with confidence above 0"),
+        ([[0, 0]] * 17, "no visible keypoint; expected some with confidence above 0"),
+        ([[[5, 6, 0]] * 17] * 2, "person 0: no visible keypoint"),
+        ([[5, 6, 1]] * 17, "all visible keypoints in one point (5, 6); expected a person"),
+        ([[5, 6, 1]] + [[0, 0, 0]] * 16, "all visible keypoints in one point (5, 6); expected a person"),
+        ([[k / 17, 0.5, 1] for k in range(17)], "all keypoints between 0 and 1; expected pixels, not shares"),
+    ],
+)
+def test_bad_keypoint_files(data: Any, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "bad.json", data)
+    with pytest.raises(InputError) as raised:
+        read_keypoints(path)
+    error = str(raised.value)
+    assert error.startswith(str(path))
+    assert message in error
+    assert "\n" not in error
+
+
+def test_unreadable_keypoint_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.json: No such file or directory; expected keypoints in JSON"):
+        read_keypoints(tmp_path / "none.json")
+    with pytest.raises(InputError, match=r"Is a directory; expected keypoints in JSON"):
+        read_keypoints(tmp_path)
+    (tmp_path / "binary.json").write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match=r"binary\.json: not JSON"):
+        read_keypoints(tmp_path / "binary.json")
+    with pytest.raises(InputError, match=r"keypoint format: 'dance'; expected one of coco17"):
+        read_keypoints(write(tmp_path / "k.json", rows(17)), "dance")
+
+
+JSON_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["people", "keypoints", "format", "annotations", "keypoint_scores"]), inner)
+    ),
+    max_leaves=20,
+)
+
+
+@given(JSON_VALUES)
+def test_any_json_is_read_or_refused(data: Any) -> None:
+    try:
+        people = parse_keypoints(data)
+    except InputError:
+        return
+    assert all(np.isfinite(person.points).all() for person in people)
+
+
+@pytest.mark.parametrize("name", PHOTOS)
+def test_keypoints_of_the_shared_photos(name: str, shared: Path) -> None:
+    (keypoints,) = read_keypoints(shared / f"data/people/{name}.keypoints.json")
+    assert keypoints.skeleton == "blazepose33"
+    assert keypoints.visible.all()
+    assert 250 < person_height(keypoints) < 400

@@ -1,0 +1,191 @@
+"""Label files in all their formats, and faulty ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HANG
+from PIL import Image
+
+from warp_partdr.body.labels import IGNORE
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
+
+NAN = math.nan
+PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
+
+
+def label_picture() -> np.ndarray:
+    picture = np.zeros((12, 16), dtype=np.uint8)
+    picture[2:6, 4:9] = 2
+    picture[6:11, 4:6] = 9
+    picture[0, 0] = 255
+    return picture
+
+
+def save_palette(path: Path, picture: np.ndarray) -> None:
+    image = Image.fromarray(picture, mode="L").convert("L")
+    image = image.convert("P")
+    image.putdata(picture.ravel().tolist())
+    image.putpalette(PALETTE)
+    image.save(path)
+
+
+def save_16_bit(path: Path, picture: np.ndarray) -> None:
+    Image.fromarray(picture.astype(np.uint16)).save(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "save"),
+    [
+        ("gray.png", lambda path, picture: Image.fromarray(picture).save(path)),
+        ("palette.png", save_palette),
+        ("deep.png", save_16_bit),
+        ("LABELS.PNG", lambda path, picture: Image.fromarray(picture).save(path, "PNG")),
+        ("bytes.npy", np.save),
+        ("longs.npy", lambda path, picture: np.save(path, picture.astype(np.int64))),
+        ("fortran.npy", lambda path, picture: np.save(path, np.asfortranarray(picture))),
+    ],
+)
+def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_path: Path) -> None:
+    save(tmp_path / name, label_picture())
+    parts = read_parts(tmp_path / name, read_label_set("cdcl14"))
+    expected = label_picture()
+    expected[expected == 9] = parts.label_set.group_names.index("right_upper_leg") + 1
+    np.testing.assert_array_equal(parts.groups, expected)
+    assert parts.groups.dtype == np.uint8
+    assert parts.maps is None
+
+
+@pytest.mark.parametrize("mode", ["1", "L"])
+def test_silhouettes(mode: str, tmp_path: Path) -> None:
+    mask = label_picture() % 255 > 0
+    Image.fromarray((mask * 255).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(read_parts(tmp_path / "mask.png", read_label_set("full1")).groups, mask)
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 2), (1, 2, 0)])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_probability_maps(layout: tuple[int, int, int], dtype: type, tmp_path: Path, rng: np.random.Generator) -> None:
+    logits = rng.normal(size=(20, 12, 16)) * 3
+    probabilities = (np.exp(logits) / np.exp(logits).sum(axis=0)).astype(dtype)
+    np.save(tmp_path / "soft.npy", probabilities.transpose(layout))
+    labels = read_label_set("lip20")
+    parts = read_parts(tmp_path / "soft.npy", labels)
+    assert parts.maps is not None
+    assert parts.maps.dtype == np.float32
+    np.testing.assert_array_equal(parts.maps, labels.to_group_maps(probabilities.astype(np.float32)))
+    ignored = 1 - parts.maps.sum(axis=0)
+    np.testing.assert_array_equal(parts.groups == IGNORE, ignored > parts.maps.max(axis=0))
+    sure = parts.groups != IGNORE
+    np.testing.assert_array_equal(parts.groups[sure], parts.maps.argmax(axis=0)[sure])
+
+
+def with_value(value: int) -> np.ndarray:
+    picture = label_picture()
+    picture[3, 3] = value
+    return picture
+
+
+def one_part(picture: np.ndarray) -> np.ndarray:
+    return (picture > 0).astype(np.uint8) * 2
+
+
+def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
+    return np.full((channels, 4, 5), scale / channels, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (with_value(15), "labels: ids 15 not in cdcl14; expected 0 to 14 (255 = ignore)"),
+        (with_value(0).astype(np.int16) - 1, "labels: ids -1, 254 not in cdcl14; expected 0 to 14"),
+        (np.zeros((4, 5), dtype=np.uint8), "empty, no pixel of a body part; expected a person in the labels of cdcl14"),
+        (np.full((4, 5), 255, dtype=np.uint8), "empty, no pixel of a body part"),
+        (one_part(label_picture()), "one part only (torso); expected several of cdcl14, or the label set full1"),
+        (np.full((4, 5), 1, dtype=np.uint8), "one part only (head); expected several"),
+        (np.zeros((0, 5), dtype=np.uint8), "shape (0, 5); expected pixels"),
+        (np.zeros(5, dtype=np.uint8), "shape (5,); expected (H, W), or (K, H, W) probabilities"),
+        (np.zeros((2, 3, 4, 5), dtype=np.uint8), "shape (2, 3, 4, 5); expected (H, W)"),
+        (np.zeros((4, 5), dtype=np.float32), "labels: float32; expected integers"),
+        (np.zeros((4, 5), dtype=np.complex64), "complex64; expected integers, or probabilities"),
+        (np.zeros((4, 5), dtype="U3"), "<U3; expected integers, or probabilities"),
+        (np.zeros((4, 5, 3), dtype=np.uint8), "uint8 of shape (4, 5, 3); expected (H, W) ids, or float probabilities"),
+        (soft(14), "shape (14, 4, 5); expected (15, H, W) or (H, W, 15), one map per id of cdcl14"),
+        (soft() * NAN, "values from nan to nan; expected probabilities, 0 to 1"),
+        (soft() - 1, "values from -0.933333 to -0.933333; expected probabilities"),
+        (soft(scale=7.5), "class probabilities add up to 7.5 to 7.5; expected 1 at each pixel"),
+        (np.array([[None, {}]]), "holds pickled Python objects, which could run code"),
+    ],
+)
+def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.npy"
+    np.save(path, array, allow_pickle=True)
+    with pytest.raises(InputError) as raised:
+        read_parts(path, read_label_set("cdcl14"))
+    error = str(raised.value)
+    assert error.startswith(str(path))
+    assert message in error
+    assert "\n" not in error
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA"])
+def test_coloured_labels(mode: str, tmp_path: Path) -> None:
+    path = tmp_path / "colours.png"
+    Image.fromarray(label_picture()).convert(mode).save(path)
+    with pytest.raises(InputError, match=rf"colours\.png: {mode} picture; expected one channel of label ids"):
+        read_parts(path, read_label_set("cdcl14"))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy"])
+def test_unreadable_label_files(suffix: str, tmp_path: Path) -> None:
+    labels = read_label_set("cdcl14")
+    path = tmp_path / f"parts{suffix}"
+    with pytest.raises(InputError, match=rf"parts\{suffix}: No such file or directory; expected a"):
+        read_parts(path, labels)
+    path.write_bytes(b"not at all")
+    with pytest.raises(InputError, match=rf"parts\{suffix}: .*; expected a"):
+        read_parts(path, labels)
+    picture = np.random.default_rng(0).integers(0, 15, (64, 64)).astype(np.uint8)
+    Image.fromarray(picture).save(path) if suffix == ".png" else np.save(path, picture)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(InputError, match=rf"parts\{suffix}: .*; expected a"):
+        read_parts(path, labels)
+
+
+def test_other_label_files_and_sets(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"parts\.jpg: \.jpg; expected \.png or \.npy part labels"):
+        read_parts(tmp_path / "parts.jpg", read_label_set("cdcl14"))
+    with pytest.raises(InputError, match=r"labels: 'cdcl'; expected one of .*cdcl14"):
+        read_label_set("cdcl")
+
+
+def test_photo_and_sizes(tmp_path: Path) -> None:
+    image = Image.new("RGB", (6, 4), (1, 2, 3))
+    exif = image.getexif()
+    exif[0x0112] = 6  # Held upright, stored lying.
+    image.save(tmp_path / "photo.jpg", exif=exif)
+    photo = read_photo(tmp_path / "photo.jpg")
+    assert photo.shape == (6, 4, 3)
+    assert photo.dtype == np.uint8
+    check_sizes(photo=(480, 640), parts=(480, 640))
+    check_sizes(photo=None, parts=(480, 640))
+    with pytest.raises(InputError, match=r"^photo: 640x480; parts: 320x240; expected one size$"):
+        check_sizes(photo=(480, 640), parts=(240, 320))
+    (tmp_path / "photo.jpg").write_text("no")
+    with pytest.raises(InputError, match=r"photo\.jpg: cannot identify image file .*; expected a picture"):
+        read_photo(tmp_path / "photo.jpg")
+    with pytest.raises(InputError, match=r"none\.jpg: No such file or directory; expected a picture"):
+        read_photo(tmp_path / "none.jpg")
+
+
+def test_importing_inputs_loads_no_picture_library() -> None:
+    import subprocess
+    import sys
+
+    code = "import warp_partdr.inputs, sys; sys.exit(bool({'PIL', 'torch', 'pyvista'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=HANG).returncode == 0

@@ -1,0 +1,241 @@
+"""One person out of a picture: height, choice, own labels and the crop."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_partdr.body.labels import IGNORE
+from warp_partdr.body.skeletons import SKELETONS
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
+from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
+from warp_partdr.inputs.person import connected, crop_keypoints, crop_nearest, crop_size, person_crop, select_person
+
+PHOTOS = ("000000032081", "000000203864", "000000468632")
+# Left half of a standing person facing the camera, 1 unit tall: x to the picture's right, y down from the head's top.
+HALF = {
+    "eye": (0.02, 0.065),
+    "ear": (0.045, 0.07),
+    "shoulder": (0.1, 0.19),
+    "elbow": (0.13, 0.34),
+    "wrist": (0.15, 0.48),
+    "hip": (0.06, 0.46),
+    "knee": (0.07, 0.7),
+    "ankle": (0.08, 0.947),
+}
+STANDING = {
+    "nose": (0.0, 0.08),
+    **{f"left_{name}": point for name, point in HALF.items()},
+    **{f"right_{name}": (-x, y) for name, (x, y) in HALF.items()},
+}
+
+
+def standing(x: float = 100, y: float = 10, height: float = 200) -> Keypoints2D:
+    """COCO keypoints of the standing person, head's top at (x, y)."""
+    points = [STANDING[name] for name in SKELETONS["coco17"].landmarks]
+    return Keypoints2D("coco17", (np.array(points) * height + [x, y]).astype(np.float32), np.ones(17, dtype=np.float32))
+
+
+def paint(keypoints: Keypoints2D, size: tuple[int, int], thickness: float = 0.04) -> np.ndarray:
+    """Labels 1 (legs) and 2 (the rest) within ``thickness`` of the person's height from the bones."""
+    v, u = np.mgrid[: size[0], : size[1]] + 0.5
+    groups = np.zeros(size, dtype=np.uint8)
+    for start, end in SKELETONS[keypoints.skeleton].edges:
+        a, b = keypoints.points[start], keypoints.points[end]
+        t = np.clip(((u - a[0]) * (b - a)[0] + (v - a[1]) * (b - a)[1]) / ((b - a) @ (b - a)), 0, 1)
+        near = np.hypot(u - a[0] - t * (b - a)[0], v - a[1] - t * (b - a)[1]) < thickness * person_height(keypoints)
+        groups[near] = 1 if "ankle" in SKELETONS[keypoints.skeleton].landmarks[end] else 2
+    return groups
+
+
+def test_person_height() -> None:
+    keypoints = standing(height=200)
+    assert person_height(keypoints) == pytest.approx(200, rel=0.03)
+    seated = keypoints.points.copy()
+    seated[13:15] = seated[11:13] + np.array([0, 5])  # Thighs toward the camera.
+    seated[15:17] = seated[13:15] + np.array([0, 0.247 * 200])
+    assert person_height(Keypoints2D("coco17", seated, keypoints.confidence)) == pytest.approx(200, rel=0.06)
+    arms = np.zeros(17, dtype=np.float32)
+    arms[[5, 7, 9]] = 1
+    assert person_height(Keypoints2D("coco17", keypoints.points, arms)) == pytest.approx(200, rel=0.06)
+    face = np.zeros(17, dtype=np.float32)
+    face[:5] = 1
+    assert person_height(Keypoints2D("coco17", keypoints.points, face)) == pytest.approx(0.09 * 200, rel=0.01)
+
+
+def test_choose_person() -> None:
+    small, large = standing(30, 10, 60), standing(100, 10, 150)
+    faint = Keypoints2D("coco17", large.points + 200, large.confidence / 10)
+    people = [small, large, faint]
+    assert choose_person(people) is large
+    assert choose_person(people, index=2) is faint
+    assert choose_person([small]) is small
+    only_small = paint(small, (200, 200))
+    assert choose_person(people, only_small) is small
+    for index in (3, -1):
+        with pytest.raises(InputError, match=f"person: {index}; expected an integer from 0 to 2"):
+            choose_person(people, index=index)
+    with pytest.raises(InputError, match="keypoints: nobody; expected at least one person"):
+        choose_person([])
+
+
+def test_select_person_ignores_others_and_blobs() -> None:
+    me, other = standing(100), standing(300)
+    size = (230, 400)
+    mine = paint(me, size)
+    groups = mine + paint(other, size)
+    groups[100:104, 20:24] = 1  # A stray blob, near me but not part of me.
+    groups[5, 200] = IGNORE
+    selected = select_person(groups, me)
+    assert selected.dtype == np.uint8
+    np.testing.assert_array_equal(selected[mine > 0], mine[mine > 0])
+    np.testing.assert_array_equal(selected == 0, groups == 0)
+    assert (selected[(groups > 0) & (mine == 0)] == IGNORE).all()
+    np.testing.assert_array_equal(select_person(selected, me), selected)
+
+
+def test_select_person_keeps_loose_limbs_along_the_bones() -> None:
+    me = standing(100)
+    mine = paint(me, (230, 200))
+    cut = mine.copy()
+    cut[158:166] = 0  # No label at the knees: shins and feet hang on nothing.
+    np.testing.assert_array_equal(select_person(cut, me), cut)
+
+
+def test_select_person_where_people_touch() -> None:
+    me, other = standing(100), standing(146)
+    size = (230, 300)
+    mine, theirs = paint(me, size), paint(other, size)
+    groups = np.maximum(mine, theirs)
+    far = paint(standing(246), size)  # A row of people hand in hand.
+    groups[105, 60:290] = 2
+    groups = np.maximum(groups, far)
+    alone = select_person(groups, me)
+    assert (alone[(far > 0) & (theirs == 0)] == IGNORE).all()
+    assert (alone[(mine > 0)] == groups[mine > 0]).all()
+    told = select_person(groups, me, others=[other])
+    assert (told[:, 146:][groups[:, 146:] > 0] == IGNORE).all()
+    assert (told[:, :108][mine[:, :108] > 0] != IGNORE).all()
+
+
+def test_select_person_with_missing_keypoints() -> None:
+    me = standing(100)
+    mine = paint(me, (230, 200))
+    for missing in ([13, 15], [9], list(range(5)), [7, 9, 8, 10], [0, 1, 2, 3, 4, 13, 14, 15, 16]):
+        confidence = me.confidence.copy()
+        confidence[missing] = 0
+        points = me.points.copy()
+        points[missing] = 0
+        np.testing.assert_array_equal(select_person(mine, Keypoints2D("coco17", points, confidence)), mine)
+
+
+def test_select_person_cut_off_by_the_border() -> None:
+    me = standing(5, -60)
+    mine = paint(me, (100, 60))
+    assert 0 < (mine > 0).sum() < mine.size
+    np.testing.assert_array_equal(select_person(mine, me), mine)
+
+
+def test_select_person_without_labels_on_the_bones() -> None:
+    groups = np.zeros((230, 400), dtype=np.uint8)
+    groups[100:140, 300:340] = 1
+    for keypoints in (standing(100), standing(5000), standing(-5000)):
+        with pytest.raises(InputError, match="keypoints: no labelled pixel along the person's bones; expected"):
+            select_person(groups, keypoints)
+
+
+@pytest.mark.parametrize("name", PHOTOS)
+def test_select_person_on_the_shared_photos(name: str, shared: Path) -> None:
+    folder = shared / "data/people"
+    (keypoints,) = read_keypoints(folder / f"{name}.keypoints.json")
+    parts = read_parts(folder / f"{name}.parts.png", read_label_set("cdcl14"))
+    check_sizes(photo=read_photo(folder / f"{name}.jpg").shape[:2], parts=parts.groups.shape)
+    selected = select_person(parts.groups, keypoints)
+    kept = (selected > 0) & (selected < IGNORE)
+    # Counted by eye: nothing of the lone player is lost; of the others, about these shares are the main person's.
+    share = kept.sum() / (parts.groups > 0).sum()
+    assert share == pytest.approx({"000000032081": 1.0, "000000203864": 0.722, "000000468632": 0.379}[name], abs=0.005)
+    x0, y0, x1, y1 = person_crop(keypoints, selected)
+    assert kept[max(y0, 0) : y1, max(x0, 0) : x1].sum() == kept.sum()
+    assert 0.9 < (y1 - y0) / person_height(keypoints) < 1.5
+
+
+@given(seed=st.integers(0, 10**6), density=st.floats(0.05, 0.95))
+def test_connected_pixels(seed: int, density: float) -> None:
+    rng = np.random.default_rng(seed)
+    mask, seeds = rng.random((9, 13)) < density, rng.random((9, 13)) < 0.03
+    reached = seeds & mask
+    while True:
+        padded = np.pad(reached, 1)
+        grown = mask & np.any(
+            [padded[1 + dv : 10 + dv, 1 + du : 14 + du] for dv in (-1, 0, 1) for du in (-1, 0, 1)], axis=0
+        )
+        if (grown == reached).all():
+            break
+        reached = grown
+    np.testing.assert_array_equal(connected(mask, seeds), reached)
+
+
+def test_person_crop_covers_labels_and_keypoints() -> None:
+    me = standing(100)
+    groups = paint(me, (230, 200))
+    groups[:, 190:] = IGNORE  # Somebody else.
+    x0, y0, x1, y1 = person_crop(me, groups, margin=0.1)
+    rows_, columns = np.nonzero(groups % IGNORE)
+    extent = rows_.max() + 1 - rows_.min()
+    assert y0 == pytest.approx(rows_.min() - 0.1 * extent, abs=1)
+    assert y1 == pytest.approx(rows_.max() + 1 + 0.1 * extent, abs=1)
+    assert x0 == pytest.approx(columns.min() - 0.1 * extent, abs=1)
+    assert x1 == pytest.approx(columns.max() + 1 + 0.1 * extent, abs=1)
+    assert person_crop(me, np.zeros((230, 200), dtype=np.uint8), margin=0.0)[1] == math.floor(me.points[:, 1].min())
+
+
+def test_crop_beyond_the_picture_is_ignored() -> None:
+    groups = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    np.testing.assert_array_equal(crop_nearest(groups, (0, 0, 4, 3), (3, 4)), groups)
+    beyond = crop_nearest(groups, (-1, -2, 5, 4), (6, 6))
+    np.testing.assert_array_equal(beyond[2:5, 1:5], groups)
+    assert (beyond == IGNORE).sum() == 36 - 12
+    maps = crop_nearest(np.ones((2, 3, 4), dtype=np.float32), (-4, 0, 4, 3), (3, 8), fill=0)
+    assert maps.shape == (2, 3, 8)
+    assert maps.sum() == 24
+    assert (crop_nearest(groups, (100, 100, 104, 103), (3, 4)) == IGNORE).all()
+    np.testing.assert_array_equal(crop_nearest(groups, (0, 0, 4, 3), (6, 8)), groups.repeat(2, 0).repeat(2, 1))
+    assert crop_nearest(groups, (0, 0, 4, 3), (1, 1)).item() == groups[1, 2]  # The one at the box's centre.
+
+
+@given(
+    x0=st.floats(-50, 50),
+    y0=st.floats(-50, 50),
+    width=st.floats(1, 300),
+    height=st.floats(1, 300),
+    longest=st.integers(1, 300),
+)
+def test_crop_size_has_square_pixels(x0: float, y0: float, width: float, height: float, longest: int) -> None:
+    box, size = crop_size((x0, y0, x0 + width, y0 + height), longest)
+    assert max(size) == longest
+    assert (box[2] - box[0]) / size[1] == pytest.approx((box[3] - box[1]) / size[0], rel=1e-9)
+    assert box[0] <= x0 + 1e-3
+    assert box[3] >= y0 + height - 1e-3
+
+
+def test_keypoints_and_labels_crop_alike() -> None:
+    me = standing(100)
+    me.confidence[3], me.points[3] = 0, 0
+    groups = np.zeros((230, 200), dtype=np.uint8)
+    for joint, (x, y) in enumerate(me.points):
+        groups[int(y), int(x)] = joint + 1
+    box, size = crop_size((20, -30, 180, 240), 540)  # Twice as large.
+    cropped = crop_keypoints(me, box, size)
+    labels = crop_nearest(groups, box, size)
+    seen = [int(labels[int(y), int(x)]) - 1 for x, y in cropped.points[cropped.visible]]
+    assert seen == [joint for joint in range(17) if joint != 3]
+    assert not cropped.points[3].any()
+    assert person_height(cropped) == pytest.approx(2 * person_height(me), rel=1e-5)

@@ -1,0 +1,178 @@
+"""The "coverage" gradient against the derivative of covered area in float64, and that against differences of area."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scenes.pictures import (
+    CAMERAS,
+    GROUPS,
+    Intrinsics,
+    Leaves,
+    body_camera,
+    body_parameters,
+    body_scene,
+    float32,
+    gradient_errors,
+    noisy_target,
+    random_scene,
+    relative_error,
+    scene_of,
+    smooth_maps,
+    turn_gradient,
+)
+
+from warp_partdr.body.posing import pose
+from warp_partdr.reference import coverage
+from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+
+
+def apart(scene):
+    """The same one behind the other, so that no two meet in space: outlines bound everything."""
+    way = np.arange(len(scene.centres))[:, None] * (0.0, 0.0, 0.7)
+    if not scene.perspective:
+        return replace(scene, centres=float32(scene.centres + way))
+    centres = scene.centres + way
+    return replace(
+        scene, centres=float32(centres * centres[:, 2:] / scene.centres[:, 2:] * (1, 1, 0) + (0, 0, 1) * centres)
+    )
+
+
+def axes_gradient(axes, grad_turns):
+    """A gradient of axes whose ``turn_gradient`` this is: half of skew(grad_turns) times the axes."""
+    return 0.5 * np.cross(grad_turns[:, None], axes.transpose(0, 2, 1)).transpose(0, 2, 1)
+
+
+FINE = {"samples_per_pixel": 32.0}
+
+
+def coverage_errors(scene, maps, device, lines=16, **options):
+    """Relative error of each parameter's gradient through the maps."""
+    leaves = Leaves.of(scene, device=device)
+    size = maps.shape[1:]
+    drawn = draw_ellipsoids(
+        leaves.ellipsoids, leaves.camera, size, part_labels=scene.labels, num_maps=len(maps), **options
+    )
+    (drawn.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+    return gradient_errors(scene, leaves, coverage.coverage_gradient(scene, coverage.dense_costs(maps), lines))
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gradient_of_outlines_is_that_of_area(device, seed, perspective):
+    size = (96, 112)
+    scene = apart(random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2])))
+    maps = smooth_maps(seed, 5, size)
+    # What moves the whole picture leaves little: the forces on opposite sides of each ellipsoid nearly cancel.
+    for options in (FINE, {}):
+        errors = coverage_errors(scene, maps, device, **options)
+        assert errors.pop("camera") < 0.01
+        assert max(errors.values()) < 0.004
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_of_a_bodys_outlines_is_that_of_area(device, perspective):
+    size = (112, 96)
+    scene = body_scene(0, size, perspective, device)
+    errors = coverage_errors(apart(scene), smooth_maps(0, 20, size), device, 48, **FINE)
+    assert errors.pop("camera") < 0.03
+    assert max(errors.values()) < 0.005
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gradient_of_creases_is_that_of_area(device, seed, perspective):
+    size = (96, 112)
+    scene = random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
+    errors = coverage_errors(scene, smooth_maps(seed, 5, size), device, 64, **FINE)
+    assert max(errors.values()) < 0.005
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_of_what_the_pictures_border_cuts(device, perspective):
+    """Outlines and creases run off the picture on all sides; what lies outside costs nothing."""
+    size = (48, 56)
+    scene = random_scene(2, size, perspective)
+    scene = replace(scene, camera=scene.camera * (4, 4, 1, 1))
+    labels = reference.ray_cast(scene, size)[0]
+    assert all(len(set(edge) - {0}) > 1 for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]))
+    errors = coverage_errors(scene, smooth_maps(3, 6, size), device, 64, **FINE)
+    assert max(errors.values()) < 0.005
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("seed", [0, 1, 16, 19])  # 1, 16, 19: creases along an outline, slivers, spikes
+def test_gradient_of_a_body_is_that_of_area(device, seed, perspective):
+    """The label loss of random bodies, down to the numbers that pose them."""
+    size = (112, 96)
+    leaves = {name: value.requires_grad_() for name, value in body_parameters(seed, device).items()}
+    posed = pose(**leaves)
+    camera = Intrinsics(body_camera(size, perspective, device=device).intrinsics.requires_grad_(), perspective)
+    scene = scene_of(posed, camera)
+    target = noisy_target(reference.ray_cast(scene, size)[0], 20, seed)
+    wanted = coverage.coverage_gradient(scene, coverage.target_costs(target, 20), 64)
+    ellipsoids = {"centres": posed.centres, "axes": posed.axes, "semi_axes": posed.semi_axes}
+    forces = (wanted["centres"], axes_gradient(scene.axes, wanted["turns"]), wanted["semi_axes"])
+    forces = [torch.tensor(force, dtype=torch.float32, device=device)[None] for force in forces]
+    through_pose = torch.autograd.grad(list(ellipsoids.values()), list(leaves.values()), forces, retain_graph=True)
+    want = dict(zip(ellipsoids, forces, strict=True)) | dict(zip(leaves, through_pose, strict=True))
+    want["camera"] = torch.tensor(wanted["camera"])[None]
+    tensors = ellipsoids | leaves | {"camera": camera.intrinsics}
+
+    def errors(**options):
+        target_image = torch.from_numpy(target).to(device)[None]
+        loss, _ = ellipsoid_label_loss(posed, camera, target_image, **options)
+        have = torch.autograd.grad(loss.sum(), list(tensors.values()), retain_graph=True)
+        found = {}
+        for (name, tensor), gradient in zip(tensors.items(), have, strict=True):
+            values, both = tensor.detach()[0].cpu().numpy(), (gradient[0], want[name][0])
+            both = [one.cpu().numpy().astype(float) for one in both]
+            if values.shape[-2:] == (3, 3):  # of a rotation, what turns it
+                both = [turn_gradient(values.reshape(-1, 3, 3), one.reshape(-1, 3, 3)) for one in both]
+            found[name] = relative_error(*both)
+        return found
+
+    assert max(errors(**FINE).values()) < 0.01
+    assert max(errors(samples_per_pixel=4.0).values()) < 0.025
+    assert max(errors().values()) < 0.1
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_coverage_gradient_of_the_label_loss_is_that_of_area(device, perspective):
+    """Costs that jump from pixel to pixel along a border: looser than with smooth maps."""
+    size = (96, 112)
+    scene = apart(random_scene(2, size, perspective, labels=GROUPS))
+    target = reference.ray_cast(replace(scene, centres=scene.centres + np.array([0.03, -0.04, 0])), size)[0]
+    target[20:30, 40:60] = 255
+    leaves = Leaves.of(scene, device=device)
+    target_image = torch.from_numpy(target.astype(np.uint8)).to(device)[None]
+    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target_image, part_labels=GROUPS, **FINE)
+    loss.sum().backward()
+    want = coverage.coverage_gradient(scene, coverage.target_costs(target, 4), 32)
+    errors = gradient_errors(scene, leaves, want)
+    assert errors.pop("camera") < 0.05
+    assert max(errors.values()) < 0.01
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_the_reference_is_the_derivative_of_area(perspective):
+    """The reference's sum over borders against differences of the area itself, along random directions."""
+    size = (48, 56)
+    scene = random_scene(1, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
+    costs = coverage.dense_costs(np.ones((5, *size)) * np.linspace(-1, 1, 5)[:, None, None])  # no kinks at pixels
+    gradients = coverage.coverage_gradient(scene, costs, 64)
+    rng = np.random.default_rng(0)
+    for name in coverage.NAMES:
+        for _ in range(2):
+            way = rng.normal(size=gradients[name].shape) * (0.01 if name != "camera" else 0.3)
+            both = []
+            for sign in (0.5, -0.5):
+                there = scene
+                for index in np.ndindex(way.shape):
+                    there = coverage.moved(there, name, index, sign * way[index])
+                both.append(coverage.area_cost(there, costs, 64))
+            assert both[0] - both[1] == pytest.approx((way * gradients[name]).sum(), rel=0.03, abs=0.05)

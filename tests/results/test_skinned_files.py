@@ -1,0 +1,115 @@
+"""Files of detailed bodies: a GLB's skin, OBJ, PLY and BVH hold the posed mesh."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import scenes.bodies
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.clothing.registration import Registered
+from warp_partdr.results.skinned_files import bvh, glb, save_detailed
+
+registered = scenes.bodies.registered  # a fixture
+
+
+def read_glb(data: bytes) -> tuple[dict, list[np.ndarray]]:
+    """The JSON and the arrays of a GLB, by glTF 2.0's description."""
+    magic, version, size = struct.unpack_from("<4sII", data)
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    document = json.loads(data[20 : 20 + length])
+    body = data[20 + length + 8 :]
+    arrays = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        dtype = {5126: np.float32, 5123: np.uint16, 5125: np.uint32}[accessor["componentType"]]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
+        values = np.frombuffer(body, dtype, accessor["count"] * width, view["byteOffset"])
+        arrays.append(values.reshape(accessor["count"], width))
+    return document, arrays
+
+
+def standing(registered: Registered, points: torch.Tensor) -> np.ndarray:
+    """Camera frame to the files': y up, the lowest vertex at 0."""
+    flip = np.array([1.0, -1.0, -1.0])
+    lowest = (registered.detailed.vertices[0].cpu().numpy() * flip)[:, 1].min()
+    return points.cpu().numpy() * flip - [0.0, lowest, 0.0]
+
+
+def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:
+    data = glb(registered)
+    document, arrays = read_glb(data)
+    # trimesh follows the nodes; the skin is applied here.
+    scene = trimesh.load(io.BytesIO(data), file_type="glb")
+    skin = document["skins"][0]
+    names = [document["nodes"][joint]["name"] for joint in skin["joints"]]
+    world = np.stack([scene.graph.get(name)[0] for name in names])
+    joints = standing(registered, registered.detailed.joints[0])
+    assert np.abs(world[:, :3, 3] - joints).max() < 1e-4
+    inverse_bind = arrays[skin["inverseBindMatrices"]].reshape(-1, 4, 4).transpose(0, 2, 1)
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    bind, bones, weights = (arrays[attributes[name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+    assert np.abs(weights.sum(1) - 1).max() < 1e-5
+    blended = np.einsum("vk,vkij->vij", weights, (world @ inverse_bind)[bones])
+    posed = (blended[:, :3] @ np.column_stack([bind, np.ones(len(bind))])[..., None])[..., 0]
+    assert np.abs(posed - standing(registered, registered.detailed.vertices[0])).max() < 1e-4
+    assert next(iter(scene.geometry.values())).faces.shape == (27420, 3)
+
+
+def test_obj_and_ply_read_back(registered: Registered, tmp_path: Path) -> None:
+    save_detailed(registered, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {f"detailed.{kind}" for kind in ("glb", "obj", "ply", "bvh")}
+    expected = standing(registered, registered.detailed.vertices[0])
+    for kind in ("obj", "ply"):
+        mesh = trimesh.load(tmp_path / f"detailed.{kind}", process=False)
+        assert mesh.faces.shape == (27420, 3)
+        assert np.abs(mesh.triangles - expected[registered.model.faces.cpu().numpy()]).max() < 1e-4
+
+
+def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
+    words = iter(bvh(registered).split())
+    names, offsets, parents, channels, stack = [], [], [], [], []
+    for word in words:
+        if word in ("ROOT", "JOINT"):
+            parents.append(stack[-1] if stack else -1)
+            names.append(next(words))
+        elif word == "End":
+            next(words)
+            names.append("")
+            parents.append(stack[-1])
+        elif word == "{":
+            stack.append(len(names) - 1)
+        elif word == "}":
+            stack.pop()
+        elif word == "OFFSET":
+            offsets.append([float(next(words)) for _ in range(3)])
+        elif word == "CHANNELS":
+            channels.append((len(names) - 1, [next(words) for _ in range(int(next(words)))]))
+        elif word == "Time:":
+            next(words)
+            break
+    values = iter(map(float, words))
+    world: dict[int, np.ndarray] = {}
+    for joint, given in channels:
+        local = np.eye(4)
+        local[:3, 3] = offsets[joint]
+        for channel in given:
+            value = next(values)
+            if channel.endswith("position"):
+                local["XYZ".index(channel[0]), 3] += value
+            else:
+                local[:3, :3] = local[:3, :3] @ Rotation.from_euler(channel[0].lower(), value, degrees=True).as_matrix()
+        world[joint] = (world[parents[joint]] if parents[joint] >= 0 else np.eye(4)) @ local
+    assert next(values, None) is None
+    joints = standing(registered, registered.detailed.joints[0])
+    for joint, matrix in world.items():
+        expected = 100 * joints[registered.model.joint_names.index(names[joint])]
+        assert np.abs(matrix[:3, 3] - expected).max() < 0.01

@@ -1,0 +1,1 @@
+"""What several test files share; no test file imports from another one."""

@@ -1,0 +1,72 @@
+"""The packaged example, and models of bodies in SMPL's format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
+# A tiny body in SMPL's format: a tetrahedron around each joint of a person in a T-pose, x, y, z in cm, left side only.
+BODY_PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+MIDDLE = {0: (0, 0, 0), 3: (0, 11, -3), 6: (0, 25, -3), 9: (0, 30, 0), 12: (0, 51, -3), 15: (0, 60, 2)}
+LEFT = {1: (7, -9, 0), 4: (11, -47, 0), 7: (9, -87, -3), 10: (12, -93, 9), 13: (7, 42, -2), 16: (17, 45, -3)}
+LEFT |= {18: (43, 44, -4), 20: (68, 45, -4)}
+
+
+def smpl_arrays(num_joints: int = 24, num_shapes: int = 12) -> dict[str, np.ndarray]:
+    """Arrays as in a file of SMPL (24), SMPL-H (52) or SMPL-X (55)."""
+    rng = np.random.default_rng(0)
+    parents, joints = list(BODY_PARENTS), np.zeros((22, 3))
+    for joint, place in MIDDLE.items():
+        joints[joint] = place
+    for joint, place in LEFT.items():
+        joints[joint], joints[joint + 1] = place, np.multiply(place, (-1, 1, 1))
+    parents += {24: [], 52: [], 55: [15, 15, 15]}[num_joints]
+    for wrist in (20, 21):
+        for _ in range(1 if num_joints == 24 else 5):
+            for knuckle in range(1 if num_joints == 24 else 3):
+                parents.append(wrist if knuckle == 0 else len(parents) - 1)
+    side = {parent: np.sign(joints[parent, 0]) for parent in (20, 21)}
+    for joint in range(22, num_joints):
+        above, wrist = parents[joint], joint
+        while wrist > 21:
+            wrist = parents[wrist]
+        if wrist == 15:
+            place = joints[15] + [0, 3, 5]
+        elif above == wrist:
+            first = (joint - (22 if num_joints == 52 else 25)) // 3 % 5 if num_joints > 24 else 1
+            forward = {0: 3, 1: 1, 2: -3, 3: -1, 4: 4}[first]  # index, middle, pinky, ring, thumb
+            place = joints[wrist] + [8 * side[wrist], 0, forward]
+        else:
+            place = joints[above] + [3 * side[wrist], 0, 0]
+        joints = np.vstack([joints, place])
+    joints /= 100
+    corners = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    vertices = (joints[:, None] + corners).reshape(-1, 3)
+    weights = np.zeros((len(vertices), num_joints))
+    for joint, parent in enumerate(parents):
+        weights[4 * joint : 4 * joint + 4, joint] += 0.8
+        weights[4 * joint : 4 * joint + 4, max(parent, 0)] += 0.2
+    tetrahedron = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    return {
+        "v_template": vertices,
+        "shapedirs": rng.normal(0, 0.003, (len(vertices), 3, num_shapes)),
+        "posedirs": rng.normal(0, 0.002, (len(vertices), 3, 9 * (num_joints - 1))),
+        "J_regressor": np.kron(np.eye(num_joints), np.full((1, 4), 0.25)),
+        "weights": weights,
+        "kintree_table": np.array([[2**32 - 1, *parents[1:]], range(num_joints)], dtype=np.uint32),
+        "f": (4 * np.arange(num_joints)[:, None, None] + tetrahedron).reshape(-1, 3).astype(np.uint32),
+    }
+
+
+def save_npz(path: Path, **changes: np.ndarray | None) -> Path:
+    arrays = {name: value for name, value in (smpl_arrays() | changes).items() if value is not None}
+    np.savez_compressed(path, **arrays)
+    return path
+
+
+@pytest.fixture(scope="module")
+def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_npz(tmp_path_factory.mktemp("models") / "smpl.npz")

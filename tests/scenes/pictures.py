@@ -1,0 +1,273 @@
+"""Scenes to draw: ellipsoids and faces, exact and random, and what pictures of them are compared with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from warp_partdr.body.ellipbody import EllipBody
+from warp_partdr.body.posing import pose
+from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.render.ellipsoids import Ellipsoids
+from warp_partdr.render.mesh import PartImage, draw_mesh, mesh_label_loss
+from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
+
+
+class ScreenCamera:
+    """A camera of points (u [px], v [px], z [m]) that are in the picture already, also of a perspective one."""
+
+    def __init__(self, like: torch.Tensor, perspective: bool = False, near: float | None = None) -> None:
+        self.perspective = perspective
+        default, least = (0.01, 1e-6) if perspective else (-math.inf, -math.inf)
+        self.near_plane = max(default if near is None else near, least)
+        self.intrinsics = torch.zeros(1, 4, device=getattr(like, "device", "cpu"))
+
+    def project(self, points: torch.Tensor) -> torch.Tensor:
+        return points
+
+
+def draw_on_screen(
+    vertices: torch.Tensor,
+    mesh: PartMesh,
+    size: tuple[int, int],
+    *,
+    perspective: bool = False,
+    near: float | None = None,
+    **options: Any,
+) -> PartImage:
+    """``draw_mesh`` of vertices on the screen."""
+    return draw_mesh(vertices, mesh, ScreenCamera(vertices, perspective, near), size, **options)
+
+
+def loss_on_screen(
+    vertices: torch.Tensor,
+    mesh: PartMesh,
+    target: torch.Tensor,
+    *,
+    perspective: bool = False,
+    near: float | None = None,
+    **options: Any,
+) -> tuple[torch.Tensor, PartImage]:
+    """``mesh_label_loss`` of vertices on the screen."""
+    return mesh_label_loss(vertices, mesh, ScreenCamera(vertices, perspective, near), target, **options)
+
+
+CAMERAS = [False, True]  # perspective?
+GROUPS = np.array([1, 2, 3, 4, 2, 255])  # a label of two ellipsoids, and one that hides and means nothing
+
+
+def float32(values):
+    """What the kernels see, in double."""
+    return np.asarray(values, dtype=np.float32).astype(float)
+
+
+def random_scene(seed, size, perspective, count=6, labels=None):
+    """Ellipsoids that overlap, meet in space and hide each other; principal point and focal lengths askew."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    centres = rng.uniform(-0.35, 0.35, (count, 3)) * (1, 1, 0.6) + (0, 0, 2.0 * perspective)
+    axes = Rotation.from_rotvec(rng.normal(size=(count, 3))).as_matrix()
+    focal = (1.5 * height, 1.4 * height) if perspective else (0.8 * height, 0.85 * height)
+    camera = (*focal, width / 2 + 1.3, height / 2 - 0.7)
+    labels = np.arange(1, count + 1) if labels is None else labels
+    numbers = (centres, axes, rng.uniform(0.05, 0.3, (count, 3)), camera)
+    return reference.EllipsoidScene(*map(float32, numbers), labels, perspective, 0.01 if perspective else -np.inf)
+
+
+def body_parameters(seed, device="cpu", batch=1):
+    """A mean adult in random poses, 3 m away."""
+    rng = np.random.default_rng(seed)
+    shape = EllipBody.mean(batch, device=device).torch()
+    rotations = Rotation.from_rotvec(rng.normal(0, 0.5, (batch * 20, 3))).as_matrix().reshape(batch, 20, 3, 3)
+    turn = Rotation.from_rotvec(rng.normal(0, 1.0, (batch, 3))).as_matrix() @ np.diag([1.0, -1, -1])
+    values = {
+        "global_orient": torch.from_numpy(turn).float(),
+        "translation": torch.tensor([[0.0, 0.0, 3.0]] * batch),
+        "rotations": torch.from_numpy(rotations).float(),
+        "lengths": shape["lengths"],
+        "thicknesses": shape["thicknesses"],
+    }
+    return {name: value.to(device) for name, value in values.items()}
+
+
+def body_camera(size, perspective, batch=1, device="cpu"):
+    height, width = size
+    middle = torch.tensor([[width / 2.0, height / 2.2]] * batch, device=device)
+    if perspective:
+        return Perspective(torch.full((batch, 2), height * 1.4, device=device), middle)
+    return WeakPerspective(torch.full((batch,), height / 2.0, device=device), middle)
+
+
+def body_scene(seed, size, perspective, device, labels=None):
+    """Posed on the device under test: a machine that tests CUDA may be unable to compile for the CPU."""
+    return scene_of(pose(**body_parameters(seed, device)), body_camera(size, perspective), labels)
+
+
+def scene_of(posed, camera, labels=None):
+    """A body and its camera as the reference takes them."""
+    numbers = (posed.centres[0], posed.axes[0], posed.semi_axes[0], camera.intrinsics[0])
+    labels = np.arange(1, 21) if labels is None else labels
+    numbers = [float32(tensor.detach().cpu()) for tensor in numbers]
+    return reference.EllipsoidScene(*numbers, labels, camera.perspective, 0.01 if camera.perspective else -np.inf)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A camera whose four numbers are one leaf."""
+
+    intrinsics: torch.Tensor
+    perspective: bool
+    near: float | None = None
+
+    @property
+    def near_plane(self) -> float:
+        return self.near if self.near is not None else 0.01 if self.perspective else -math.inf
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """A scene on a device, ready to collect gradients."""
+
+    ellipsoids: Ellipsoids
+    camera: Intrinsics
+
+    @classmethod
+    def of(cls, *scenes, device="cpu"):
+        def leaf(name):
+            values = np.stack([getattr(scene, name) for scene in scenes])
+            return torch.tensor(values, dtype=torch.float32, device=device, requires_grad=True)
+
+        shape = Ellipsoids(leaf("centres"), leaf("axes"), leaf("semi_axes"))
+        return cls(shape, Intrinsics(leaf("camera"), scenes[0].perspective))
+
+    def tensors(self):
+        e = self.ellipsoids
+        return {"centres": e.centres, "axes": e.axes, "semi_axes": e.semi_axes, "camera": self.camera.intrinsics}
+
+    def gradients(self, b=0):
+        return {name: tensor.grad[b].cpu().numpy().astype(float) for name, tensor in self.tensors().items()}
+
+
+def turn_gradient(axes, grad_axes):
+    """Gradient of small rotations from the left, (P, 3)."""
+    generators = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 1)  # skew(e_i)
+    return np.einsum("pij,aik,pkj->pa", grad_axes, generators, axes)
+
+
+def projected_bodies(seed, size, device, perspective=False, subdivisions=0, batch=1):
+    """The vertices of posed bodies on the screen, on the host, and their mesh on the device."""
+    vertices = pose(**body_parameters(seed, device, batch)).vertices(subdivisions).cpu()
+    return body_camera(size, perspective, batch).project(vertices).numpy(), ellipbody_mesh(subdivisions, device=device)
+
+
+def smooth_maps(seed, count, size):
+    """A smooth random weight of each label at each pixel."""
+    rng = np.random.default_rng(seed)
+    x, y = reference.pixel_centres(size)
+    waves = [np.cos(rng.normal() * x / 20 + rng.normal() * y / 20 + rng.uniform(0, 6)) for _ in range(count)]
+    return float32(np.stack(waves) + rng.normal(size=(count, 1, 1)))
+
+
+def noisy_target(labels, num_labels, seed):
+    """The picture moved, with other labels and ignored pixels strewn in."""
+    rng = np.random.default_rng(seed)
+    target = np.roll(labels, (2, -3), (-2, -1))
+    strewn = rng.random(target.shape)
+    target = np.where(strewn < 0.1, rng.integers(0, num_labels + 1, target.shape), target)
+    return np.where(strewn > 0.95, 255, target).astype(np.uint8)
+
+
+def noisy_picture(labels, num_labels, seed):
+    """The same of a batch of pictures on a device."""
+    return torch.from_numpy(noisy_target(labels.cpu().numpy(), num_labels, seed)).to(labels.device)
+
+
+def relative_error(have, want):
+    return float(np.linalg.norm(have - want) / np.linalg.norm(want))
+
+
+def gradient_errors(scene, leaves, want):
+    have = leaves.gradients()
+    have["turns"] = turn_gradient(scene.axes, have.pop("axes"))
+    return {name: relative_error(have[name], want[name]) for name in want}
+
+
+GRADIENTS = ["edges", "coverage", "partdr"]
+PLACE = 0.01  # [px] that an outline may be off, and of coordinates beyond the picture PLACE_SHARE more
+PLACE_SHARE = 3e-7
+LEAD = 3e-6  # of the depth: surfaces nearer to one another than that may change places
+
+
+def sure_pixels(scene, size):
+    """Where the reference's picture stays the same when it is moved by ``PLACE`` any way, and depths by ``LEAD``."""
+    with np.errstate(all="ignore"):
+        parts = reference.ray_cast(scene, size)[1]
+        means = reference.boxes(scene)[reference.drawable(scene)]
+        off = PLACE + PLACE_SHARE * np.abs(means[np.isfinite(means)]).max(initial=0.0)
+        depths = np.sort(reference.fronts(scene, *reference.pixel_centres(size)), 0)
+        sure = np.ones(size, dtype=bool)
+        if len(depths) > 1:
+            sure &= ~(depths[1] - depths[0] <= LEAD * np.abs(depths[0]).clip(min=scene.semi_axes.max()))
+        for x in (-off, 0, off):
+            for y in (-off, 0, off):
+                moved = replace(scene, camera=scene.camera + np.array([0, 0, x, y]))
+                sure &= reference.ray_cast(moved, size)[1] == parts
+    return sure
+
+
+def check_ellipsoid_picture(image, scene, size):
+    with np.errstate(all="ignore"):
+        _, parts, depth = reference.ray_cast(scene, size)
+    sure = sure_pixels(scene, size)
+    np.testing.assert_array_equal(image.parts[0].cpu().numpy()[sure], parts[sure])
+    shown = sure & (parts > 0)
+    have = image.depth[0].cpu().numpy()
+    assert np.isinf(have[sure & (parts == 0)]).all()
+    # A front is steep next to its outline: there a hundredth of a pixel is much depth.
+    steep = np.zeros(size)
+    for way in ((0, 0, PLACE, 0), (0, 0, 0, PLACE)):
+        with np.errstate(all="ignore"):
+            there = reference.ray_cast(replace(scene, camera=scene.camera + way), size)[2]
+            steep = np.fmax(steep, np.abs(there - depth))
+    allowed = LEAD * (np.abs(depth) + scene.semi_axes.max()) + 2 * steep
+    assert (np.abs(have[shown] - depth[shown]) <= allowed[shown]).all()
+
+
+def all_finite(leaves):
+    return all(bool(torch.isfinite(tensor.grad).all()) for tensor in leaves.tensors().values())
+
+
+def checked_target(size, count, device):
+    """Every label in some tiles of 5 x 7 pixels."""
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    return torch.from_numpy(((rows // 5 + 2 * (columns // 7)) % (count + 1)).astype(np.uint8)).to(device)[None]
+
+
+def one_scene(centre, semi_axes, perspective, *, turn=(0.0, 0.0, 0.0), focal=20.0, middle=(16.3, 11.8)):
+    """An ellipsoid and, behind its middle, a ball of half a metre."""
+    centres = np.array([centre, np.add(centre, (0.3, 0.2, 1.0))])
+    axes = np.stack([Rotation.from_rotvec(turn).as_matrix(), np.eye(3)])
+    numbers = centres, axes, np.array([semi_axes, (0.5, 0.5, 0.5)]), (focal, focal, *middle)
+    near = 0.01 if perspective else -np.inf
+    return reference.EllipsoidScene(*map(float32, numbers), np.array([1, 2]), perspective, near)
+
+
+def triangle(device="cpu"):
+    vertices = torch.tensor([[[1.0, 1.0, 1.0], [6.0, 1.0, 1.0], [3.0, 6.0, 1.0]]], device=device)
+    return vertices, PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
+
+
+def ball(batch=1, device="cpu"):
+    leaves = Ellipsoids(
+        torch.tensor([[[0.0, 0.0, 3.0]]], device=device).expand(batch, -1, -1),
+        torch.eye(3, device=device).expand(batch, 1, 3, 3),
+        torch.full((batch, 1, 3), 0.5, device=device),
+    )
+    camera = WeakPerspective(torch.full((batch,), 8.0, device=device), torch.full((batch, 2), 4.0, device=device))
+    return leaves, camera
