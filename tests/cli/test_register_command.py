@@ -11,11 +11,10 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
-from scenes.files import EXAMPLE
+from scenes.files import EXAMPLE, body_file
 from typer.testing import CliRunner
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.body.template import NUM_PARTS, template
 from warp_partdr.cli.main import app
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.anny import anny
@@ -26,7 +25,7 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_parts, read_photo
-from warp_partdr.results.save import save_fit, save_registered
+from warp_partdr.results.save import DETAILED_FILES, save_fit, save_registered
 
 LABELS = label_set("cdcl14")
 
@@ -34,8 +33,6 @@ LABELS = label_set("cdcl14")
 @pytest.fixture
 def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few_steps: None) -> dict[str, object]:
     """A fit of the packaged example in the folder ``fit``, and the report of its detailed body; p.png holds labels."""
-    from warp_partdr.clothing.anny import anny
-
     monkeypatch.chdir(tmp_path)
     torch.set_num_threads(1)
     person, parts = read_keypoints(EXAMPLE / "keypoints.json")[0], read_parts(EXAMPLE / "parts.png", LABELS)
@@ -98,25 +95,7 @@ def test_labels_of_another_picture_are_refused(fitted: dict[str, object]) -> Non
 
 
 def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from PIL import Image
-    from typer.testing import CliRunner
-
-    from warp_partdr.cli.main import app
-    from warp_partdr.errors import InputError
-    from warp_partdr.results.body_file import BodyFile
-    from warp_partdr.results.save import DETAILED_FILES
-
-    body = BodyFile(
-        global_orient=np.diag([1.0, -1.0, -1.0]),
-        translation=np.zeros(3),
-        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
-        lengths=template().mean_lengths,
-        thicknesses=template().mean_thicknesses,
-        camera_scale=np.array(100.0),
-        camera_translation=np.zeros(2),
-        image_size=np.array([400, 300]),
-    )
-    body.save(tmp_path / "body.npz")
+    body_file().save(tmp_path / "body.npz")
     monkeypatch.chdir(tmp_path)
     Image.new("RGB", (300, 400), "white").save("photo.png")
     line = ["register", "body.npz", "--photo", "photo.png", "--out", "detailed", "--device", "cpu"]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scenes.files import Trap
 from scipy.io import savemat
 
 from warp_partdr.body.labels import label_set
@@ -174,16 +175,6 @@ def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, rng, monkeypatch):
     np.savez_compressed(path, **spin_arrays(rng) | {"S": np.zeros((2, 6890, 3))})
     with pytest.raises(InputError, match=r"bomb\.npz: .* kB when unpacked; expected .*, at most 10\.0 kB"):
         list(read_human36m(path))
-
-
-class Trap:
-    """Whoever unpickles this makes a file."""
-
-    def __init__(self, made: Path) -> None:
-        self.made = made
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.made,)
 
 
 def test_pickles_are_refused_and_nothing_in_them_runs(tmp_path):

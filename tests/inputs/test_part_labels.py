@@ -16,6 +16,8 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
 
 NAN = math.nan
+
+
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
 
 
@@ -189,3 +191,17 @@ def test_importing_inputs_loads_no_picture_library() -> None:
 
     code = "import warp_partdr.inputs, sys; sys.exit(bool({'PIL', 'torch', 'pyvista'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=HANG).returncode == 0
+
+
+@pytest.mark.parametrize(("total", "taken"), [(0.995, True), (1.005, True), (0.95, False), (1.05, False)])
+def test_probabilities_add_up_to_one_but_for_rounding(total, taken, tmp_path):
+    maps = np.full((15, 6, 5), 0.02, np.float32)
+    for channel, rows in ((0, slice(0, 2)), (1, slice(2, 4)), (2, slice(4, 6))):  # background, head and torso
+        maps[channel, rows] = 0.72
+    maps[:, 1, 1] *= total  # at one pixel
+    np.save(tmp_path / "soft.npy", maps)
+    if taken:
+        assert read_parts(tmp_path / "soft.npy", read_label_set("cdcl14")).maps is not None
+    else:
+        with pytest.raises(InputError, match=r"class probabilities add up to .*; expected 1 at each pixel"):
+            read_parts(tmp_path / "soft.npy", read_label_set("cdcl14"))

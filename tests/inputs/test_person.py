@@ -19,6 +19,8 @@ from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_par
 from warp_partdr.inputs.person import connected, crop_keypoints, crop_nearest, crop_size, person_crop, select_person
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
+
+
 # Left half of a standing person facing the camera, 1 unit tall: x to the picture's right, y down from the head's top.
 HALF = {
     "eye": (0.02, 0.065),
@@ -30,6 +32,8 @@ HALF = {
     "knee": (0.07, 0.7),
     "ankle": (0.08, 0.947),
 }
+
+
 STANDING = {
     "nose": (0.0, 0.08),
     **{f"left_{name}": point for name, point in HALF.items()},
@@ -239,3 +243,13 @@ def test_keypoints_and_labels_crop_alike() -> None:
     assert seen == [joint for joint in range(17) if joint != 3]
     assert not cropped.points[3].any()
     assert person_height(cropped) == pytest.approx(2 * person_height(me), rel=1e-5)
+
+
+def test_a_box_without_a_margin_holds_the_labels_and_no_more():
+    groups = np.zeros((30, 40), np.uint8)
+    groups[5:21, 7:12], groups[2, 3] = 1, 255
+    points = np.full((17, 2), 10.5, np.float32)
+    keypoints = Keypoints2D("coco17", points, np.ones(17, np.float32))
+    assert person_crop(keypoints, groups, margin=0.0) == (7, 5, 12, 21)
+    points[0] = [2.25, 24.5]
+    assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)

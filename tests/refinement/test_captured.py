@@ -190,7 +190,7 @@ def test_orientations_of_any_columns(device, columns):
 
 
 @pytest.mark.parametrize("iterations", [0, 1, 10, 50])
-def test_a_run_ends_where_the_flexible_one_does(device, iterations):
+def test_a_run_ends_where_autograd_does(device, iterations):
     """Without labels, whose pixels flip with the last bit.
 
     A keypoint's L1 distance flips too, where rounding puts it on the other side of its target: in some 1 of 20 runs of

@@ -57,7 +57,10 @@ def test_other_types_of_vertices_give_what_float32_gives(device, dtype):
     for kind in (dtype, torch.float32):
         leaf = vertices.to(dtype).to(kind).requires_grad_()
         loss, image = loss_on_screen(leaf, mesh, target)
-        found.append((image.labels, *torch.autograd.grad(loss.sum(), leaf)))
+        (gradient,) = torch.autograd.grad(loss.sum(), leaf)
+        assert gradient.dtype == kind
+        assert torch.isfinite(gradient).all()
+        found.append((image.labels, gradient))
     for have, want in zip(*found, strict=True):
         torch.testing.assert_close(have, want.to(have.dtype))
 

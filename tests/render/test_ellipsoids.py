@@ -228,16 +228,6 @@ def test_label_loss_is_the_maps_loss(device):
         torch.testing.assert_close(have, want, rtol=1e-4, atol=1e-4 * want.abs().max().item())
 
 
-def test_target_equal_to_picture_has_exactly_no_partdr_gradient(device):
-    size = (40, 40)
-    leaves = Leaves.of(body_scene(4, size, False, device), device=device)
-    picture = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size).labels
-    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, picture, gradient="partdr")
-    loss.sum().backward()
-    assert loss.item() == 0
-    assert all((tensor.grad == 0).all() for tensor in leaves.tensors().values())
-
-
 @pytest.mark.parametrize("gradient", GRADIENTS)
 def test_ignored_pixels_cost_nothing(device, gradient):
     size = (40, 40)

@@ -304,7 +304,7 @@ def test_a_batch_equals_its_members_to_the_bit(device, renderer, seed, perspecti
     cameras = body_camera(SIZE, perspective, batch, device)
     one = body_camera(SIZE, perspective, 1, device)
     leaves = leaves_of(seed, device, batch)
-    target = target_of(seed, one, renderer, device).expand(batch, -1, -1).contiguous()
+    target = torch.cat([target_of(seed + b, one, renderer, device) for b in range(batch)])
     posed = pose(**leaves)
     tensors = {name: getattr(posed, name).detach() for name in ("centres", "axes", "semi_axes")}
 

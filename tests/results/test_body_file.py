@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes.files import Trap
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import PART_NAMES
@@ -103,16 +103,6 @@ def test_other_content_is_refused(change: dict[str, Any], says: str, tmp_path: P
         load_body(path)
     assert str(path) in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-
-
-class Trap:
-    """Leaves a folder behind if it is ever unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = str(path)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (self.path,)
 
 
 @pytest.mark.parametrize("where", ["lengths", "format", "more", "whole file"])

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes.files import body_file, tree
 
-from warp_partdr.body.template import NUM_PARTS, template
 from warp_partdr.errors import InputError
-from warp_partdr.results.body_file import BodyFile, load_body
+from warp_partdr.results.body_file import load_body
 from warp_partdr.results.result_sets import (
     FIT_REPORT,
     PREDICTIONS_REPORT,
@@ -37,13 +37,6 @@ from warp_partdr.results.save import DETAILED_FILES
 FIT = FIT_REPORT, (FIT_REPORT, REGISTRATION_REPORT)
 REGISTRATION = REGISTRATION_REPORT, (REGISTRATION_REPORT,)
 PREDICTIONS = PREDICTIONS_REPORT, ()
-
-
-def tree(folder: Path) -> dict[str, bytes | None]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
-        for path in sorted(folder.rglob("*"))
-    }
 
 
 def fill(
@@ -299,24 +292,11 @@ def test_folders_that_appear_meanwhile(tmp_path: Path) -> None:
 # --- readers -------------------------------------------------------------------------------------------------------
 
 
-def body() -> BodyFile:
-    return BodyFile(
-        global_orient=np.eye(3),
-        translation=np.zeros(3),
-        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
-        lengths=template().mean_lengths,
-        thicknesses=template().mean_thicknesses,
-        camera_scale=np.array(100.0),
-        camera_translation=np.zeros(2),
-        image_size=np.array([40, 30]),
-    )
-
-
 def test_a_body_is_read_with_its_own_report_or_with_none(tmp_path: Path) -> None:
     with replacing(tmp_path / "fit", FIT_REPORT, {}) as temporary:
-        body().save(temporary / "body.npz")
+        body_file().save(temporary / "body.npz")
     load_body(tmp_path / "fit" / "body.npz")
-    replace(body(), camera_scale=np.array(50.0)).save(tmp_path / "body.npz")
+    replace(body_file(), camera_scale=np.array(50.0)).save(tmp_path / "body.npz")
     load_body(tmp_path / "body.npz")
     shutil.copy(tmp_path / "body.npz", tmp_path / "fit" / "other.npz")  # by itself beside a fit
     load_body(tmp_path / "fit" / "other.npz")
@@ -330,12 +310,12 @@ def test_a_body_is_read_with_its_own_report_or_with_none(tmp_path: Path) -> None
 
 def test_a_body_is_not_saved_into_another_one_s_set(tmp_path: Path) -> None:
     with replacing(tmp_path / "fit", FIT_REPORT, {}) as temporary:
-        body().save(temporary / "body.npz")
+        body_file().save(temporary / "body.npz")
     before = tree(tmp_path)
     with pytest.raises(InputError, match=r"fit/body\.npz: of the run that report\.json"):
-        body().save(tmp_path / "fit" / "body.npz")
+        body_file().save(tmp_path / "fit" / "body.npz")
     assert tree(tmp_path) == before
-    body().save(tmp_path / "fit" / "edited.npz")
+    body_file().save(tmp_path / "fit" / "edited.npz")
 
 
 @pytest.mark.parametrize(
@@ -343,12 +323,12 @@ def test_a_body_is_not_saved_into_another_one_s_set(tmp_path: Path) -> None:
 )
 def test_other_reports_say_nothing_about_a_body(text: str, tmp_path: Path) -> None:
     (tmp_path / FIT_REPORT).write_text(text)
-    body().save(tmp_path / "body.npz")
+    body_file().save(tmp_path / "body.npz")
     load_body(tmp_path / "body.npz")
 
 
 def test_a_report_that_cannot_be_read_may_have(tmp_path: Path) -> None:
-    body().save(tmp_path / "body.npz")
+    body_file().save(tmp_path / "body.npz")
     (tmp_path / FIT_REPORT).write_text('{"files": {"bod')
     with pytest.raises(InputError, match=r"report\.json: can't be read as JSON; expected"):
         load_body(tmp_path / "body.npz")

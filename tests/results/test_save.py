@@ -30,7 +30,7 @@ from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.results import save as output
+from warp_partdr.results import save
 from warp_partdr.results.body_file import load_body
 from warp_partdr.results.ellipbody_files import ellipbody_scene
 from warp_partdr.results.palette import PART_COLOURS, group_colours
@@ -77,7 +77,7 @@ def folder(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
     path = tmp_path_factory.mktemp("fit") / "new" / "out"
-    output.save_fit(result, path, photo=photo)
+    save.save_fit(result, path, photo=photo)
     return path
 
 
@@ -87,7 +87,7 @@ def registered(result: FitResult) -> Registered:
 
 
 def test_all_files_are_there_and_no_others(folder: Path) -> None:
-    assert {path.name for path in folder.iterdir()} == set(output.RESULT_FILES)
+    assert {path.name for path in folder.iterdir()} == set(save.RESULT_FILES)
     assert [path.name for path in folder.parent.iterdir()] == ["out"]
 
 
@@ -96,7 +96,7 @@ def test_all_files_are_there_and_no_others(folder: Path) -> None:
 
 def test_body_file_poses_to_the_fitted_joints(folder: Path, result: FitResult) -> None:
     body = load_body(folder / "body.npz")
-    written = output.body_file(result.parameters, result.camera, (512, 384))
+    written = save.body_file(result.parameters, result.camera, (512, 384))
     for name in written.__dataclass_fields__:
         assert getattr(body, name).tobytes() == np.asarray(getattr(written, name)).tobytes(), name
     assert body.image_size.tolist() == [512, 384]
@@ -134,7 +134,7 @@ def test_report(folder: Path, result: FitResult) -> None:
 
 def test_label_set_without_lsp_parts_has_no_such_score() -> None:
     target = np.ones((4, 4), dtype=np.uint8)
-    scores = output.score_labels(target, target, label_set("full1"))
+    scores = save.score_labels(target, target, label_set("full1"))
     assert list(scores) == ["parts"]
     assert scores["parts"]["foreground_f1"] == 1
 
@@ -248,8 +248,8 @@ def test_the_detailed_body_s_files(
     registered: Registered, result: FitResult, photo: np.ndarray, tmp_path: Path
 ) -> None:
     folder = tmp_path / "new" / "out"
-    output.save_registered(registered, folder, result.camera, photo.shape[:2], photo=photo, seconds=1.23456)
-    assert {path.name for path in folder.iterdir()} == set(output.DETAILED_FILES)
+    save.save_registered(registered, folder, result.camera, photo.shape[:2], photo=photo, seconds=1.23456)
+    assert {path.name for path in folder.iterdir()} == set(save.DETAILED_FILES)
     report = json.loads((folder / "registration.json").read_text())
     assert (report["model"], report["seconds"]) == ("anny", 1.235)
     assert report["losses"]["joints"] == pytest.approx(float(registered.losses["joints"]), abs=1e-4)
@@ -271,8 +271,8 @@ def test_the_detailed_body_s_files(
 def test_the_detailed_body_without_a_photo_or_over_a_large_one(
     registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(output, "OVERLAY_SIDE", 128)
-    output.save_registered(registered, tmp_path, result.camera, (512, 384))
+    monkeypatch.setattr(save, "OVERLAY_SIDE", 128)
+    save.save_registered(registered, tmp_path, result.camera, (512, 384))
     shown = pixels(tmp_path / "detailed.png")
     assert shown.shape == (128, 96, 3)
     columns = np.flatnonzero((shown != shown[0, 0]).any(-1).any(0)) * 4
@@ -289,9 +289,9 @@ def test_a_detailed_body_that_cannot_be_written_leaves_the_older_one(
         raise OSError(28, "No space left on device")
 
     (tmp_path / "detailed.glb").write_text("old")
-    monkeypatch.setattr(output, "save_detailed", refuse)
+    monkeypatch.setattr(save, "save_detailed", refuse)
     with pytest.raises(InputError, match="No space left on device"):
-        output.save_registered(registered, tmp_path, result.camera, (64, 48))
+        save.save_registered(registered, tmp_path, result.camera, (64, 48))
     assert [path.name for path in tmp_path.iterdir()] == ["detailed.glb"]
     assert (tmp_path / "detailed.glb").read_text() == "old"
 
@@ -301,7 +301,7 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
 
     def score(groups: np.ndarray) -> dict[str, Any]:
         seen = replace(result.evidence, picture=PartLabels(labels, groups), groups=groups)
-        return output.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
+        return save.save_registered(registered, tmp_path, result.camera, size, evidence=seen)
 
     points = result.camera.project(registered.detailed.vertices)
     drawn = draw_on_screen(points, detailed_mesh(registered.model), size).labels[0].numpy()
@@ -333,21 +333,21 @@ def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, res
 def test_a_fit_s_set_ends_the_older_detailed_body(
     registered: Registered, result: FitResult, bare: FitResult, tmp_path: Path
 ) -> None:
-    output.save_fit(result, tmp_path)
-    report = output.save_registered(registered, tmp_path, result.camera, (512, 384))
-    assert report["files"].keys() == set(output.DETAILED_FILES) - {"registration.json"}
-    assert {path.name for path in tmp_path.iterdir()} == {*output.RESULT_FILES, *output.DETAILED_FILES}
+    save.save_fit(result, tmp_path)
+    report = save.save_registered(registered, tmp_path, result.camera, (512, 384))
+    assert report["files"].keys() == set(save.DETAILED_FILES) - {"registration.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {*save.RESULT_FILES, *save.DETAILED_FILES}
     (tmp_path / "notes").write_text("mine")
-    report = output.save_fit(bare, tmp_path)
+    report = save.save_fit(bare, tmp_path)
     assert report == json.loads((tmp_path / "report.json").read_text())
-    assert {path.name for path in tmp_path.iterdir()} == {"notes", *output.RESULT_FILES} - {"parts.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {"notes", *save.RESULT_FILES} - {"parts.png"}
 
 
 # --- other inputs --------------------------------------------------------------------------------------------------
 
 
-def save(tmp_path: Path, result: FitResult, **inputs: Any) -> Path:
-    output.save_fit(result, tmp_path / "out", **inputs)
+def save_into(tmp_path: Path, result: FitResult, **inputs: Any) -> Path:
+    save.save_fit(result, tmp_path / "out", **inputs)
     return tmp_path / "out"
 
 
@@ -358,15 +358,15 @@ def bare(keypoints: Keypoints2D) -> FitResult:
 
 
 def test_without_labels_there_is_no_parts_picture(bare: FitResult, photo: np.ndarray, tmp_path: Path) -> None:
-    folder = save(tmp_path, bare, photo=photo)
-    assert {path.name for path in folder.iterdir()} == set(output.RESULT_FILES) - {"parts.png"}
+    folder = save_into(tmp_path, bare, photo=photo)
+    assert {path.name for path in folder.iterdir()} == set(save.RESULT_FILES) - {"parts.png"}
     assert "parts" not in json.loads((folder / "report.json").read_text())
 
 
 def test_without_any_picture_the_overlay_holds_all_keypoints(
     bare: FitResult, keypoints: Keypoints2D, tmp_path: Path
 ) -> None:
-    folder = save(tmp_path, bare)
+    folder = save_into(tmp_path, bare)
     overlay = pixels(folder / "overlay.png")
     assert (overlay.shape[1::-1] >= keypoints.points.max(0)).all()
     assert (overlay[0, 0] == overlay[0, -1]).all()
@@ -377,11 +377,11 @@ def test_without_any_picture_the_overlay_holds_all_keypoints(
 def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
     result: FitResult, keypoints: Keypoints2D, photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
-    monkeypatch.setattr(output, "OVERLAY_SIDE", 256)
-    small = np.asarray(output.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    whole = np.asarray(save.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    monkeypatch.setattr(save, "OVERLAY_SIDE", 256)
+    small = np.asarray(save.draw_overlay(result, photo.shape[:2], photo)).astype(float)
     assert small.shape == (256, 192, 3)
     blocks = whole.reshape(256, 2, 192, 2, 3).mean((1, 3))
     assert np.abs(small - blocks).mean() < 6
-    empty = np.asarray(output.draw_overlay(result, (10**6, 10**5))).shape
+    empty = np.asarray(save.draw_overlay(result, (10**6, 10**5))).shape
     assert empty == (256, 26, 3)

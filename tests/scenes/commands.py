@@ -67,13 +67,6 @@ def ids() -> np.ndarray:
     return np.array(Image.open("p.png"))
 
 
-def tree(folder: Path) -> dict[str, bytes | None]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
-        for path in sorted(folder.rglob("*"))
-    }
-
-
 def cut(name: str, share: float) -> None:
     data = Path(name).read_bytes()
     Path(name).write_bytes(data[: int(len(data) * share)])

@@ -1,11 +1,16 @@
-"""The packaged example, and models of bodies in SMPL's format."""
+"""The packaged example, models of bodies in SMPL's format, saved bodies, and what lies in a folder."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+from warp_partdr.body.template import NUM_PARTS, template
+from warp_partdr.results.body_file import BodyFile
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
 # A tiny body in SMPL's format: a tetrahedron around each joint of a person in a T-pose, x, y, z in cm, left side only.
@@ -70,3 +75,35 @@ def save_npz(path: Path, **changes: np.ndarray | None) -> Path:
 @pytest.fixture(scope="module")
 def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_npz(tmp_path_factory.mktemp("models") / "smpl.npz")
+
+
+def body_file() -> BodyFile:
+    """What a fit saves of the mean adult at rest."""
+    return BodyFile(
+        global_orient=np.diag([1.0, -1.0, -1.0]),
+        translation=np.zeros(3),
+        rotations=np.tile(np.eye(3), (NUM_PARTS, 1, 1)),
+        lengths=template().mean_lengths,
+        thicknesses=template().mean_thicknesses,
+        camera_scale=np.array(100.0),
+        camera_translation=np.zeros(2),
+        image_size=np.array([400, 300]),
+    )
+
+
+class Trap:
+    """Leaves a folder behind if it is ever unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (self.path,)
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    """The content of every file in a folder; of folders, None."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import HANG
+from scenes.viewer import make_state
 from typer.testing import CliRunner
 
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.viewer import web
-from warp_partdr.viewer.state import DemoState, Settings
-from warp_partdr.viewer.targets import body_of, body_target
+from warp_partdr.viewer.targets import body_of
 from warp_partdr.viewer.window import Window
 
 SIZE = (640, 400)
@@ -34,8 +34,7 @@ SIZE = (640, 400)
 @pytest.fixture
 def window(can_draw, tmp_path):
     pytest.importorskip("trame_pyvista", reason="the extra demo isn't installed")
-    state = DemoState(body_of("t-pose"), body_target(body_of("walking")), Settings(size=64, steps=40))
-    made = Window(state, tmp_path / "saved", off_screen=True)
+    made = Window(make_state(), tmp_path / "saved", off_screen=True)
     yield made
     made.scene.close()
 
