@@ -23,9 +23,9 @@ from scenes.commands import (
     save_ids,
     set_all,
     soft_maps,
-    tree,
     write,
 )
+from scenes.files import tree
 
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights

@@ -9,7 +9,8 @@ import pytest
 import torch
 from PIL import Image
 from scenes import viewer
-from scenes.viewer import EXAMPLE, SMALL, make_state, read_target
+from scenes.files import EXAMPLE
+from scenes.viewer import SMALL, make_state, read_target
 
 from warp_partdr import load_body
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES

@@ -9,7 +9,8 @@ import pytest
 import torch
 from PIL import Image
 from scenes import viewer
-from scenes.viewer import EXAMPLE, SMALL, click, image, make_state, read_target, send
+from scenes.files import EXAMPLE
+from scenes.viewer import SMALL, click, image, make_state, read_target, send
 
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.errors import InputError
