@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 
 import pytest
 import torch
@@ -18,7 +19,7 @@ from warp_partdr.interop import loss_graph
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.render.ellipsoids import EllipsoidImage, Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import PartImage
-from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
 SIZE = (48, 40)
 RENDERERS = ["coverage", "edges", "partdr", "mesh"]
@@ -72,14 +73,9 @@ class Scene:
         return [loss.detach(), image.labels, image.depth, nearest, *grads]
 
 
-MESHES = {}
-
-
-def ellipbody_mesh_on(device: str):
-    """One mesh for all tests, for graphs are kept by it."""
-    if device not in MESHES:
-        MESHES[device] = ellipbody_mesh(1, device=device)
-    return MESHES[device]
+@cache  # one mesh for all tests, for graphs are kept by it
+def ellipbody_mesh_on(device: str) -> PartMesh:
+    return ellipbody_mesh(1, device=device)
 
 
 def equal(have: list[torch.Tensor], want: list[torch.Tensor], renderer: str) -> bool:

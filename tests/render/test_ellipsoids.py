@@ -211,7 +211,7 @@ def test_linear_in_the_incoming_gradient(device, gradient):
 
 
 def test_label_loss_is_the_maps_loss(device):
-    """The fused path and the general one agree: value, and PartDR's gradient through squared differences of maps."""
+    """The loss of labels and that of maps agree: value, and PartDR's gradient through squared differences of maps."""
     size = (48, 40)
     leaves = Leaves.of(*(body_scene(seed, size, False, device) for seed in range(3)), device=device)
     shown = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size).labels.cpu().numpy()
@@ -219,12 +219,12 @@ def test_label_loss_is_the_maps_loss(device):
     target[target == 255] = 0
     tensors = list(leaves.tensors().values())
     loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient="partdr")
-    fused = torch.autograd.grad(loss.sum(), tensors)
+    through_labels = torch.autograd.grad(loss.sum(), tensors)
     maps = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size, num_maps=20, gradient="partdr").maps
     wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
     general_loss = (maps - wanted).square().sum((1, 2, 3))
     torch.testing.assert_close(loss, general_loss)
-    for have, want in zip(fused, torch.autograd.grad(general_loss.sum(), tensors), strict=True):
+    for have, want in zip(through_labels, torch.autograd.grad(general_loss.sum(), tensors), strict=True):
         torch.testing.assert_close(have, want, rtol=1e-4, atol=1e-4 * want.abs().max().item())
 
 

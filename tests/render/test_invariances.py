@@ -42,7 +42,7 @@ def losses(posed, camera, target, renderer, **options):
     return mesh_label_loss(posed.vertices(LEVEL), mesh, camera, target, **options)[0]
 
 
-def fused_and_maps(posed, camera, target, renderer):
+def losses_of_labels_and_maps(posed, camera, target, renderer):
     """The two paths' losses; the second goes through float maps."""
     wanted = (target[:, None] == torch.arange(1, 21, device=target.device)[:, None, None]).float()
     if renderer.startswith("mesh"):
@@ -92,10 +92,10 @@ def test_a_picture_equal_to_its_target_pulls_at_nothing(device, renderer, seed, 
     leaves = leaves_of(seed, device)
     posed = pose(**leaves)
     target = pictured(posed, camera, renderer)
-    fused, through_maps = fused_and_maps(posed, camera, target, renderer)
+    through_labels, through_maps = losses_of_labels_and_maps(posed, camera, target, renderer)
     ignored = target.clone()
     ignored[:, ::3, 1::2] = 255
-    for loss in (through_maps, fused, losses(posed, camera, ignored, renderer)):
+    for loss in (through_maps, through_labels, losses(posed, camera, ignored, renderer)):
         assert loss.item() == 0
         if loss is through_maps or renderer not in ("edges", "coverage"):
             assert all((gradient == 0).all() for gradient in gradients(loss, leaves).values())

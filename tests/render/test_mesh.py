@@ -145,20 +145,20 @@ def test_label_loss_gradient_is_the_reference_on_ellipbody(device, perspective):
 
 
 def test_label_loss_is_the_maps_loss(device):
-    """The fused path and the general one agree: value, and gradient through squared differences of maps."""
+    """The loss of labels and that of maps agree: value, and gradient through squared differences of maps."""
     size = (48, 40)
     vertices, mesh = projected_bodies(5, size, device, subdivisions=1, batch=3)
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 1)
     target[target == 255] = 0
     loss, _ = loss_on_screen(leaf, mesh, target)
-    (fused,) = torch.autograd.grad(loss.sum(), leaf)
+    (through_labels,) = torch.autograd.grad(loss.sum(), leaf)
     maps = draw_on_screen(leaf, mesh, size, num_maps=20).maps
     wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
     general_loss = (maps - wanted).square().sum((1, 2, 3))
     (general,) = torch.autograd.grad(general_loss.sum(), leaf)
     torch.testing.assert_close(loss, general_loss)
-    torch.testing.assert_close(fused, general, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(through_labels, general, rtol=1e-4, atol=1e-3)
 
 
 def test_forward_is_deterministic_to_the_bit(device):
@@ -180,10 +180,10 @@ def test_threads_change_no_bit(threads):
 
     def results() -> list[torch.Tensor]:
         loss, image = loss_on_screen(leaf, mesh, target)
-        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        (through_labels,) = torch.autograd.grad(loss.sum(), leaf)
         maps = draw_on_screen(leaf, mesh, (40, 56), num_maps=20).maps
         (general,) = torch.autograd.grad(maps.square().sum(), leaf)
-        return [loss, image.labels, image.depth, image.face_index, fused, general]
+        return [loss, image.labels, image.depth, image.face_index, through_labels, general]
 
     try:
         set_num_threads(1)
@@ -300,10 +300,10 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     def results() -> list[torch.Tensor]:
         other = projected_bodies(6, size, device, subdivisions=1, batch=5)[1]  # a mesh that no captured graph knows
         loss, image = loss_on_screen(leaf, other, target)
-        (fused,) = torch.autograd.grad(loss.sum(), leaf)
+        (through_labels,) = torch.autograd.grad(loss.sum(), leaf)
         maps = draw_on_screen(leaf, other, size, num_maps=20).maps
         (general,) = torch.autograd.grad((maps * torch.arange(1, 21, device=device)[:, None, None]).sum(), leaf)
-        return [image.labels, image.depth, image.face_index, loss, fused, general]
+        return [image.labels, image.depth, image.face_index, loss, through_labels, general]
 
     want = results()
     threads = []
