@@ -1,4 +1,4 @@
-"""``partdr register`` with part labels: whose they are, and what it says of them."""
+"""``partdr register``: the files it leaves, and with part labels, what it says of them."""
 
 from __future__ import annotations
 

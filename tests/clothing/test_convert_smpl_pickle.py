@@ -20,8 +20,6 @@ from warp_partdr.clothing.smpl import ARRAYS
 ROOT = Path(__file__).resolve().parents[2]
 _spec = importlib.util.spec_from_file_location("convert_smpl_pickle", ROOT / "scripts" / "convert_smpl_pickle.py")
 converter = importlib.util.module_from_spec(_spec)
-
-
 _spec.loader.exec_module(converter)
 
 

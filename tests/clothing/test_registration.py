@@ -1,4 +1,4 @@
-"""Registration of detailed bodies to EllipBody, and their files."""
+"""Registration of detailed bodies to EllipBody."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fitting: parameters, energy, hypotheses and the whole path on bodies whose truth is known."""
+"""The whole path of a fit, on bodies whose truth is known."""
 
 from __future__ import annotations
 

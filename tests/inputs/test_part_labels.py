@@ -16,8 +16,6 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
 
 NAN = math.nan
-
-
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
 
 

@@ -20,7 +20,6 @@ from warp_partdr.inputs.person import connected, crop_keypoints, crop_nearest, c
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 
-
 # Left half of a standing person facing the camera, 1 unit tall: x to the picture's right, y down from the head's top.
 HALF = {
     "eye": (0.02, 0.065),
@@ -32,8 +31,6 @@ HALF = {
     "knee": (0.07, 0.7),
     "ankle": (0.08, 0.947),
 }
-
-
 STANDING = {
     "nose": (0.0, 0.08),
     **{f"left_{name}": point for name, point in HALF.items()},

@@ -1,4 +1,4 @@
-"""Exact ellipsoids against the float64 reference: pictures, the gradient of covered area, PartDR's rule, extremes."""
+"""Exact ellipsoids against the float64 reference: pictures, PartDR's rule, and what holds for every gradient."""
 
 from __future__ import annotations
 
@@ -174,6 +174,9 @@ def test_of_hidden_twins_the_first_comes_forward(device):
     assert first > 0  # descent brings it forward, to a smaller z
     assert front == pytest.approx(-first)
     assert second == 0
+
+
+# --- What holds for every gradient -------------------------------------------------------------------------------
 
 
 def body_loss(leaves, camera, target, gradient, **options):

@@ -59,6 +59,7 @@ def loss_on_screen(
 
 
 CAMERAS = [False, True]  # perspective?
+GRADIENTS = ["edges", "coverage", "partdr"]
 GROUPS = np.array([1, 2, 3, 4, 2, 255])  # a label of two ellipsoids, and one that hides and means nothing
 
 
@@ -198,7 +199,6 @@ def gradient_errors(scene, leaves, want):
     return {name: relative_error(have[name], want[name]) for name in want}
 
 
-GRADIENTS = ["edges", "coverage", "partdr"]
 PLACE = 0.01  # [px] that an outline may be off, and of coordinates beyond the picture PLACE_SHARE more
 PLACE_SHARE = 3e-7
 LEAD = 3e-6  # of the depth: surfaces nearer to one another than that may change places
