@@ -58,7 +58,7 @@ LONG_SIGNATURES = {
     "kernels/registration.py::vertex_costs": 13,
 }
 # Public names that stand twice.
-DEFINED_TWICE: set[str] = set("".split())
+DEFINED_TWICE: set[str] = set()
 MOST_QUESTIONS = 141  # docstrings that begin so; 2 % is what is wanted
 QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
 

@@ -12,24 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
-from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.cameras import Perspective, ScreenCamera, WeakPerspective
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.render.ellipsoids import Ellipsoids
 from warp_partdr.render.mesh import PartImage, draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
-
-
-class ScreenCamera:
-    """A camera of points (u [px], v [px], z [m]) that are in the picture already, also of a perspective one."""
-
-    def __init__(self, like: torch.Tensor, perspective: bool = False, near: float | None = None) -> None:
-        self.perspective = perspective
-        default, least = (0.01, 1e-6) if perspective else (-math.inf, -math.inf)
-        self.near_plane = max(default if near is None else near, least)
-        self.intrinsics = torch.zeros(1, 4, device=getattr(like, "device", "cpu"))
-
-    def project(self, points: torch.Tensor) -> torch.Tensor:
-        return points
 
 
 def draw_on_screen(
@@ -42,7 +29,7 @@ def draw_on_screen(
     **options: Any,
 ) -> PartImage:
     """``draw_mesh`` of vertices on the screen."""
-    return draw_mesh(vertices, mesh, ScreenCamera(vertices, perspective, near), size, **options)
+    return draw_mesh(vertices, mesh, ScreenCamera(perspective, near), size, **options)
 
 
 def loss_on_screen(
@@ -55,7 +42,7 @@ def loss_on_screen(
     **options: Any,
 ) -> tuple[torch.Tensor, PartImage]:
     """``mesh_label_loss`` of vertices on the screen."""
-    return mesh_label_loss(vertices, mesh, ScreenCamera(vertices, perspective, near), target, **options)
+    return mesh_label_loss(vertices, mesh, ScreenCamera(perspective, near), target, **options)
 
 
 CAMERAS = [False, True]  # perspective?
