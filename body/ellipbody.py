@@ -72,7 +72,7 @@ class WarpArrays(Movable):
 
 @dataclass(frozen=True)
 class PosedEllipBody(WarpArrays):
-    """Where the bodies are, in the frame of ``translation`` (camera or world) [m].
+    """Joints, ellipsoids and meshes of posed bodies, in the frame of ``translation`` (camera or world) [m].
 
     Attributes:
         joints: ``JOINT_NAMES``, shape (B, 21), vec3.
@@ -182,7 +182,7 @@ class EllipBody(WarpArrays):
 
     @property
     def device(self) -> wp.Device:
-        """Where the arrays are."""
+        """Device of the arrays."""
         return self.lengths.device
 
     def pose(self, *, subdivisions: int = DEFAULT_SUBDIVISIONS) -> PosedEllipBody:

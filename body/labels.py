@@ -1,4 +1,4 @@
-"""Label sets: how the ids of somebody's part labels group the 20 ellipsoids.
+"""Label sets: groups of the 20 ellipsoids for the label ids of a data set or network.
 
 A ``LabelSet`` has groups 1 to G, each a union of ellipsoids, and says of every source id (the numbers in a data set's
 or a network's label images) whether it is one of the groups, background, or to be ignored. Three kinds of image meet:
@@ -10,7 +10,7 @@ or a network's label images) whether it is one of the groups, background, or to 
 Three rules settle the rest:
 
 * Source id 255 is ignored, as in most data sets, unless the set gives it a meaning.
-* A group without source ids is never wanted at a pixel, but is wrong on background: the torso under LIP's clothes.
+* A group without source ids is no pixel's target, but is wrong on background: the torso under LIP's clothes.
 * An ellipsoid that is in no group costs nothing where it shows, and hides what is behind: ``part_groups`` maps it to
   255. One that is left out (hands and feet, where nobody labelled any) isn't drawn at all and costs no time: 0. The
   sets that come with the project have every part in a group.

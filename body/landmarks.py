@@ -131,7 +131,7 @@ def landmark_points(names: Sequence[str]) -> LandmarkPoints:
 def landmark_positions(
     names: Sequence[str], centres: np.ndarray, axes: np.ndarray, semi_axes: np.ndarray
 ) -> np.ndarray:
-    """Where landmarks are on posed ellipsoids, shape (..., L, 3) [m].
+    """Positions of landmarks on posed ellipsoids, shape (..., L, 3) [m].
 
     Args:
         names: L landmarks.

@@ -1,4 +1,4 @@
-"""What a fit optimises: the numbers of a batch of bodies and of their cameras, as torch tensors."""
+"""Parameters of a batch of bodies and of their cameras that a fit optimises, as torch tensors."""
 
 from __future__ import annotations
 

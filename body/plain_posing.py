@@ -1,4 +1,4 @@
-"""Forward kinematics in plain torch, one operation after another: what the kernels of ``posing`` do in one launch.
+"""Forward kinematics in plain torch, the same function as the kernels of ``posing``.
 
 It can be differentiated any number of times, traced by ``torch.compile`` and transformed by ``torch.func``.
 """

@@ -1,4 +1,4 @@
-"""Which poses people take: a Gaussian mixture and soft joint limits learned from motion capture.
+"""Pose prior: a Gaussian mixture and soft joint limits learned from motion capture.
 
 2D keypoints and part labels can't tell a bone that points toward the camera from one that points away; this prior
 can, as far as anything can. ``scripts/learn_pose_prior.py`` learns ``assets/pose_prior.npz`` from CMU's motion capture
@@ -24,7 +24,7 @@ NUM_FEATURES = 3 * len(FREE_PARTS) + 3
 
 
 def mirror_features() -> tuple[np.ndarray, np.ndarray]:
-    """How left and right change places: ``mirrored = features[:, order] * sign``, both of shape (57,)."""
+    """Order and sign, shape (57,) each, that mirror a pose: ``mirrored = features[:, order] * sign``."""
     twins = [FREE_PARTS.index(PART_NAMES.index(_twin(PART_NAMES[part]))) for part in FREE_PARTS]
     order = np.append((3 * np.array(twins)[:, None] + np.arange(3)).ravel(), NUM_FEATURES - 3 + np.arange(3))
     # A reflection in x turns a rotation vector (a, b, c) into (a, -b, -c), and a direction (a, b, c) into (-a, b, c).
@@ -33,7 +33,7 @@ def mirror_features() -> tuple[np.ndarray, np.ndarray]:
 
 
 def up_direction(global_orient: torch.Tensor) -> torch.Tensor:
-    """Which way is up, seen from the pelvis, if the camera is level.
+    """Direction of up in the pelvis's frame, if the camera is level.
 
     Args:
         global_orient: Rotation of the pelvis in the camera frame (y down), shape (B, 3, 3).
@@ -132,7 +132,7 @@ class PosePrior(torch.nn.Module):
         return -torch.logsumexp(self._log_weights - 0.5 * whitened.square().sum(-1), dim=-1)
 
     def joint_limits(self, rotation_vectors: torch.Tensor) -> torch.Tensor:
-        """How far joints are bent beyond what motion capture shows: squared excess, summed over components.
+        """Squared excess of joint angles over the range of motion capture, summed over components.
 
         Knees bend only backward and elbows only forward.
 
@@ -177,11 +177,11 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
 
 def _read(path: Path | Traversable) -> dict[str, np.ndarray]:
     """The file's arrays as float64, checked."""
-    wanted = "a file of scripts/learn_pose_prior.py"
+    description = "a file of scripts/learn_pose_prior.py"
     data: dict[str, np.ndarray] = {}
-    for key, values in read_npz(path, tuple(_SHAPES), expected=wanted).items():
+    for key, values in read_npz(path, tuple(_SHAPES), expected=description).items():
         if values.dtype.kind != "f":
-            raise InputError(f"{path}: {key} is of {values.dtype}; expected {wanted}")
+            raise InputError(f"{path}: {key} is of {values.dtype}; expected {description}")
         data[key] = values.astype(np.float64)
     sizes: dict[str, int] = {}
     for key, shape in _SHAPES.items():
@@ -190,7 +190,7 @@ def _read(path: Path | Traversable) -> dict[str, np.ndarray]:
         if data[key].shape != expected:
             raise InputError(f"{path}: {key} has shape {data[key].shape}; expected {expected}")
         if not np.isfinite(data[key]).all():
-            raise InputError(f"{path}: {key} is not finite; expected {wanted}")
+            raise InputError(f"{path}: {key} is not finite; expected {description}")
     return data
 
 

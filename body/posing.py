@@ -54,11 +54,11 @@ class Posed(Movable):
 
 
 class LandmarkGather:
-    """Where landmarks are on posed bodies.
+    """Positions of landmarks on posed bodies.
 
     Args:
         names: L landmarks.
-        device: Where the bodies are.
+        device: The bodies' device.
     """
 
     def __init__(self, names: Sequence[str], device: torch.device | str) -> None:
@@ -122,12 +122,12 @@ def pose(
 
 
 def _in_torch(*tensors: torch.Tensor) -> bool:
-    """Whether plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
+    """True if plain torch must do it: kernels can't be traced, and can't read what ``torch.func`` has wrapped."""
     return torch.compiler.is_compiling() or is_transformed(*tensors)
 
 
 def _differentiable(*adjoints: torch.Tensor) -> bool:
-    """Whether a backward pass has to be differentiable itself, under ``create_graph``, or is one of many under vmap."""
+    """True if a backward pass has to be differentiable itself, under ``create_graph``, or is one of many under vmap."""
     return torch.is_grad_enabled() or is_transformed(*adjoints)
 
 

@@ -1,4 +1,4 @@
-"""The EllipBody template: which 20 ellipsoids there are, how they hang together, which shape values they share.
+"""Template of EllipBody: its 20 ellipsoids, their tree, and the shape values that they share.
 
 Every name, order and index of the model is defined here and nowhere else (paper, section 3.3 and table 1;
 the pelvis is two ellipsoids, left and right hip). Label k of a part image is ``PART_NAMES[k - 1]``; 0 is background.

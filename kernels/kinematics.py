@@ -182,7 +182,7 @@ class BoneTree:
 
     @property
     def device(self) -> wp.Device:
-        """Where the arrays are."""
+        """Device of the arrays."""
         return self.parents.device
 
     @property

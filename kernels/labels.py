@@ -1,7 +1,7 @@
-"""What a loss says about part images: its gradient with respect to part maps, dense or from a target label image.
+"""Gradient of a loss with respect to part maps: dense, or found from a target label image.
 
 A label target holds what K float maps would in 1/80 of the bytes: L_seg and its gradient at a pixel follow from two
-labels, the one shown and the one wanted.
+labels, the one shown and the target's.
 """
 
 from typing import Any
@@ -34,7 +34,7 @@ def words_of(image: wp.array2d[wp.uint8]):
 
 @wp.func
 def are_words(images: wp.array3d[wp.uint8]):
-    """Whether contiguous images can be read four pixels at once."""
+    """True if contiguous images can be read four pixels at once."""
     return images.shape[2] % 4 == 0 and images.ptr % wp.uint64(4) == wp.uint64(0)
 
 
@@ -47,7 +47,7 @@ def unequal_bytes(a: wp.uint32, b: wp.uint32):
 
 @wp.func
 def map_weight(label: int):
-    """How much the map of a label counts: background and what is to be ignored have none."""
+    """Weight of a label's map in L_seg: 0 for background and for IGNORE, which have no map."""
     return wp.where(label == 0 or label == IGNORE, 0.0, 1.0)
 
 
@@ -74,7 +74,7 @@ class DenseGradient:
 
 @wp.func
 def target_of(g: LabelTarget, b: int):
-    """Which of N targets is body b's: number b % N."""
+    """Index of body b's target among N: b % N."""
     return b % wp.max(g.target.shape[0], 1)
 
 
@@ -108,7 +108,7 @@ def gradient_at(g: DenseGradient, t: int, label: int, pixel: int, shown: int):
 
 @wp.func
 def may_want(g: LabelTarget, t: int, label: int, pixel: int):
-    """Whether a pixel that does not show a label may have a gradient of its map: cheaper than the gradient."""
+    """True if a pixel that does not show a label may have a gradient of its map: cheaper than the gradient."""
     return int(flat(g.target[t])[pixel]) == label
 
 
@@ -120,7 +120,7 @@ def may_want(g: DenseGradient, t: int, label: int, pixel: int):
 
 @wp.func
 def may_want_other(g: LabelTarget, t: int, shown: int, pixel: int):
-    """Whether a pixel may have a gradient of a map whose label it does not show."""
+    """True if a pixel may have a gradient of a map whose label it does not show."""
     want = int(flat(g.target[t])[pixel])
     return want != IGNORE and want != shown and want > 0
 
@@ -133,7 +133,7 @@ def may_want_other(g: DenseGradient, t: int, shown: int, pixel: int):
 
 @wp.func
 def cost_of(g: LabelTarget, want: int, label: int):
-    """What one pixel of area costs that shows a label and should show another, 0 = background."""
+    """Cost of one pixel of area that shows ``label`` where the target is ``want``; 0 = background."""
     if want == IGNORE or want == label:
         return 0.0
     return map_weight(label) + map_weight(want)
@@ -141,7 +141,7 @@ def cost_of(g: LabelTarget, want: int, label: int):
 
 @wp.func
 def excess_at(g: LabelTarget, t: int, inside: int, outside: int, pixel: int):
-    """How much more a pixel of area costs that shows one label than another, pixels counted row by row."""
+    """Cost of a pixel of area that shows ``inside``, less its cost if it shows ``outside``."""
     want = int(flat(g.target[t])[pixel])
     return cost_of(g, want, inside) - cost_of(g, want, outside)
 

@@ -1,4 +1,4 @@
-"""What the 32 threads of a CUDA warp tell one another, all of which have to take part, and how 32 bits are read.
+"""Exchange of values between the 32 threads of a CUDA warp, all of which must take part, and reading of 32-bit sets.
 
 A thread of the CPU device is alone.
 """
@@ -18,7 +18,7 @@ LANES = wp.constant(32)
 #endif
 """)
 def ballot(yes: bool) -> wp.uint32:
-    """A bit for each thread that says yes."""
+    """A word with one bit for each thread, set where ``yes`` is true."""
     ...
 
 

@@ -19,7 +19,7 @@ _num_threads = 0  # 0: as many as there are cores
 
 
 def set_num_threads(count: int) -> None:
-    """How many threads share a batch on the CPU device; 0 = as many as there are cores.
+    """Set the number of threads that share a batch on the CPU device; 0 = as many as there are cores.
 
     Raises:
         ValueError: If ``count`` is no integer, or negative.
@@ -29,7 +29,7 @@ def set_num_threads(count: int) -> None:
 
 
 def get_num_threads() -> int:
-    """How many threads share a batch on the CPU device."""
+    """Number of threads that share a batch on the CPU device."""
     if _num_threads:
         return _num_threads
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

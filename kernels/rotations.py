@@ -68,7 +68,7 @@ def unit_or(v: wp.vec3, other: wp.vec3):
 
 @wp.func
 def is_collinear(first: wp.vec3, second: wp.vec3):
-    """Whether ``second`` has no direction of its own beside the unit vector ``first``."""
+    """True if ``second`` is parallel to the unit vector ``first`` or has no direction."""
     return largest(second - wp.dot(first, second) * first) <= _COLLINEAR * largest(second)
 
 

@@ -1,4 +1,4 @@
-"""Two pieces of work that need nothing of one another, side by side in a captured CUDA graph."""
+"""Independent launches side by side, as two branches of a captured CUDA graph."""
 
 import threading
 from collections.abc import Callable, Iterator

@@ -103,13 +103,13 @@ def _ellipsoids(body: object, target: object, camera: Camera, gradient: Gradient
     shown = _moved(body, camera)
     leaves = [tensor.requires_grad_() for tensor in (shown.centres, shown.axes, shown.semi_axes)]
     labels = [int(group) for group in LABELS.part_groups[1:]]
-    wanted = draw_ellipsoids(_moved(target, camera), camera, SIZE, part_labels=labels).labels
+    labels_seen = draw_ellipsoids(_moved(target, camera), camera, SIZE, part_labels=labels).labels
     options = {"part_labels": labels, "gradient": gradient, "max_distance": reach}
-    loss, picture = ellipsoid_label_loss(shown, camera, wanted, **options)
+    loss, picture = ellipsoid_label_loss(shown, camera, labels_seen, **options)
     of_loss = torch.autograd.grad(loss.sum(), leaves)
     maps = draw_ellipsoids(shown, camera, SIZE, num_maps=LABELS.num_groups, **options).maps
     of_maps = torch.autograd.grad((maps * torch.linspace(-1, 1, SIZE[1])).sum(), leaves)
-    return fingerprint(wanted, loss, picture.labels, picture.depth, picture.parts, maps, *of_loss, *of_maps)
+    return fingerprint(labels_seen, loss, picture.labels, picture.depth, picture.parts, maps, *of_loss, *of_maps)
 
 
 @dataclass(frozen=True)
@@ -133,12 +133,12 @@ def _mesh(body: object, target: object, camera: Camera, level: int) -> str:
     screen = camera.project(body.vertices(level) + shift).detach().requires_grad_()
     camera = _OnScreen(camera, screen)
     vertices = body.vertices(level)
-    wanted = draw_mesh(target.vertices(level) + shift, mesh, camera.camera, SIZE).labels
-    loss, picture = mesh_label_loss(vertices, mesh, camera, wanted)
+    labels_seen = draw_mesh(target.vertices(level) + shift, mesh, camera.camera, SIZE).labels
+    loss, picture = mesh_label_loss(vertices, mesh, camera, labels_seen)
     (of_loss,) = torch.autograd.grad(loss.sum(), screen)
     maps = draw_mesh(vertices, mesh, camera, SIZE, num_maps=mesh.num_labels).maps
     (of_maps,) = torch.autograd.grad((maps * torch.linspace(-1, 1, SIZE[1])).sum(), screen)
-    return fingerprint(wanted, loss, picture.labels, picture.depth, picture.face_index, maps, of_loss, of_maps)
+    return fingerprint(labels_seen, loss, picture.labels, picture.depth, picture.face_index, maps, of_loss, of_maps)
 
 
 def example() -> dict[str, str]:

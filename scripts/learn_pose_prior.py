@@ -83,7 +83,7 @@ def mirror(features: np.ndarray) -> np.ndarray:
 
 
 def activity(name: str) -> str:
-    """What a clip shows, as far as its name says: ``expmap.train.walking_12`` is walking, ``asf.01_03`` subject 01."""
+    """Activity of a clip by its name: ``expmap.train.walking_12`` is walking, ``asf.01_03`` subject 01."""
     source, clip = name.split(".", 1)
     if source == "expmap":
         return f"{source}.{clip.split('.')[1].rstrip('_0123456789')}"
@@ -249,7 +249,7 @@ def joint_limits(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def report(prior: PosePrior, console: Console, learned: mocap.Clip, held_out: mocap.Clip) -> None:
-    """What the prior says of poses it learned from, of others, and of impossible ones."""
+    """Print the prior's values of poses it learned from, of others, and of impossible ones."""
     table = Table("poses", "NLL mean", "median", "90 %", "limits mean [rad²]", "over limits", title="pose prior")
 
     def add(name: str, clip: mocap.Clip, change: Callable[[np.ndarray, np.ndarray], None] | None = None) -> None:

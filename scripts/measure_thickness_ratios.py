@@ -37,11 +37,11 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     phenotypes = [[rng.uniform(*span) for span in PHENOTYPES.values()] for _ in range(arguments.count)]
     shapes = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
-    wanted = np.log([measure_shape(model, shape[None])[1] for shape in shapes])
+    measured = np.log([measure_shape(model, shape[None])[1] for shape in shapes])
     body = Growth(model, *vertex_parts(model), shapes)
     # The measures hold the ratios of now.
     assumed = np.log([THICKNESS_RATIOS[name][0] for name in THICKNESS_NAMES])
-    ratios = wanted - body.measured(shapes)[:, len(LENGTH_NAMES) :].numpy() + assumed
+    ratios = measured - body.measured(shapes)[:, len(LENGTH_NAMES) :].numpy() + assumed
     for name, mean, spread in zip(THICKNESS_NAMES, np.exp(ratios.mean(0)), ratios.std(0, ddof=1), strict=True):
         print(f'    "{name}": ({mean:.3f}, {spread:.3f}),')
 

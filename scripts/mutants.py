@@ -51,8 +51,8 @@ def pytest_sessionfinish(session):
         if name.partition(".")[0] == "warp_partdr" and getattr(module, "__file__", None)
     }
     strange = sorted(str(path) for path in loaded if not path.is_relative_to(ROOT))
-    wanted = [ROOT / name for name in (ROOT / "mutated.txt").read_text().split()]
-    missing = [str(path) for path in wanted if path not in loaded]
+    mutated = [ROOT / name for name in (ROOT / "mutated.txt").read_text().split()]
+    missing = [str(path) for path in mutated if path not in loaded]
     (ROOT / "loaded.txt").write_text("\\n".join([f"not the copy's: {path}" for path in strange]
                                                + [f"not imported: {path}" for path in missing]))
 """
@@ -95,7 +95,7 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a mutant: ``kind`` is killed, survived or error; ``said`` is the test, or what went wrong."""
+    """Result of a mutant: ``kind`` is killed, survived or error; ``said`` is the test, or what went wrong."""
 
     mutant: Mutant
     kind: str
@@ -230,7 +230,7 @@ def check_copies(mutants: Sequence[Mutant], jobs: int) -> str:
 
 
 def report(outcomes: Sequence[Outcome], console: Console) -> None:
-    """What was not killed, and how many were."""
+    """Print the mutants that were not killed, and the number that were."""
     table = Table("mutant", "what is wrong", "outcome", title="Not killed")
     for each in outcomes:
         if each.kind != "killed":

@@ -56,7 +56,7 @@ def difference(first: Path, second: Path) -> float:
 
 
 def make(names: tuple[str, ...], arguments: tuple[str, ...], out: Path) -> bool:
-    """Run a command, and keep the pictures of it that are wanted; whether it made them."""
+    """Run a command and keep its pictures of these names; True if it made them."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, *(argument.replace("OUT", folder) for argument in arguments)]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -87,11 +87,11 @@ def main(argv: list[str] | None = None) -> int:
     if unknown := set(options.names) - set(choices):
         parser.error(f"NAME: {', '.join(sorted(unknown))}; expected some of {', '.join(choices)}")
     options.out.mkdir(parents=True, exist_ok=True)
-    wanted = set(options.names or choices)
+    asked = set(options.names or choices)
     done = [
         make(chosen, arguments, options.out)
         for names, arguments in DRAWN
-        if (chosen := tuple(name for name in names if name in wanted))
+        if (chosen := tuple(name for name in names if name in asked))
     ]
     if not options.names:
         for name, command in MEASURED.items():

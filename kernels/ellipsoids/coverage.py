@@ -1,10 +1,9 @@
-"""The true derivative of the area that each ellipsoid's label covers, weighed by what a pixel's area costs.
+"""Gradient "coverage" of exact ellipsoids: the derivative of each label's visible area, weighted by the pixels' costs.
 
-The loss is the integral of cost(label(x), pixel of x) over the picture. It changes where the labels' borders move, by
-(cost inside - cost outside) times the way along the normal. Borders are of two kinds: outlines, which one ellipsoid
-owns and which are walked in steps of a share of a pixel, and creases, where two ellipsoids that meet in space are
-equally near; those are looked for in cells of a share of a pixel. Both become chords, whose costs are summed pixel by
-pixel. Every thread adds in a fixed order.
+The loss is the integral of cost(label(x), pixel of x) over the picture. Where a border of labels moves, it changes by
+(cost inside - cost outside) times the motion along the normal. Borders are outlines of one ellipsoid (``outlines``) or
+creases, where two ellipsoids that meet in space are equally near (``creases``). Both become chords shorter than a
+pixel, whose costs are summed pixel by pixel. Every thread adds in a fixed order.
 """
 
 from collections.abc import Sequence
@@ -20,10 +19,10 @@ from .forces import (
     SceneArrays,
     SurfaceForces,
     Worker,
-    find_subject,
     launch_on_ellipsoids,
     make_scene,
     store_forces,
+    view_ellipsoid,
     worker_of,
 )
 from .outlines import walk_outline
@@ -42,17 +41,17 @@ def push_coverage(
     height = scene.parts.shape[1]
     width = scene.parts.shape[2]
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
-        subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
+        view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
         # Half of the shares are outlines and half creases; an only share is both.
         shares = forces.values.shape[2]
         outlines = wp.max(shares // 2, 1)
         creases = wp.max(shares - outlines, 1)
         if w.share < outlines:
-            sums = walk_outline(scene, subject, w.share, outlines, w.lane, lanes, steps_per_pixel, halvings, gradient)
+            sums = walk_outline(scene, view, w.share, outlines, w.lane, lanes, steps_per_pixel, halvings, gradient)
         if w.share >= shares - creases:
             share = w.share - (shares - creases)
             cells = int(wp.ceil(steps_per_pixel))
-            sums = walk_creases(sums, scene, subject, share, creases, w.lane, lanes, cells, halvings, gradient)
+            sums = walk_creases(sums, scene, view, share, creases, w.lane, lanes, cells, halvings, gradient)
     return sums
 
 

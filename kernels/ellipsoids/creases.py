@@ -1,4 +1,4 @@
-"""Creases as borders of labels: where two ellipsoids that meet in space are equally near.
+"""Forces of creases, the borders of labels where the fronts of two ellipsoids that meet in space are equally near.
 
 They are looked for in cells of a share of a pixel: where the two fronts cross on a cell's sides, a crease enters and
 leaves, or it ends in the cell, at an outline. Between such places it is taken as straight.
@@ -9,20 +9,20 @@ from typing import Any
 import warp as wp
 
 from ..lanes import ballot, lowest_bit, nth_bit, tell
-from .borders import chord_shares, find_crossing, front_at, lead, room_at, room_slope, root_at, slope_at
-from .forces import Ellipsoid, SceneArrays, Subject, SurfaceForces, add_nearness_force, load_ellipsoid
+from .borders import chord_shares, find_crossing, front_at, front_gap, radicand_at, radicand_slope, root_at, slope_at
+from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_nearness_force, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
 
 wp.set_module_options({"enable_backward": False})
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
-_NOWHERE = wp.constant(1.0e30)  # the lead where one of the two is not there
+_NOWHERE = wp.constant(1.0e30)  # gap where one of the two ellipsoids does not cover the point
 _RIM = wp.constant(1.0e-3)  # the smallest root, as a share of the largest, that a slope is taken at
 
 
 @wp.func
 def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
-    """Between which shares of the way from a place an ellipsoid is there; the first is larger if it is nowhere."""
+    """Interval of shares of ``way`` in which an ellipsoid covers the line; empty (first > second) if it misses it."""
     place = to_disc(s, start[0] - s.mean[0], start[1] - s.mean[1])
     move = to_disc(s, way[0], way[1])
     a = wp.dot(move, move)
@@ -36,18 +36,18 @@ def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
 
 
 @wp.func
-def is_hidden(subject: Subject, s: Silhouette, j: int, place: wp.vec2):
-    """Whether a neighbour other than ellipsoid j is nearer than the subject's front."""
+def is_hidden(view: EllipsoidView, s: Silhouette, j: int, place: wp.vec2):
+    """True if a neighbour other than ellipsoid j is nearer than the front of ``s``."""
     x = place[0]
     y = place[1]
     nearness = front_at(s, x, y)
-    for word in range(subject.neighbours.shape[0]):
-        bits = subject.neighbours[word]
+    for word in range(view.neighbours.shape[0]):
+        bits = view.neighbours[word]
         while bits != wp.uint32(0):
             i = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
             if i != j:
-                other = subject.silhouettes[i]
+                other = view.silhouettes[i]
                 inside = inside_at(other, x, y)
                 if inside > 0.0 and middle_at(other, x, y) + other.bulge * wp.sqrt(inside) > nearness:
                     return True
@@ -64,7 +64,7 @@ def push_crease(
     cost: float,
     perspective: bool,
 ):
-    """Force of a crease on an ellipsoid at a place: what a way of the crease across itself costs, times that way."""
+    """Add the force on an ellipsoid at a point of a crease: cost times the crease's motion along its normal."""
     x = place[0]
     y = place[1]
     middle = middle_at(s, x, y)
@@ -90,20 +90,20 @@ def push_crease(
 def push_chord(
     sums: SurfaceForces,
     scene: SceneArrays,
-    subject: Subject,
+    view: EllipsoidView,
     j: int,
     first: wp.vec2,
     second: wp.vec2,
     halvings: int,
     gradient: Any,
 ):
-    """Forces of the bit of crease with ellipsoid j between two places, as far as nothing hides it."""
-    s = subject.silhouettes[subject.k]
-    other = subject.silhouettes[j]
+    """Forces of a chord of the crease with ellipsoid j, as far as nothing hides it."""
+    s = view.silhouettes[view.k]
+    other = view.silhouettes[j]
     start = first
     end = second
-    start_hidden = is_hidden(subject, s, j, start)
-    end_hidden = is_hidden(subject, s, j, end)
+    start_hidden = is_hidden(view, s, j, start)
+    end_hidden = is_hidden(view, s, j, end)
     if start_hidden and end_hidden:
         return sums
     if start_hidden != end_hidden:
@@ -111,7 +111,7 @@ def push_chord(
         high = end
         for _ in range(halvings):
             middle = 0.5 * (low + high)
-            if is_hidden(subject, s, j, middle) == start_hidden:
+            if is_hidden(view, s, j, middle) == start_hidden:
                 low = middle
             else:
                 high = middle
@@ -119,10 +119,10 @@ def push_chord(
             start = 0.5 * (low + high)
         else:
             end = 0.5 * (low + high)
-    shares = chord_shares(subject, start, end, s.label, other.label, gradient)
+    shares = chord_shares(view, start, end, s.label, other.label, gradient)
     if shares[0] != 0.0 or shares[1] != 0.0:
         # Loaded where it is used: creases are few, and it would take registers all the way.
-        e = load_ellipsoid(scene, subject)
+        e = load_ellipsoid(scene, view)
         shares *= wp.length(end - start)
         side = int(0)
         while side < 2:  # a loop over a constant range would be unrolled, which takes registers
@@ -133,18 +133,18 @@ def push_chord(
 
 
 @wp.func
-def lead_if_there(one: Silhouette, other: Silhouette, place: wp.vec2):
-    """How much nearer one front surface is than another; _NOWHERE unless both are there."""
+def gap_where_both(one: Silhouette, other: Silhouette, place: wp.vec2):
+    """``front_gap`` where both ellipsoids cover the point, else _NOWHERE."""
     if inside_at(one, place[0], place[1]) <= 0.0 or inside_at(other, place[0], place[1]) <= 0.0:
         return _NOWHERE
-    return lead(one, other, place[0], place[1])
+    return front_gap(one, other, place[0], place[1])
 
 
 @wp.func
-def lead_in_spans(
+def gap_in_spans(
     one: Silhouette, other: Silhouette, start: wp.vec2, way: wp.vec2, mine: wp.vec2, others: wp.vec2, share: float
 ):
-    """The lead at a share of a way. In float32 a root where a span ends would not come out as the 0 that it is."""
+    """``front_gap`` at a share of a way, with roots exactly 0 at the ends of the spans, which float32 would miss."""
     x = start[0] + share * way[0]
     y = start[1] + share * way[1]
     root = wp.where(share == mine[0] or share == mine[1], 0.0, root_at(one, x, y))
@@ -153,60 +153,58 @@ def lead_in_spans(
 
 
 @wp.func
-def crossing_between(
-    s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, start_lead: float, end_lead: float
-):
-    """Which share of the way between two places leads to where two fronts cross; -1 if they do not, or twice."""
+def crossing_between(s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.vec2, start_gap: float, end_gap: float):
+    """Share of the way between two points at which two fronts cross; -1 if they cross not at all or twice."""
     way = end - start
     low = float(0.0)
     high = float(1.0)
-    low_lead = start_lead
-    high_lead = end_lead
-    if start_lead == _NOWHERE or end_lead == _NOWHERE:
+    low_gap = start_gap
+    high_gap = end_gap
+    if start_gap == _NOWHERE or end_gap == _NOWHERE:
         mine = span(s, start, way)
         others = span(other, start, way)
         low = wp.max(wp.max(mine[0], others[0]), 0.0)
         high = wp.min(wp.min(mine[1], others[1]), 1.0)
         if low >= high:
             return -1.0
-        low_lead = lead_in_spans(s, other, start, way, mine, others, low)
-        high_lead = lead_in_spans(s, other, start, way, mine, others, high)
-    if (low_lead < 0.0) == (high_lead < 0.0):
+        low_gap = gap_in_spans(s, other, start, way, mine, others, low)
+        high_gap = gap_in_spans(s, other, start, way, mine, others, high)
+    if (low_gap < 0.0) == (high_gap < 0.0):
         return -1.0
-    return find_crossing(s, other, start, way, low, high, low_lead, high_lead)
+    return find_crossing(s, other, start, way, low, high, low_gap, high_gap)
 
 
 @wp.func
 def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
-    """Near a place, where the other's front meets the outline of the first: there creases pass into outlines.
+    """Point near ``place`` where the other's front meets the outline of ``s``: there a crease passes into the outline.
 
-    How much nearer the outline is than the other's middle comes third: where it is not, it meets the other's back.
+    Third comes the outline's nearness less that of the other's middle; if negative, it is the other's back that meets.
     """
     for _ in range(_NEWTON_STEPS):
         x = place[0]
         y = place[1]
         # Both are 0 there, and smooth.
-        room = room_at(s, x, y)
+        radicand = radicand_at(s, x, y)
         over = middle_at(s, x, y) - middle_at(other, x, y)
-        excess = room_at(other, x, y) - over * over
-        inward = room_slope(s, x, y)
-        along = room_slope(other, x, y) - 2.0 * over * (s.slope - other.slope)
+        excess = radicand_at(other, x, y) - over * over
+        inward = radicand_slope(s, x, y)
+        along = radicand_slope(other, x, y) - 2.0 * over * (s.slope - other.slope)
         area = inward[0] * along[1] - inward[1] * along[0]
         if area != 0.0:
-            place -= wp.vec2(room * along[1] - excess * inward[1], excess * inward[0] - room * along[0]) / area
+            place -= wp.vec2(radicand * along[1] - excess * inward[1], excess * inward[0] - radicand * along[0]) / area
     ahead = middle_at(s, place[0], place[1]) - middle_at(other, place[0], place[1])
     return wp.vec3(place[0], place[1], ahead)
 
 
 @wp.func
-def crease_end_in(subject: Subject, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
-    """Where a crease that enters a cell at a place ends in it, at an outline; the place itself if nowhere near."""
+def crease_end_in(view: EllipsoidView, j: int, place: wp.vec2, low: wp.vec2, high: wp.vec2):
+    """Point in a cell where the crease that enters at ``place`` ends at an outline; ``place`` if there is none near."""
     found = place
     nearest = wp.length(high - low)
     which = int(0)
     while which < 2:
-        one = subject.silhouettes[wp.where(which == 0, subject.k, j)]
-        other = subject.silhouettes[wp.where(which == 0, j, subject.k)]
+        one = view.silhouettes[wp.where(which == 0, view.k, j)]
+        other = view.silhouettes[wp.where(which == 0, j, view.k)]
         end = crease_end(one, other, place)
         there = wp.vec2(end[0], end[1])
         far = wp.length(there - place)
@@ -221,7 +219,7 @@ def crease_end_in(subject: Subject, j: int, place: wp.vec2, low: wp.vec2, high: 
 def walk_cell(
     sums: SurfaceForces,
     scene: SceneArrays,
-    subject: Subject,
+    view: EllipsoidView,
     j: int,
     low: wp.vec2,
     high: wp.vec2,
@@ -229,8 +227,8 @@ def walk_cell(
     gradient: Any,
 ):
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
-    s = subject.silhouettes[subject.k]
-    other = subject.silhouettes[j]
+    s = view.silhouettes[view.k]
+    other = view.silhouettes[j]
     # The last four places where fronts cross, all around the cell.
     first = wp.vec2()
     second = wp.vec2()
@@ -238,14 +236,14 @@ def walk_cell(
     fourth = wp.vec2()
     count = int(0)
     end = low
-    end_lead = lead_if_there(s, other, low)
+    end_gap = gap_where_both(s, other, low)
     side = int(0)
     while side < 4:  # a loop over a constant range would be unrolled, which takes registers
         start = end
-        start_lead = end_lead
+        start_gap = end_gap
         end = wp.vec2(wp.where(side < 2, high[0], low[0]), wp.where(side == 1 or side == 2, high[1], low[1]))
-        end_lead = lead_if_there(s, other, end)
-        share = crossing_between(s, other, start, end, start_lead, end_lead)
+        end_gap = gap_where_both(s, other, end)
+        share = crossing_between(s, other, start, end, start_gap, end_gap)
         if share >= 0.0:
             first = second
             second = third
@@ -257,10 +255,10 @@ def walk_cell(
         first = second
         second = third
         third = fourth
-        fourth = crease_end_in(subject, j, third, low, high)
+        fourth = crease_end_in(view, j, third, low, high)
         count += 1
     while count > 0:
-        sums = push_chord(sums, scene, subject, j, third, fourth, halvings, gradient)
+        sums = push_chord(sums, scene, view, j, third, fourth, halvings, gradient)
         third = first
         fourth = second
         count -= 2
@@ -268,31 +266,31 @@ def walk_cell(
 
 
 @wp.func
-def room_range(s: Silhouette, x: float, y: float, half: float):
-    """Bounds of an ellipsoid's room in a square cell around (x, y), whose sides are 2 half long."""
-    room = room_at(s, x, y)
-    slope = room_slope(s, x, y)
+def radicand_range(s: Silhouette, x: float, y: float, half: float):
+    """Bounds of ``radicand_at`` in a square cell around (x, y) of side 2 ``half``."""
+    radicand = radicand_at(s, x, y)
+    slope = radicand_slope(s, x, y)
     tilt = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
     corner = to_disc(s, half, wp.where(s.factor[1] * s.factor[2] < 0.0, -half, half))  # the farthest
     bend = s.bulge * s.bulge * wp.dot(corner, corner)
-    return wp.vec2(room - tilt - bend, room + tilt)
+    return wp.vec2(radicand - tilt - bend, radicand + tilt)
 
 
 @wp.func
 def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
-    """Whether two fronts can be equally near somewhere in a cell: bounds of each are."""
+    """False if bounds of two fronts show that they are nowhere equally near in a cell."""
     x = middle[0]
     y = middle[1]
-    room = room_range(s, x, y, half)
-    other_room = room_range(other, x, y, half)
-    if room[1] <= 0.0 or other_room[1] <= 0.0:
+    radicand = radicand_range(s, x, y, half)
+    other_radicand = radicand_range(other, x, y, half)
+    if radicand[1] <= 0.0 or other_radicand[1] <= 0.0:
         return False
     slope = s.slope - other.slope
     ahead = middle_at(s, x, y) - middle_at(other, x, y)
     spread = half * (wp.abs(slope[0]) + wp.abs(slope[1]))
     return (
-        ahead + spread + wp.sqrt(room[1]) - wp.sqrt(wp.max(other_room[0], 0.0)) >= 0.0
-        and ahead - spread + wp.sqrt(wp.max(room[0], 0.0)) - wp.sqrt(other_room[1]) <= 0.0
+        ahead + spread + wp.sqrt(radicand[1]) - wp.sqrt(wp.max(other_radicand[0], 0.0)) >= 0.0
+        and ahead - spread + wp.sqrt(wp.max(radicand[0], 0.0)) - wp.sqrt(other_radicand[1]) <= 0.0
     )
 
 
@@ -300,7 +298,7 @@ def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: flo
 def walk_creases(
     sums: SurfaceForces,
     scene: SceneArrays,
-    subject: Subject,
+    view: EllipsoidView,
     share: int,
     shares: int,
     lane: int,
@@ -311,8 +309,8 @@ def walk_creases(
 ):
     """One of ``shares`` shares in the forces of an ellipsoid's creases, with ``cells``² cells a pixel."""
     size = 1.0 / float(cells)
-    s = subject.silhouettes[subject.k]
-    creases = scene.creases[subject.b, subject.k]
+    s = view.silhouettes[view.k]
+    creases = scene.creases[view.b, view.k]
     for word in range(creases.shape[0]):
         bits = creases[word]
         # Cells between pixel centres are looked at ``lanes`` at a time, and such groups are counted as one line over
@@ -335,14 +333,14 @@ def walk_creases(
             while group >= end and bits != wp.uint32(0):
                 j = 32 * word + lowest_bit(bits)
                 bits &= bits - wp.uint32(1)
-                box_low = wp.max(s.low, subject.silhouettes[j].low)
-                box_high = wp.min(s.high, subject.silhouettes[j].high)
+                box_low = wp.max(s.low, view.silhouettes[j].low)
+                box_high = wp.min(s.high, view.silhouettes[j].high)
                 # Cells that hold a place where both are, clamped in float against overflow. The first begins half a
                 # pixel before the picture.
-                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(subject.width))))
-                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(subject.width - 1))))
-                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(subject.height))))
-                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(subject.height - 1))))
+                left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(view.width))))
+                right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(view.width - 1))))
+                top = int(wp.floor(wp.clamp(box_low[1] - 0.5, -1.0, float(view.height))))
+                bottom = int(wp.floor(wp.clamp(box_high[1] - 0.5, -2.0, float(view.height - 1))))
                 columns = right - left + 1
                 box = wp.max(columns, 0) * wp.max(bottom - top + 1, 0)
                 begin = end
@@ -353,7 +351,7 @@ def walk_creases(
             column = left + n - (row - top) * columns
             found = bool(False)
             if looking and n < box:
-                found = fronts_may_meet(s, subject.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
+                found = fronts_may_meet(s, view.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
             group += shares
             # To the threads behind those that have one already; what is left over waits.
             finders = ballot(found)
@@ -373,9 +371,9 @@ def walk_creases(
                         low = corner + size * wp.vec2(float(i % cells), float(i // cells))
                         high = low + wp.vec2(size, size)
                         if cells == 1 or fronts_may_meet(
-                            s, subject.silhouettes[its_other], 0.5 * (low + high), 0.5 * size
+                            s, view.silhouettes[its_other], 0.5 * (low + high), 0.5 * size
                         ):
-                            sums = walk_cell(sums, scene, subject, its_other, low, high, halvings, gradient)
+                            sums = walk_cell(sums, scene, view, its_other, low, high, halvings, gradient)
                 total -= lanes
                 if total > 0:
                     finder = nth_bit(finders, wp.bit_count(finders) - total + lane)

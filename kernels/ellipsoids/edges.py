@@ -1,8 +1,8 @@
-"""The derivative of covered area from one crossing of a border between each two neighbouring pixels that differ.
+"""Gradient "edges" of exact ellipsoids: the area derivative, sampled where a border crosses a line of pixel centres.
 
-What ``ellipsoid_coverage`` walks along outlines and creases is sampled here where the picture shows it: on the lines
-through pixel centres. A row and a column that cross a border share it by the squares of its normal, so that every bit
-of border counts once. Nothing is looked for: who is seen on either side says which border runs between them, and its
+``coverage`` integrates along outlines and creases; here each pair of neighbouring pixels with different ellipsoids
+gives one sample of the border between them. A row and a column that cross a border share it by the squares of its
+normal's components, so that every piece of border counts once. The two ellipsoids tell the kind of border, and its
 place follows in closed form (an outline) or from a few steps of false position (a crease). Parts too thin to cover a
 pixel's centre have no gradient. Every thread adds in a fixed order.
 """
@@ -24,20 +24,20 @@ from ..labels import (
     words_of,
 )
 from ..lanes import count_up, nth_bit, tell
-from .borders import find_crossing, front_at, lead, nearness_slope, outline_end, outward_at
+from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
 from .forces import (
     BLOCK,
+    EllipsoidView,
     Forces,
     SceneArrays,
-    Subject,
     SurfaceForces,
     Worker,
-    find_subject,
     launch_on_ellipsoids,
     load_ellipsoid,
     make_scene,
     pixel_box,
     store_forces,
+    view_ellipsoid,
     worker_of,
 )
 from .silhouette import Seen, Silhouette, middle_at
@@ -49,31 +49,34 @@ _LAST_BIT = wp.constant(wp.uint32(0x80000000))
 
 
 @wp.func
-def find_shown(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
-    """Which of four pixels show the subject, as the highest bits of four bytes; past the picture's border as at it."""
-    value = subject.k + 1
+def find_shown(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Highest bits of four bytes, set where four pixels show the ellipsoid; past the picture's border as at it."""
+    value = view.k + 1
     if in_words:
-        return unequal_bytes(words[row * (subject.width // _QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
+        return unequal_bytes(words[row * (view.width // _QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
     equal = wp.uint32(0)
     for i in range(_QUAD):
-        if int(subject.parts[row * subject.width + wp.min(_QUAD * quad + i, subject.width - 1)]) == value:
+        if int(view.parts[row * view.width + wp.min(_QUAD * quad + i, view.width - 1)]) == value:
             equal |= wp.uint32(0x80) << wp.uint32(8 * i)
     return equal
 
 
 @wp.func
-def find_borders(subject: Subject, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
-    """Where of 4 by 4 pixels and their neighbour to the right or below one shows the subject: see ``place_of``."""
+def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
+    """Bits of 4 by 4 pixels, set where only one of a pixel and its neighbour to the right or below shows the ellipsoid.
+
+    ``place_of`` gives the place of a bit.
+    """
     borders = wp.uint32(0)
-    last_row = subject.height - 1
-    here = find_shown(subject, words, in_words, wp.min(row, last_row), quad)
+    last_row = view.height - 1
+    here = find_shown(view, words, in_words, wp.min(row, last_row), quad)
     for i in range(_QUAD):
         # Past the picture's border as at it: a pixel does not differ from itself.
         at = wp.min(row + i, last_row)
-        below = find_shown(subject, words, in_words, wp.min(at + 1, last_row), quad)
+        below = find_shown(view, words, in_words, wp.min(at + 1, last_row), quad)
         if row + i <= last_row:
             right = here >> wp.uint32(8)
-            if int(subject.parts[at * subject.width + wp.min(_QUAD * (quad + 1), subject.width - 1)]) == subject.k + 1:
+            if int(view.parts[at * view.width + wp.min(_QUAD * (quad + 1), view.width - 1)]) == view.k + 1:
                 right |= _LAST_BIT
             borders |= ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
         here = below
@@ -89,7 +92,7 @@ def place_of(bit: int):
 
 @wp.struct
 class Lever:
-    """What turns a force at a place of the picture into one on an ellipsoid."""
+    """Centre and camera, by which a force in the picture becomes force and moment on the ellipsoid."""
 
     centre: wp.vec3  # [m]
     camera: wp.vec4  # f_x, f_y, c_x, c_y
@@ -140,7 +143,7 @@ def push_picture(sums: SurfaceForces, lever: Lever, x: float, y: float, nearness
 
 @wp.func
 def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: float):
-    """How far along an axis, to one side, an outline's end is; not less than 0 or more than 1, the next pixel."""
+    """Distance along an axis, to one side, of the outline's end [px], clamped to [0, 1], the next pixel's centre."""
     place = outline_end(s, start[0], start[1], axis, end)
     return wp.clamp(side * (place - wp.where(axis == 0, start[0], start[1])), 0.0, 1.0)
 
@@ -148,7 +151,7 @@ def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: 
 @wp.func
 def push_border(
     sums: SurfaceForces,
-    subject: Subject,
+    view: EllipsoidView,
     lever: Lever,
     s: Silhouette,
     row: int,
@@ -156,14 +159,14 @@ def push_border(
     axis: int,
     gradient: Any,
 ):
-    """Force of the border between a pixel and the next along an axis, one of which shows the subject."""
-    at = row * subject.width + column
-    seen = int(subject.parts[at])
-    other_part = int(subject.parts[at + wp.where(axis == 0, 1, subject.width)])
+    """Force of the border between a pixel and the next along an axis, one of which shows the ellipsoid."""
+    at = row * view.width + column
+    seen = int(view.parts[at])
+    other_part = int(view.parts[at + wp.where(axis == 0, 1, view.width)])
     start = wp.vec2(float(column) + 0.5, float(row) + 0.5)
     way = wp.where(axis == 0, wp.vec2(1.0, 0.0), wp.vec2(0.0, 1.0))
     side = float(1.0)
-    if seen != subject.k + 1:
+    if seen != view.k + 1:
         # Seen from its own pixel, which is the second.
         side = -1.0
         start += way
@@ -175,7 +178,7 @@ def push_border(
     meet = bool(False)  # a crease
     other = Silhouette()
     if other_part > 0:
-        other = subject.silhouettes[other_part - 1]
+        other = view.silhouettes[other_part - 1]
         behind = other.label
         if behind == s.label:
             return sums
@@ -183,20 +186,20 @@ def push_border(
         if place < begin:
             behind = 0  # background is between them
         else:
-            end_lead = lead(s, other, start[0] + place * way[0], start[1] + place * way[1])
-            if place == 1.0 or end_lead <= 0.0:
-                begin_lead = lead(s, other, start[0] + begin * way[0], start[1] + begin * way[1])
-                if begin > 0.0 and begin_lead < 0.0:
+            end_gap = front_gap(s, other, start[0] + place * way[0], start[1] + place * way[1])
+            if place == 1.0 or end_gap <= 0.0:
+                begin_gap = front_gap(s, other, start[0] + begin * way[0], start[1] + begin * way[1])
+                if begin > 0.0 and begin_gap < 0.0:
                     return sums  # the other's outline hides this one
                 meet = True
-                if begin_lead <= 0.0:
+                if begin_gap <= 0.0:
                     place = begin
-                elif end_lead < 0.0:
-                    place = find_crossing(s, other, start, way, begin, place, begin_lead, end_lead)
+                elif end_gap < 0.0:
+                    place = find_crossing(s, other, start, way, begin, place, begin_gap, end_gap)
     x = start[0] + place * way[0]
     y = start[1] + place * way[1]
-    pixel = wp.min(int(y), subject.height - 1) * subject.width + wp.min(int(x), subject.width - 1)
-    excess = excess_at(gradient, subject.target, s.label, behind, pixel)
+    pixel = wp.min(int(y), view.height - 1) * view.width + wp.min(int(x), view.width - 1)
+    excess = excess_at(gradient, view.target, s.label, behind, pixel)
     if excess == 0.0:
         return sums
     if meet:
@@ -206,7 +209,7 @@ def push_border(
 
 @wp.func
 def find_lane(found: int, number: int, lanes: int):
-    """Which thread found a border, counted over all of them; ``found`` are the counts up to each."""
+    """Thread that found border ``number`` of all; ``found`` is the cumulative count of each thread."""
     lane = int(0)
     step = lanes // 2
     while step > 0:
@@ -221,8 +224,8 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
     s = scene.silhouettes[w.b, w.k]
-    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
-    left, right, top, bottom = pixel_box(subject, s)
+    view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
+    left, right, top, bottom = pixel_box(view, s)
     if left > right or top > bottom:
         return sums
     words = words_of(scene.parts[w.b])
@@ -243,7 +246,7 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
         borders = wp.uint32(0)
         if square < squares:
             row = first_row + _QUAD * (square // across)
-            borders = find_borders(subject, words, in_words, row, first_quad + square % across)
+            borders = find_borders(view, words, in_words, row, first_quad + square % across)
         found = count_up(wp.bit_count(borders))
         total = int(tell(wp.uint32(found), lanes - 1))
         for first in range(0, total, lanes):
@@ -255,9 +258,9 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
                 place = place_of(nth_bit(theirs, first + w.lane - before))
                 row = first_row + _QUAD * (origin // across) + place[0]
                 column = _QUAD * (first_quad + origin % across) + place[1]
-                sums = push_border(sums, subject, lever, s, row, column, place[2], gradient)
+                sums = push_border(sums, view, lever, s, row, column, place[2], gradient)
     # From the way from the centre to the point of the unit sphere.
-    e = load_ellipsoid(scene, subject)
+    e = load_ellipsoid(scene, view)
     for i in range(3):
         arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])
         for j in range(3):

@@ -41,12 +41,12 @@ class SceneArrays:
 
 
 @wp.struct
-class Subject:
-    """The ellipsoid whose forces are summed, and its body in views of their own, whose indices cost a fraction."""
+class EllipsoidView:
+    """One ellipsoid and its body's arrays, as views that are cheaper to index than the whole batch."""
 
     b: int
     k: int
-    target: int  # the number of what the picture is compared with
+    target: int  # index of the target
     silhouettes: wp.array[Silhouette]  # (P,)
     neighbours: wp.array[wp.uint32]  # (N,)
     parts: wp.array[wp.uint8]  # (H W,)
@@ -55,39 +55,39 @@ class Subject:
 
 
 @wp.func
-def find_subject(scene: SceneArrays, b: int, k: int, target: int):
-    """Ellipsoid k of body b."""
-    subject = Subject()
-    subject.b = b
-    subject.k = k
-    subject.target = target
-    subject.silhouettes = scene.silhouettes[b]
-    subject.neighbours = scene.neighbours[b, k]
-    subject.parts = flat(scene.parts[b])
-    subject.height = scene.parts.shape[1]
-    subject.width = scene.parts.shape[2]
-    return subject
+def view_ellipsoid(scene: SceneArrays, b: int, k: int, target: int):
+    """View of ellipsoid k of body b."""
+    view = EllipsoidView()
+    view.b = b
+    view.k = k
+    view.target = target
+    view.silhouettes = scene.silhouettes[b]
+    view.neighbours = scene.neighbours[b, k]
+    view.parts = flat(scene.parts[b])
+    view.height = scene.parts.shape[1]
+    view.width = scene.parts.shape[2]
+    return view
 
 
 @wp.func
-def load_ellipsoid(scene: SceneArrays, subject: Subject):
-    """The subject in space."""
+def load_ellipsoid(scene: SceneArrays, view: EllipsoidView):
+    """Load the ellipsoid's centre, axes, semi-axes and camera."""
     e = Ellipsoid()
-    e.centre = scene.centres[subject.b, subject.k]
-    e.axes = scene.axes[subject.b, subject.k]
-    e.semi_axes = scene.semi_axes[subject.b, subject.k]
-    e.camera = scene.camera[subject.b]
+    e.centre = scene.centres[view.b, view.k]
+    e.axes = scene.axes[view.b, view.k]
+    e.semi_axes = scene.semi_axes[view.b, view.k]
+    e.camera = scene.camera[view.b]
     return e
 
 
 @wp.func
-def pixel_box(subject: Subject, s: Silhouette):
+def pixel_box(view: EllipsoidView, s: Silhouette):
     """First and last column, first and last row of pixels whose centres the ellipsoid may cover; last < first: none."""
     # Clamped in float against overflow.
-    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(subject.width)))
-    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(subject.width - 1)))
-    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(subject.height)))
-    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(subject.height - 1)))
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(view.width)))
+    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(view.width - 1)))
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(view.height)))
+    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(view.height - 1)))
     return left, right, top, bottom
 
 
@@ -102,13 +102,13 @@ class SurfaceForces:
 
 @wp.func
 def from_unit(e: Ellipsoid, unit: wp.vec3):
-    """The point of the unit sphere on the ellipsoid, seen from its centre."""
+    """Point of the ellipsoid relative to its centre [m], from a point of the unit sphere."""
     return e.axes * wp.cw_mul(e.semi_axes, unit)
 
 
 @wp.func
 def to_unit(e: Ellipsoid, point: wp.vec3):
-    """Where a surface point is on the unit sphere."""
+    """Point of the unit sphere that corresponds to a surface point."""
     return wp.cw_div(wp.transpose(e.axes) * (point - e.centre), e.semi_axes)
 
 
@@ -187,7 +187,7 @@ class Forces:
 
 @wp.struct
 class Worker:
-    """Which thread of those that share an ellipsoid's work this is."""
+    """Place of a thread among those that share an ellipsoid's work."""
 
     b: int
     k: int
@@ -318,7 +318,7 @@ def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, p
 
 
 def make_forces(batch: int, parts: int, device: wp.Device) -> Forces:
-    """Room for the sums of forces, in as many shares as it takes to fill the device."""
+    """Allocate the sums of forces, in as many shares as it takes to fill the device."""
     shares = 1
     if not device.is_cpu:
         shares = max(min(_WARPS_TO_FILL // max(batch * parts, 1), _MAX_SHARES), 1)
@@ -328,7 +328,7 @@ def make_forces(batch: int, parts: int, device: wp.Device) -> Forces:
 
 
 def cut_forces(forces: Forces, part: slice) -> Forces:
-    """Some bodies' share."""
+    """Forces of a slice of the bodies."""
     if part.stop - part.start == forces.values.shape[0]:
         return forces
     cut = Forces()
@@ -358,7 +358,7 @@ def launch_spread(
     grad_semi_axes: wp.array,
     grad_camera: wp.array,
 ) -> None:
-    """From sums of forces to gradients."""
+    """Fill the gradients from the sums of forces."""
     batch, parts = axes.shape
     lanes = _lanes(axes.device)
     wp.launch(

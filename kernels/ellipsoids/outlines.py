@@ -10,7 +10,7 @@ import warp as wp
 
 from ..lanes import ballot, lowest_bit, tell
 from .borders import chord_shares
-from .forces import Ellipsoid, SceneArrays, Subject, SurfaceForces, add_image_force, from_unit, load_ellipsoid
+from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at
 
 wp.set_module_options({"enable_backward": False})
@@ -21,7 +21,7 @@ _NO_BORDER = wp.constant(-1)  # instead of a label
 
 @wp.func
 def outline_circle(e: Ellipsoid, perspective: bool):
-    """Where rays of the camera touch the ellipsoid: on the unit sphere, this matrix times (1, cos, sin) of an angle."""
+    """Outline on the unit sphere: this matrix times (1, cos, sin) of an angle is a point where a ray is tangent."""
     # The direction away from the camera in the space where the ellipsoid is the unit sphere.
     away = wp.cw_div(wp.vec3(e.axes[2, 0], e.axes[2, 1], e.axes[2, 2]), e.semi_axes)
     if perspective:
@@ -56,13 +56,13 @@ def rim_of(e: Ellipsoid, circle: wp.mat33):
 
 @wp.func
 def turn_to(angle: float):
-    """Which way from an outline's centre."""
+    """Homogeneous unit vector (1, cos, sin) of an angle along the outline."""
     return wp.vec3(1.0, wp.cos(angle), wp.sin(angle))
 
 
 @wp.func
 def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
-    """Where the picture shows a place of an outline [px]."""
+    """Projection of a point of the outline [px]."""
     point = rim.centre + from_unit(rim, turn)
     if perspective:
         point = point / point[2]
@@ -70,21 +70,21 @@ def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
 
 
 @wp.func
-def look_behind(subject: Subject, s: Silhouette, place: wp.vec2):
-    """The label behind a place of the outline, 0 = background; _NO_BORDER where the outline is none of labels."""
+def look_behind(view: EllipsoidView, s: Silhouette, place: wp.vec2):
+    """Label behind a point of the outline, 0 = background; _NO_BORDER if it is hidden or the label is the same."""
     x = place[0]
     y = place[1]
-    if x < 0.0 or y < 0.0 or x >= float(subject.width) or y >= float(subject.height):
+    if x < 0.0 or y < 0.0 or x >= float(view.width) or y >= float(view.height):
         return _NO_BORDER
     nearness = middle_at(s, x, y)
     behind = float(-wp.inf)
     label = int(0)
-    for word in range(subject.neighbours.shape[0]):
-        bits = subject.neighbours[word]
+    for word in range(view.neighbours.shape[0]):
+        bits = view.neighbours[word]
         while bits != wp.uint32(0):
             j = 32 * word + lowest_bit(bits)
             bits &= bits - wp.uint32(1)
-            other = subject.silhouettes[j]
+            other = view.silhouettes[j]
             inside = inside_at(other, x, y)
             if inside > 0.0:
                 there = middle_at(other, x, y) + other.bulge * wp.sqrt(inside)
@@ -99,7 +99,7 @@ def look_behind(subject: Subject, s: Silhouette, place: wp.vec2):
 @wp.func
 def push_outline(
     sums: SurfaceForces,
-    subject: Subject,
+    view: EllipsoidView,
     rim: Ellipsoid,
     s: Silhouette,
     start: wp.vec3,
@@ -108,12 +108,12 @@ def push_outline(
     perspective: bool,
     gradient: Any,
 ):
-    """Force of a bit of outline: cost times the outward normal times length, which is its chord turned by a quarter."""
+    """Force of a piece of outline: cost times outward normal times length, the chord turned by 90 degrees."""
     if behind == _NO_BORDER:
         return sums
     here = image_of(rim, start, perspective)
     there = image_of(rim, end, perspective)
-    shares = chord_shares(subject, here, there, s.label, behind, gradient)
+    shares = chord_shares(view, here, there, s.label, behind, gradient)
     if shares[0] == 0.0 and shares[1] == 0.0:
         return sums
     normal = wp.vec2(there[1] - here[1], here[0] - there[0])
@@ -134,7 +134,7 @@ def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
 @wp.func
 def walk_outline(
     scene: SceneArrays,
-    subject: Subject,
+    view: EllipsoidView,
     share: int,
     shares: int,
     lane: int,
@@ -143,10 +143,10 @@ def walk_outline(
     halvings: int,
     gradient: Any,
 ):
-    """Forces of one of ``shares`` pieces of an ellipsoid's own outline; its threads walk it side by side."""
+    """Forces of one of ``shares`` pieces of an ellipsoid's outline, divided among a warp's threads."""
     sums = SurfaceForces()
-    s = subject.silhouettes[subject.k]
-    e = load_ellipsoid(scene, subject)
+    s = view.silhouettes[view.k]
+    e = load_ellipsoid(scene, view)
     perspective = scene.perspective
     circle = outline_circle(e, perspective)
     rim = rim_of(e, circle)
@@ -158,8 +158,8 @@ def walk_outline(
     n = share * turns * lanes
     # Of the place where a thread's step ends.
     place = turn_to(float(n) * step)
-    behind = look_behind(subject, s, image_of(rim, place, perspective))
-    # Within which step of its own a thread knows what lies behind to change, and from what to what.
+    behind = look_behind(view, s, image_of(rim, place, perspective))
+    # Step of this thread within which the label behind changes, and the labels before and after.
     changing = int(-1)
     before_change = int(0)
     after_change = int(0)
@@ -169,7 +169,7 @@ def walk_outline(
         start_behind = int(behind)
         if turn < turns:
             end = turn_to(float(n + 1) * step)
-            end_behind = look_behind(subject, s, image_of(rim, end, perspective))
+            end_behind = look_behind(view, s, image_of(rim, end, perspective))
             start = wp.vec3(
                 1.0,
                 wp.cast(tell_next(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
@@ -180,7 +180,7 @@ def walk_outline(
             behind = end_behind
             changes = start_behind != behind
             if not changes:
-                sums = push_outline(sums, subject, rim, s, start, place, behind, perspective, gradient)
+                sums = push_outline(sums, view, rim, s, start, place, behind, perspective, gradient)
         # Changes are few, and to find their places takes long: all threads do so at once, when one meets its second or
         # nothing is left to walk.
         if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
@@ -190,7 +190,7 @@ def walk_outline(
                 for _ in range(halvings):
                     angle = 0.5 * (low + high)
                     middle = image_of(rim, turn_to(angle), perspective)
-                    if look_behind(subject, s, middle) == before_change:
+                    if look_behind(view, s, middle) == before_change:
                         low = angle
                     else:
                         high = angle
@@ -202,7 +202,7 @@ def walk_outline(
                     start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
                     end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
                     now_behind = wp.where(piece == 0, before_change, after_change)
-                    sums = push_outline(sums, subject, rim, s, start, end, now_behind, perspective, gradient)
+                    sums = push_outline(sums, view, rim, s, start, end, now_behind, perspective, gradient)
                     piece += 1
             changing = -1
         if changes:

@@ -1,4 +1,4 @@
-"""PartDR's long-range rule (paper, eq. 10 to 12) on exact ellipsoids: the mesh's rule for ever finer meshes.
+"""Gradient "partdr" of exact ellipsoids: the mesh renderer's (paper, eq. 10 to 12) in the limit of ever finer meshes.
 
 A pixel row and a column meet an outline in closed form; there the outline is pulled and pushed by pixels as a mesh's
 silhouette edge is, and the force acts on that point of the surface. ``reference/ellipsoids.py`` is the definition.
@@ -16,14 +16,13 @@ from .borders import front_at, line_root, outline_end
 from .forces import (
     BLOCK,
     Ellipsoid,
+    EllipsoidView,
     Forces,
     SceneArrays,
-    Subject,
     SurfaceForces,
     Worker,
     add_force,
     add_image_force,
-    find_subject,
     launch_on_ellipsoids,
     load_ellipsoid,
     make_scene,
@@ -31,6 +30,7 @@ from .forces import (
     store_forces,
     to_unit,
     unproject,
+    view_ellipsoid,
     worker_of,
 )
 from .silhouette import Seen, Silhouette, in_box, inside_at, middle_at
@@ -48,7 +48,7 @@ def label_at(silhouettes: wp.array[Silhouette], part: int):
 
 @wp.func
 def walk_line(
-    subject: Subject,
+    view: EllipsoidView,
     s: Silhouette,
     axis: int,
     line: int,
@@ -59,7 +59,7 @@ def walk_line(
     gradient: Any,
 ):
     """Slope of the loss when the outline moves along one line where it crosses it."""
-    count = wp.where(axis == 0, subject.width, subject.height)
+    count = wp.where(axis == 0, view.width, view.height)
     # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
     place = wp.clamp(crossing, -1.0, float(count) + 1.0)
     inside = int(wp.floor(place - 0.5))
@@ -69,41 +69,41 @@ def walk_line(
         outside = inside - 1
     slope = float(0.0)
     # Pixels of the line follow one another in memory by ``pitch``.
-    begin = wp.where(axis == 0, line * subject.width, line)
-    pitch = wp.where(axis == 0, 1, subject.width)
+    begin = wp.where(axis == 0, line * view.width, line)
+    pitch = wp.where(axis == 0, 1, view.width)
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
-        if label_at(subject.silhouettes, int(subject.parts[begin + outside * pitch])) == s.label:
+        if label_at(view.silhouettes, int(view.parts[begin + outside * pitch])) == s.label:
             return slope
-    pulls = pull_range(gradient, subject.target, axis, s.label, line, count)
+    pulls = pull_range(gradient, view.target, axis, s.label, line, count)
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
     while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         if distance > max_distance:
             break
         at = begin + pixel * pitch
-        part = int(subject.parts[at])
-        shown = label_at(subject.silhouettes, part)
+        part = int(view.parts[at])
+        shown = label_at(view.silhouettes, part)
         if part > 0 and shown == s.label:
             break
-        if may_want(gradient, subject.target, s.label, at):
+        if may_want(gradient, view.target, s.label, at):
             switches = part == 0
             if part > 0:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
                 y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
-                switches = front_at(subject.silhouettes[part - 1], x, y) < edge_nearness
+                switches = front_at(view.silhouettes[part - 1], x, y) < edge_nearness
             if switches:
-                slope += float(side) * gradient_at(gradient, subject.target, s.label, at, shown) / wp.max(distance, 1.0)
+                slope += float(side) * gradient_at(gradient, view.target, s.label, at, shown) / wp.max(distance, 1.0)
         pixel += side
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
     while pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         at = begin + pixel * pitch
-        part = int(subject.parts[at])
+        part = int(view.parts[at])
         if part == 0 or distance > max_distance:
             break
-        if label_at(subject.silhouettes, part) == s.label:
-            slope += float(side) * gradient_at(gradient, subject.target, s.label, at, s.label) / wp.max(distance, 1.0)
+        if label_at(view.silhouettes, part) == s.label:
+            slope += float(side) * gradient_at(gradient, view.target, s.label, at, s.label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
 
@@ -111,7 +111,7 @@ def walk_line(
 @wp.func
 def walk_lines(
     sums: SurfaceForces,
-    subject: Subject,
+    view: EllipsoidView,
     e: Ellipsoid,
     s: Silhouette,
     thread: int,
@@ -121,7 +121,7 @@ def walk_lines(
     gradient: Any,
 ):
     """x and y: rows and columns that meet the outline, two ends each."""
-    left, right, top, bottom = pixel_box(subject, s)
+    left, right, top, bottom = pixel_box(view, s)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
     n = int(thread)
@@ -138,7 +138,7 @@ def walk_lines(
             x = wp.where(axis == 0, crossing, across)
             y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            slope = walk_line(subject, s, axis, line, side, crossing, nearness, max_distance, gradient)
+            slope = walk_line(view, s, axis, line, side, crossing, nearness, max_distance, gradient)
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness, perspective))
                 fx = wp.where(axis == 0, slope, 0.0)
@@ -159,7 +159,7 @@ def push_depth(
 
 @wp.func
 def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: float, x: float, y: float):
-    """Whether no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
+    """True if no other ellipsoid of k's label is nearer there; of equal ones the lower index is."""
     label = silhouettes[k].label
     for j in range(silhouettes.shape[0]):
         if j != k and silhouettes[j].label == label and in_box(silhouettes[j], x, y):
@@ -182,7 +182,7 @@ def depth_between(front: float, back: float, perspective: bool):
 @wp.func
 def walk_depths(
     sums: SurfaceForces,
-    subject: Subject,
+    view: EllipsoidView,
     e: Ellipsoid,
     s: Silhouette,
     thread: int,
@@ -191,41 +191,41 @@ def walk_depths(
     depth_weight: float,
     gradient: Any,
 ):
-    """z: where this ellipsoid is hidden and wanted it comes forward, where it hides a wanted one it goes back."""
-    silhouettes = subject.silhouettes
-    left, right, top, bottom = pixel_box(subject, s)
+    """z: where the target's label is hidden, its ellipsoid comes forward and the one that hides it goes back."""
+    silhouettes = view.silhouettes
+    left, right, top, bottom = pixel_box(view, s)
     columns = right - left + 1
     n = int(thread)
     while n < columns * (bottom - top + 1):
         row = top + n // columns
         column = left + n % columns
         n += threads
-        at = row * subject.width + column
-        part = int(subject.parts[at])
+        at = row * view.width + column
+        part = int(view.parts[at])
         if part == 0:
             continue
         x = float(column) + 0.5
         y = float(row) + 0.5
         shown = silhouettes[part - 1].label
-        if part == subject.k + 1:
-            if not may_want_other(gradient, subject.target, shown, at):
+        if part == view.k + 1:
+            if not may_want_other(gradient, view.target, shown, at):
                 continue
             front = front_at(s, x, y)
             for j in range(silhouettes.shape[0]):
                 other = silhouettes[j].label
-                if other != shown and may_want(gradient, subject.target, other, at) and in_box(silhouettes[j], x, y):
-                    g = gradient_at(gradient, subject.target, other, at, shown)
+                if other != shown and may_want(gradient, view.target, other, at) and in_box(silhouettes[j], x, y):
+                    g = gradient_at(gradient, view.target, other, at, shown)
                     if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
                         if is_nearest_of_label(silhouettes, j, back, x, y):
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
-        elif shown != s.label and may_want(gradient, subject.target, s.label, at) and inside_at(s, x, y) > 0.0:
-            g = gradient_at(gradient, subject.target, s.label, at, shown)
+        elif shown != s.label and may_want(gradient, view.target, s.label, at) and inside_at(s, x, y) > 0.0:
+            g = gradient_at(gradient, view.target, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
-                if is_nearest_of_label(silhouettes, subject.k, back, x, y):
+                if is_nearest_of_label(silhouettes, view.k, back, x, y):
                     between = depth_between(front_at(silhouettes[part - 1], x, y), back, perspective)
                     amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
                     sums = push_depth(sums, e, x, y, back, amount, perspective)
@@ -236,13 +236,13 @@ def walk_depths(
 def push_partdr(scene: SceneArrays, w: Worker, max_distance: float, depth_weight: float, gradient: Any):
     """A thread's share in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    subject = find_subject(scene, w.b, w.k, target_of(gradient, w.b))
-    s = subject.silhouettes[w.k]
+    view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
+    s = view.silhouettes[w.k]
     if s.low[0] <= s.high[0]:
-        e = load_ellipsoid(scene, subject)
-        sums = walk_lines(sums, subject, e, s, w.number, w.count, scene.perspective, max_distance, gradient)
+        e = load_ellipsoid(scene, view)
+        sums = walk_lines(sums, view, e, s, w.number, w.count, scene.perspective, max_distance, gradient)
         if depth_weight != 0.0:
-            sums = walk_depths(sums, subject, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
+            sums = walk_depths(sums, view, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
     return sums
 
 

@@ -1,4 +1,4 @@
-"""Which ellipsoid each pixel shows, how deep, and what that costs: one algorithm for CUDA, one for the CPU device.
+"""Picture of ellipsoids: nearest ellipsoid, depth and L_seg at each pixel, by one algorithm for CUDA and one for CPU.
 
 Both decide with the same functions: an ellipsoid covers a pixel where ``inside_at`` its centre is positive, the nearest
 shows, and of equal ones that with the lower index.
@@ -51,7 +51,7 @@ def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, valu
 
 @wp.func
 def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float):
-    """Whether an outline may meet a rectangle of pixels: no is sure, yes is not."""
+    """False if an outline surely misses a rectangle of pixels."""
     if not (s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top):
         return False
     # Within these rows the outline goes farthest right where it does at all, or at the row next to there.
@@ -156,10 +156,10 @@ def draw_tiles(
                         depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
             if has_losses:
                 if by_word:
-                    wanted = words_of(target.target[t])[at]
-                    if wanted != pack(label):
+                    target_word = words_of(target.target[t])[at]
+                    if target_word != pack(label):
                         for i in range(_QUAD):
-                            loss += cost_of(target, int(wanted >> wp.uint32(8 * i)) & 255, label[i])
+                            loss += cost_of(target, int(target_word >> wp.uint32(8 * i)) & 255, label[i])
                 else:
                     for i in range(_QUAD):
                         if column + i < width:
@@ -267,14 +267,14 @@ def draw_rows(
 
 
 def num_partial_losses(device: wp.Device, batch: int, height: int, width: int) -> int:
-    """T, how many sums of each picture's loss ``launch_draw`` fills."""
+    """T, the number of partial sums of each picture's loss that ``launch_draw`` fills."""
     if device.is_cpu:
         return height
     return -(-height // (_STRIP_ROWS * _strips(batch, height, width))) * -(-width // _STRIP_WIDTH)
 
 
 def _strips(batch: int, height: int, width: int) -> int:
-    """How many strips a warp draws."""
+    """Number of strips that a warp draws."""
     warps = batch * -(-height // _STRIP_ROWS) * -(-width // _STRIP_WIDTH)
     return max(min(warps // _WARPS_TO_FILL, _MAX_STRIPS), 1)
 

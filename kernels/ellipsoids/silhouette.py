@@ -42,7 +42,7 @@ class Silhouette:
 
 @wp.func
 def to_disc(s: Silhouette, dx: float, dy: float):
-    """Where a place, from the outline's centre, is when the outline is the unit circle."""
+    """Point relative to the outline's centre, in coordinates in which the outline is the unit circle."""
     return wp.vec2(s.factor[0] * dx, s.factor[1] * dx + s.factor[2] * dy)
 
 
@@ -55,20 +55,20 @@ def inside_at(s: Silhouette, x: float, y: float):
 
 @wp.func
 def along_row(s: Silhouette):
-    """What divides the way from a row's middle to its ends."""
+    """Squared norm of the first column of ``factor``: the divisor of a row's chord, from its middle to its ends."""
     return s.factor[0] * s.factor[0] + s.factor[1] * s.factor[1]
 
 
 @wp.func
 def row_root(s: Silhouette, dy: float):
-    """Positive where a row, from the outline's centre, crosses the outline; its root says where."""
+    """Discriminant of the intersection of a row at ``dy`` from the centre with the outline; positive if they cross."""
     reach = s.factor[0] * s.factor[2] * dy
     return along_row(s) - reach * reach
 
 
 @wp.func
 def row_lean(s: Silhouette, dy: float):
-    """How far, times ``along_row``, the middle of a row lies left of the outline's centre."""
+    """Offset of a row's middle to the left of the outline's centre, times ``along_row``."""
     return s.factor[1] * s.factor[2] * dy
 
 
@@ -80,7 +80,7 @@ def middle_at(s: Silhouette, x: float, y: float):
 
 @wp.func
 def in_box(s: Silhouette, x: float, y: float):
-    """A cheap first test."""
+    """Test of the bounding box, cheaper than ``inside_at``."""
     return x > s.low[0] and x < s.high[0] and y > s.low[1] and y < s.high[1]
 
 
@@ -133,7 +133,7 @@ def see_ellipsoid(
     nearness = -cz
     slope_x = wp.float64(0.0)
     slope_y = wp.float64(0.0)
-    room = wp.float64(0.0)
+    squared_bulge = wp.float64(0.0)
     if perspective:
         # The outline's dual conic is c c^T - Sigma. The camera is outside where e = c^T Sigma^-1 c - 1 is positive.
         d33 = cz * cz - wp.dot(rz, rz)
@@ -158,9 +158,9 @@ def see_ellipsoid(
         slope_x = pull[0] / e
         slope_y = pull[1] / e
         nearness = (pull[0] * mx + pull[1] * my + pull[2]) / e
-        room = one / (d33 * e)
+        squared_bulge = one / (d33 * e)
     else:
-        room = volume / det
+        squared_bulge = volume / det
         rzx = wp.dot(rz, rx)
         rzy = wp.dot(rz, ry)
         slope_x = -(rzx * vyy - rzy * vxy) / det
@@ -169,7 +169,7 @@ def see_ellipsoid(
     factor_xx = one / (fx * deviation)
     factor_yy = deviation / (fy * wp.sqrt(det))
     factor_yx = -vxy / (fx * deviation * wp.sqrt(det))
-    bulge = wp.sqrt(room)
+    bulge = wp.sqrt(squared_bulge)
     # Too thin for float32, or not finite: it covers no pixel.
     if not (float(bulge) > 0.0 and float(wp.abs(factor_xx)) < _THIN and float(wp.abs(factor_yy)) < _THIN):
         return s
@@ -184,7 +184,7 @@ def see_ellipsoid(
     # |C^1/2 slope|^2, with C the outline's covariance: how much the rim and the front differ from the middle.
     tilt = slope_x * slope_x * vxx + wp.float64(2.0) * slope_x * slope_y * vxy + slope_y * slope_y * vyy
     s.farthest = float(nearness - wp.sqrt(tilt))
-    s.closest = float(nearness + wp.sqrt(tilt + room))
+    s.closest = float(nearness + wp.sqrt(tilt + squared_bulge))
     return s
 
 
@@ -212,7 +212,7 @@ def find_neighbours(
     neighbours: wp.array3d[wp.uint32],  # (B, P, N) bit j: the boxes of the two outlines overlap  OUTPUT
     creases: wp.array3d[wp.uint32],  # (B, P, N) bit j: and they may be equally near, with different labels  OUTPUT
 ):
-    """Which ellipsoids may hide one another or meet: a bit each, 32 to a word."""
+    """Sets of the ellipsoids that may hide one another or meet: a bit each, 32 to a word."""
     b, k = wp.tid()
     s = silhouettes[b, k]
     for word in range(neighbours.shape[2]):

@@ -1,7 +1,7 @@
-"""The loss gradient g of the part maps, as PartDR's backward pass reads it.
+"""Gradient g of a loss with respect to the part maps, as the mesh renderer's backward pass reads it.
 
 g comes in two forms: dense maps (B, K, H, W), or a target label image, from which L_seg's gradient at a pixel follows
-from two labels: 2 w (shown) where a part is wrong and -2 w (wanted) where one is missing.
+from two labels: 2 w (shown) where a part is wrong and -2 w (target) where one is missing.
 """
 
 from typing import Any
@@ -14,13 +14,13 @@ from .rasterize import MISSING, SURPLUS
 
 @wp.func
 def pixels_of(g: LabelTarget, b: int, label: int):
-    """What ``pixel_gradient`` reads for a label: the target."""
+    """Pixels that ``pixel_gradient`` reads for a label: the target's."""
     return flat(g.target[b])
 
 
 @wp.func
 def pixels_of(g: DenseGradient, b: int, label: int):
-    """What ``pixel_gradient`` reads for a label: its map."""
+    """Pixels that ``pixel_gradient`` reads for a label: its map's."""
     return flat(g.maps[b, label - 1])
 
 
@@ -41,13 +41,13 @@ def pixel_gradient(map: wp.array[float], at: int, label: int, shows_it: bool):
 
 @wp.func
 def weight_of(g: LabelTarget, b: int, label: int):
-    """The factor of all that ``pixel_gradient`` says of a label."""
+    """Factor of ``pixel_gradient`` for a label."""
     return map_weight(label) * g.scale[b]
 
 
 @wp.func
 def weight_of(g: DenseGradient, b: int, label: int):
-    """None."""
+    """Factor 1: dense maps are weighted already."""
     return 1.0
 
 
@@ -82,7 +82,7 @@ def extent(g: DenseGradient, b: int, kind: int, label: int):
 
 @wp.func
 def all_wrong(gradient: Any, b: int, label: int):
-    """What ``extent`` says of pixels that show a label or should, both."""
+    """Union of the ``extent`` of pixels that miss a label and of those that show it wrongly."""
     missing = extent(gradient, b, MISSING, label)
     surplus = extent(gradient, b, SURPLUS, label)
     return wp.vec4i(

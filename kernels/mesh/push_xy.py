@@ -1,4 +1,4 @@
-"""PartDR's backward pass in x and y: how part maps change as silhouette edges move (paper, eq. 10 and 11).
+"""Backward pass of the mesh renderer in x and y: change of the part maps with silhouette edges (paper, eq. 10 and 11).
 
 The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
 gradient of the part maps (``map_gradient``).
@@ -43,7 +43,7 @@ def lines_between(start: float, end: float, first: int, last: int, size: int):
 
 @wp.func
 def side_of(p0: wp.vec3, p1: wp.vec3, q: wp.vec3):
-    """Which side of an edge a face with the vertex q lies on: 1, -1, or 0 for one that is seen edge-on."""
+    """Side of an edge on which a face with the vertex q lies: 1, -1, or 0 for one that is seen edge-on."""
     # two products, not their difference, which a fused multiply-add rounds once: not to 0 where q is p1
     left = (p1[0] - p0[0]) * (q[1] - p0[1])
     right = (p1[1] - p0[1]) * (q[0] - p0[0])
@@ -90,7 +90,7 @@ def find_silhouettes(
 
 @wp.func
 def last_before(found: wp.array[wp.vec2i], count: int, line: int):
-    """Which of a list of silhouettes a line belongs to."""
+    """Index of the silhouette edge that a scan line belongs to."""
     low = int(0)
     high = int(count)
     while high - low > 1:
@@ -114,7 +114,7 @@ def reach_out(
     left: int,  # how many there are
     distance: float,  # of the first [px]
 ):
-    """What pulls an edge out: the gradient of each pixel over its distance."""
+    """Sum of the outer pixels' gradients, each over its distance, that pulls an edge outward."""
     pull = float(0.0)
     while left > 0:
         # both loads before anything hangs on them, so that they wait together
@@ -144,7 +144,7 @@ def draw_in(
     left: int,
     distance: float,
 ):
-    """What pushes an edge in, likewise."""
+    """Sum of the inner pixels' gradients, each over its distance, that pushes an edge inward."""
     pull = float(0.0)
     while left > 0:
         shown = int(picture[at])

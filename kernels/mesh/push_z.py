@@ -1,4 +1,4 @@
-"""PartDR's backward pass in z: what is hidden and should be seen comes forward (paper, eq. 12).
+"""Backward pass of the mesh renderer in z: a hidden face that should be seen comes forward (paper, eq. 12).
 
 The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
 gradient of the part maps (``map_gradient``).
@@ -45,11 +45,11 @@ def draw_hidden_faces(
     lane_bits: int,  # 2 ** lane_bits threads share a face's rows
     labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
     gradient: Any,
-    keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: the nearest face of the wanted label's key
+    keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: key of the target label's nearest face
     counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
     pixels: wp.array2d[int],  # (B, H * W)  OUTPUT: where there is a key
 ):
-    """Nearest face of the wanted label where another part hides it."""
+    """Nearest face of the target's label where another part hides it."""
     thread = wp.tid()
     b = first_body + thread // threads
     lanes = 1 << lane_bits
@@ -77,8 +77,8 @@ def draw_hidden_faces(
             at = row * width + column
             # both loads before anything hangs on them, so that they wait together
             shown = int(picture[at])
-            wanted = target_label_at(gradient, b, at)
-            if shown != 0 and shown != label and wanted == label:
+            target_label = target_label_at(gradient, b, at)
+            if shown != 0 and shown != label and target_label == label:
                 values = edge_values(e, float(column) + 0.5, y)
                 if covers(e, values):
                     depth = depth_at(t, weights_3d(t, values, mesh.perspective))
@@ -108,8 +108,8 @@ def push_depths(
         at = pixels[b, i]
         back_index = key_face(body_keys[at])
         body_keys[at] = EMPTY_KEY
-        wanted = int(mesh.face_labels[back_index])
-        amount = pixel_gradient(pixels_of(gradient, b, wanted), at, wanted, False) * weight_of(gradient, b, wanted)
+        label = int(mesh.face_labels[back_index])
+        amount = pixel_gradient(pixels_of(gradient, b, label), at, label, False) * weight_of(gradient, b, label)
         amount *= depth_weight
         if amount == 0.0:
             continue

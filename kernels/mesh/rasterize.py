@@ -1,4 +1,4 @@
-"""PartDR's forward pass: z-buffer of a part-labelled mesh (paper, eq. 8 and 9), the same to the bit in every run."""
+"""Forward pass of the mesh renderer: z-buffer of a part-labelled mesh (paper, eq. 8 and 9), repeatable to the bit."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -64,7 +64,7 @@ class ZBuffer:
     Attributes:
         keys: Nearest face at a pixel as ``depth_key``, shape (B, H, W). ``EMPTY_KEY`` between launches: who reads a key
             puts it back, so that a picture costs only the pixels that show something.
-        touched: Whether a face may lie in a tile, shape (B, tiles down, tiles across), uint8. 0 between launches,
+        touched: 1 where a face may lie in a tile, shape (B, tiles down, tiles across), uint8. 0 between launches,
             likewise.
     """
 
@@ -201,53 +201,53 @@ def compare_labels(
     for first in range(0, width, lanes * BLOCK):
         left = first + lane * BLOCK
         shown = _Words()
-        wanted = _Words()
+        expected = _Words()
         for k in range(BLOCK):
             shown[k] = load_word(labels[b], top + k, left, in_words)
-            wanted[k] = load_word(target[b], top + k, left, in_words)
+            expected[k] = load_word(target[b], top + k, left, in_words)
         wrong = _Words()
         for k in range(BLOCK):
-            wrong[k] = unequal_bytes(shown[k], wanted[k]) & unequal_bytes(wanted[k], _IGNORED)
+            wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], _IGNORED)
         # all four count from a border of the picture, so that zero is empty
         reach = wp.vec4i(height - top, wp.min(top + BLOCK, height), width - left, wp.min(left + BLOCK, width))
         # pair of labels by pair, all threads the same one
-        pair = first_pair(shown, wanted, wrong)
+        pair = first_pair(shown, expected, wrong)
         waiting = ballot(pair != wp.uint32(0))
         while waiting != wp.uint32(0):
             pair = tell(pair, lowest_bit(waiting))
             shown_label = pair & wp.uint32(255)
-            wanted_label = pair >> wp.uint32(8)
+            target_label = pair >> wp.uint32(8)
             count = int(0)
             for k in range(BLOCK):
                 other = unequal_bytes(shown[k], shown_label * EACH_BYTE)
-                other |= unequal_bytes(wanted[k], wanted_label * EACH_BYTE)
+                other |= unequal_bytes(expected[k], target_label * EACH_BYTE)
                 count += wp.bit_count(wrong[k] & ~other)
                 wrong[k] &= other
-            loss += float(count) * (map_weight(int(shown_label)) + map_weight(int(wanted_label)))
+            loss += float(count) * (map_weight(int(shown_label)) + map_weight(int(target_label)))
             concerned = ballot(count > 0)
             # the first of these blocks and the last one reach as far as all of them
             if lane == lowest_bit(concerned) or concerned >> wp.uint32(lane) == wp.uint32(1):
-                note_wrong(extents, b, int(shown_label), int(wanted_label), reach)
-            pair = first_pair(shown, wanted, wrong)
+                note_wrong(extents, b, int(shown_label), int(target_label), reach)
+            pair = first_pair(shown, expected, wrong)
             waiting = ballot(pair != wp.uint32(0))
     losses[b, block_row, lane] = loss
 
 
 @wp.func
-def first_pair(shown: Any, wanted: Any, wrong: Any):  # _Words, in which mypy sees no type
+def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy sees no type
     """The label that one of the wrong pixels shows, and 256 times the one it should; 0 if none is wrong."""
     bits = wrong[0]
     shown_word = shown[0]
-    wanted_word = wanted[0]
+    target_word = expected[0]
     for k in range(1, BLOCK):
         if bits == wp.uint32(0):
             bits = wrong[k]
             shown_word = shown[k]
-            wanted_word = wanted[k]
+            target_word = expected[k]
     if bits == wp.uint32(0):
         return wp.uint32(0)
     shift = wp.uint32(lowest_bit(bits) & 24)
-    return (shown_word >> shift & wp.uint32(255)) | ((wanted_word >> shift & wp.uint32(255)) << wp.uint32(8))
+    return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
 
 
 @wp.func
@@ -267,14 +267,14 @@ def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool
 
 
 @wp.func
-def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, wanted: int, reach: wp.vec4i):
+def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, target: int, reach: wp.vec4i):
     """Record a block with pixels that show one label and should show the other."""
     if shown != 0:
         grow(extents, b, SURPLUS, shown, reach)
-    if wanted != 0:
-        grow(extents, b, MISSING, wanted, reach)
+    if target != 0:
+        grow(extents, b, MISSING, target, reach)
         if shown != 0:
-            grow(extents, b, HIDDEN, wanted, reach)
+            grow(extents, b, HIDDEN, target, reach)
 
 
 @wp.func
@@ -352,7 +352,7 @@ def launch_bodies(
 
 
 def row_lane_bits(count: int, device: wp.Device) -> int:
-    """How many threads share the rows of one of ``count`` faces, in bits: one on the CPU, which runs one at a time."""
+    """Base-2 logarithm of the number of threads that share the rows of one of ``count`` faces: 0 on the CPU."""
     if device.is_cpu:
         return 0
     return min(max((_THREADS_TO_FILL // max(count, 1)).bit_length() - 1, _MIN_ROW_LANE_BITS), _MAX_ROW_LANE_BITS)

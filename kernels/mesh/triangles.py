@@ -41,7 +41,7 @@ class Edge:
     direction: wp.vec2
     slope: float  # columns a row
     bounds: int  # 1: it ends pixel rows, -1: it starts them, 0: too level to tell where
-    closed: bool  # fill rule: whether a pixel centre exactly on it belongs to the face
+    closed: bool  # fill rule: true if a pixel centre exactly on it belongs to the face
 
 
 @wp.struct
@@ -136,7 +136,7 @@ def edge_values(e: Edges, x: float, y: float):
 
 @wp.func
 def covers(e: Edges, values: wp.vec3):
-    """Whether the pixel centre with these ``edge_values`` is in the triangle."""
+    """True if the pixel centre with these ``edge_values`` is in the triangle."""
     if wp.min(values[0], wp.min(values[1], values[2])) > 0.0:
         return True
     return within(e.bc, values[0]) and within(e.ca, values[1]) and within(e.ab, values[2])
@@ -144,7 +144,7 @@ def covers(e: Edges, values: wp.vec3):
 
 @wp.func
 def within(e: Edge, value: float):
-    """Whether a pixel centre with this ``edge_value`` lies on the face's side; on the edge, the fill rule decides."""
+    """True if a pixel centre with this ``edge_value`` lies on the face's side; on the edge, the fill rule decides."""
     return value > 0.0 or (value == 0.0 and e.closed)
 
 

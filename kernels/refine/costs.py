@@ -18,7 +18,7 @@ def surface_point(ellipsoids: EllipsoidArrays, b: int, k: int, normalised: wp.ve
 
 @wp.func
 def landmark_position(landmark: Landmark, ellipsoids: EllipsoidArrays, b: int):
-    """Camera frame [m]."""
+    """Position of a landmark in the camera frame [m]."""
     first = surface_point(ellipsoids, b, landmark.parts[0], landmark.first)
     second = surface_point(ellipsoids, b, landmark.parts[1], landmark.second)
     return landmark.shares[0] * first + landmark.shares[1] * second
@@ -26,13 +26,13 @@ def landmark_position(landmark: Landmark, ellipsoids: EllipsoidArrays, b: int):
 
 @wp.func
 def slope_of_abs(x: float):
-    """0 at 0, unlike ``wp.sign``."""
+    """Derivative of |x|: 0 at 0, unlike ``wp.sign``."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
 
 
 @wp.func
 def pull_landmark(problem: Problem, state: State, b: int, index: int):
-    """How a landmark is drawn to where it is seen."""
+    """Cost and force of a landmark's distance from its keypoint."""
     pull = Pull()
     row = b % problem.landmarks.votes.shape[0]
     vote = problem.weights[PROJ] * problem.landmarks.votes[row, index]
@@ -50,7 +50,7 @@ def pull_landmark(problem: Problem, state: State, b: int, index: int):
 
 @wp.func
 def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
-    """What part k costs by all ``RULES``, which begin its gradient, and its share of L_seg."""
+    """Cost of part k by all ``RULES``, which begin its gradient, and its partial sums of L_seg."""
     cost = Terms()
     for i in range(k, drawn.loss.shape[1], state.costs.shape[1]):
         cost[SEG] += problem.weights[SEG] * drawn.loss[b, i]
@@ -88,11 +88,11 @@ def sum_forces(problem: Problem, state: State, b: int, k: int):
             sums.moment[i, j] = seen[3 + 3 * i + j]
     to_camera = half_size * wp.vec3((seen[12] + seen[13]) * scale, seen[14], seen[15])
     cost = float(0.0)
-    for i in range(problem.landmarks.first_touch[k], problem.landmarks.first_touch[k + 1]):
-        touch = problem.landmarks.touches[i]
-        pull = state.pulls[b, touch.landmark]
-        sums = add_force(sums, touch.share * pull.force, touch.normalised)
-        if touch.counts == 1:
+    for i in range(problem.landmarks.first_share[k], problem.landmarks.first_share[k + 1]):
+        share = problem.landmarks.shares[i]
+        pull = state.pulls[b, share.landmark]
+        sums = add_force(sums, share.weight * pull.force, share.normalised)
+        if share.counts == 1:
             cost += pull.cost
             to_camera += pull.camera
     state.costs[b, k][PROJ] = cost

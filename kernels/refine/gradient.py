@@ -1,4 +1,4 @@
-"""From forces on parts to the gradient of every parameter.
+"""Gradient of every parameter from the forces on the parts.
 
 A bone turns all that hangs on it, so the gradient of its rotation is the torque of its subtree about its start. A
 body's root counts as one more bone, which turns the whole body.
@@ -34,7 +34,7 @@ def carry(problem: Problem, state: State, b: int, bone: int):
 
 @wp.func
 def gather_rotation(problem: Problem, state: State, b: int, k: int):
-    """Rotation of part k."""
+    """Gradient of the rotation of part k."""
     if not has_bit(problem.skeleton.locked, k):
         # The global rotation is axes * rest_axes^T.
         torque = wp.transpose(state.ellipsoids.axes[b, k]) * state.loads[b, k].torque
@@ -48,7 +48,7 @@ def gather_rotation(problem: Problem, state: State, b: int, k: int):
 
 @wp.func
 def gather_length(problem: Problem, state: State, b: int, i: int):
-    """Length i, of one part or of two."""
+    """Gradient of length i, of one part or of two."""
     length = state.gradient.lengths[b, i]
     for part in range(state.wrenches.shape[1]):
         if problem.skeleton.bones[part].shape[0] == i:
@@ -61,7 +61,7 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
 
 @wp.func
 def gather_thickness(problem: Problem, state: State, b: int, i: int):
-    """Thickness i."""
+    """Gradient of thickness i."""
     thickness = state.gradient.thicknesses[b, i]
     for part in range(state.wrenches.shape[1]):
         shape = problem.skeleton.bones[part].shape
@@ -74,7 +74,7 @@ def gather_thickness(problem: Problem, state: State, b: int, i: int):
 
 @wp.func
 def gather_orientation(problem: Problem, state: State, b: int):
-    """The root's rotation."""
+    """Gradient of the root's rotation."""
     root = state.wrenches.shape[1]
     torque = state.loads[b, root].torque
     orientation = state.orientations[b]
@@ -90,7 +90,7 @@ def gather_orientation(problem: Problem, state: State, b: int):
 
 @wp.func
 def gather_camera(state: State, b: int):
-    """Scale and shift."""
+    """Gradient of the camera's scale and shift."""
     camera = wp.vec3(0.0)
     for k in range(state.wrenches.shape[1]):
         camera += state.wrenches[b, k].camera

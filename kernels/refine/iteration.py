@@ -12,7 +12,7 @@ from .gradient import carry, gather_camera, gather_length, gather_orientation, g
 from .pose import place_part, turn_body, turn_part
 from .prior import share_component, slope_component, sum_exponent
 from .state import MODULE, Drawn, Problem, State
-from .step import count_iteration, keep_books, step_number
+from .step import count_iteration, record_energy, step_number
 
 BLOCK = 512  # threads a body on CUDA, a power of two: the longest stage has 14 x 19 = 266 tasks of the packaged prior
 _LINE = wp.constant(32)  # floats in a line of the cache
@@ -24,7 +24,7 @@ _LINE = wp.constant(32)  # floats in a line of the cache
 #endif
 """)
 def wait_for_block():
-    """Until all threads of the block are here."""
+    """Wait until all threads of the block are here."""
     ...
 
 
@@ -41,13 +41,13 @@ def fetch(values: wp.array3d[float], i: int):
 
 @wp.func
 def first_task(lane: int, warp: int):
-    """Where a thread begins if task 0 belongs to the first thread of a warp."""
+    """First task of a thread if task 0 belongs to the first thread of ``warp``."""
     return (lane - LANES * warp) & (wp.block_dim() - 1)
 
 
 @wp.func
 def pose_body(problem: Problem, state: State, b: int, lane: int):
-    """From parameters to ellipsoids, and to what the prior says of them."""
+    """Compute the ellipsoids from the parameters, and the prior's exponents."""
     lanes = wp.block_dim()
     num_parts = state.wrenches.shape[1]
     for k in range(lane, num_parts, lanes):
@@ -68,7 +68,7 @@ def pose_body(problem: Problem, state: State, b: int, lane: int):
 
 @wp.kernel(module=MODULE, launch_bounds=(BLOCK, 2), grid_stride=False)
 def start_bodies(problem: Problem, state: State):
-    """No step taken yet: pose the parameters as they are."""
+    """Reset the optimiser and pose the parameters as they are."""
     thread = wp.tid()
     b = thread // wp.block_dim()
     lane = thread - b * wp.block_dim()
@@ -82,7 +82,7 @@ def start_bodies(problem: Problem, state: State):
 
 @wp.kernel(module=MODULE, launch_bounds=(BLOCK, 2), grid_stride=False)
 def step_bodies(problem: Problem, state: State, drawn: Drawn):
-    """From what was drawn to the next pose."""
+    """Take one step from the renderer's output and pose the bodies anew."""
     thread = wp.tid()
     lanes = wp.block_dim()
     b = thread // lanes
@@ -114,7 +114,7 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     if first_task(lane, 2) == 0:
         gather_camera(state, b)
     if first_task(lane, 3) == 0:
-        keep_books(problem, state, b)
+        record_energy(problem, state, b)
     wait_for_block()
 
     for k in range(lane, num_parts, lanes):
@@ -141,10 +141,10 @@ def _launch(kernel: wp.Kernel, inputs: list[object], state: State) -> None:
 
 
 def launch_start(problem: Problem, state: State) -> None:
-    """Begin anew from ``state.bodies``: what is remembered is void, the bodies are posed."""
+    """Start from ``state.bodies``: reset the optimiser and pose the bodies."""
     _launch(start_bodies, [problem, state], state)
 
 
 def launch_step(problem: Problem, state: State, drawn: Drawn) -> None:
-    """Take a step from what was ``drawn``, and pose the bodies where they are then."""
+    """Take one step from what was ``drawn``, and pose the bodies anew."""
     _launch(step_bodies, [problem, state, drawn], state)

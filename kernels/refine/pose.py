@@ -1,4 +1,4 @@
-"""Kinematics with a task a part: each walks its own ancestors up to the root and waits for nobody."""
+"""Forward kinematics with one task a part: each walks its own ancestors up to the root, independent of all others."""
 
 import warp as wp
 
@@ -8,7 +8,7 @@ from .state import Problem, State, column, has_bit
 
 @wp.func
 def turn_part(problem: Problem, state: State, b: int, k: int):
-    """Local rotation of part k, and what the prior looks at."""
+    """Local rotation of part k, also as the prior's variable."""
     v = state.bodies.rotations[b, k]
     turn = wp.identity(n=3, dtype=float)
     if not has_bit(problem.skeleton.locked, k):

@@ -1,4 +1,4 @@
-"""The pose prior's mixture of Gaussians in its precision form: one product says value and gradient alike.
+"""Gaussian mixture of the pose prior in precision form, so that one product gives both value and gradient.
 
 With d = x - mean and A the inverse covariance, a component's exponent is log weight - d.Ad / 2 and its slope Ad. The
 product d.Ad of the packaged prior loses nothing in float32: its covariances have condition numbers below 200.

@@ -1,7 +1,7 @@
-"""What an iteration of the refinement works on: the problem, which is the same for all bodies, and the bodies' state.
+"""Structs of the refinement's kernels: the problem, which is the same for all bodies, and the bodies' state.
 
-An iteration of a body is a chain of stages (``refine_iteration``); a stage is a number of tasks that need nothing of
-one another. Each task owns what it writes and adds in a fixed order, so a run repeats bit for bit.
+An iteration of a body is a chain of stages (``iteration``); a stage is a number of independent tasks. Each task owns
+what it writes and adds in a fixed order, so a run repeats bit for bit.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from ..ellipsoids.forces import Forces
 MODULE = wp.get_module("warp_partdr.refine")
 wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
 
-# Columns of the energy's terms that are no rules of single parts (``rules``); there is room for more of these.
+# Columns of the energy's terms that are no rules of single parts (``rules``); one of ``NUM_TERMS`` is free.
 PROJ = wp.constant(0)
 SEG = wp.constant(1)
 PRIOR = wp.constant(4)
@@ -51,29 +51,29 @@ class Landmark:
 
 
 @wp.struct
-class Touch:
-    """How a landmark holds on to a part."""
+class LandmarkShare:
+    """Point of a part that a landmark is made of, and its weight."""
 
     landmark: int
-    share: float
+    weight: float
     normalised: wp.vec3  # in units of the semi-axes
     counts: int  # 1: the landmark's cost counts here; a landmark of two parts counts once
 
 
 @wp.struct
 class Landmarks:
-    """Every landmark that there is; what is seen of it stands in ``points`` and ``votes``, N = 1 or one row a body."""
+    """All landmarks; ``points`` and ``votes`` hold their keypoints, N = 1 or one row a body."""
 
     landmarks: wp.array[Landmark]  # (L,)
-    touches: wp.array[Touch]  # of part 0, of part 1, ...
-    first_touch: wp.array[int]  # (P + 1,) where a part's begin
+    shares: wp.array[LandmarkShare]  # of part 0, of part 1, ...
+    first_share: wp.array[int]  # (P + 1,) index of each part's first share
     points: wp.array2d[wp.vec2]  # (N, L) in the crop, -1 to 1
     votes: wp.array2d[float]  # (N, L) 0 = not seen
 
 
 @wp.struct
 class Rules:
-    """What needs no picture: joint limits, and usual sizes of N people and their depths."""
+    """Targets of the terms that need no picture: joint limits, and usual sizes and depths of N people."""
 
     lower_limits: wp.array[wp.vec3]  # (P,) [rad]
     upper_limits: wp.array[wp.vec3]  # (P,) [rad]
@@ -86,7 +86,7 @@ class Rules:
 class Mixture:
     """K Gaussians over S directions: the rotation vectors of parts, and up as the pelvis sees it. K = 0: no prior."""
 
-    slots: wp.array[int]  # (P + 1,) which direction a part's rotation is, -1 = none; the last entry is up's
+    slots: wp.array[int]  # (P + 1,) index of a part's direction, -1 = none; the last entry is up's
     means: wp.array2d[wp.vec3]  # (K, S)
     precisions: wp.array3d[float]  # (S, 9, K S) [j, :, k S + i] is component k's matrix from direction j to slope i
     log_weights: wp.array[float]  # (K,)
@@ -94,7 +94,7 @@ class Mixture:
 
 @wp.struct
 class StepRule:
-    """How far each parameter may go."""
+    """Learning rates and bounds of the parameters."""
 
     schedule: wp.array[wp.vec2]  # (iterations + 1,) rate / (1 - beta1^t) and sqrt(1 - beta2^t); the last rate is 0
     rates: wp.array[float]  # (N,) factor of the rate
@@ -104,7 +104,7 @@ class StepRule:
 
 @wp.struct
 class Problem:
-    """What is minimised, and how."""
+    """Energy to be minimised, and the rule of the steps."""
 
     skeleton: SkeletonArrays
     half_size: float  # of the drawn crop [px]
@@ -117,7 +117,7 @@ class Problem:
 
 @wp.struct
 class Drawn:
-    """What the renderer hands over: L_seg in parts that sum to it, and its forces on surface points."""
+    """Output of the renderer: partial sums of L_seg, and its forces on surface points."""
 
     loss: wp.array2d[float]  # (B, T) [px]
     forces: Forces
@@ -158,9 +158,9 @@ class EllipsoidArrays:
 
 @wp.struct
 class Likelihood:
-    """What the mixture says about each body."""
+    """Log density of each body under the mixture, with its intermediate values."""
 
-    directions: wp.array2d[wp.vec3]  # (B, S) what it looks at
+    directions: wp.array2d[wp.vec3]  # (B, S) the mixture's variables
     slopes: wp.array3d[wp.vec3]  # (B, K, S) precision times deviation
     squares: wp.array3d[float]  # (B, K, S) shares of deviation times slope
     exponents: wp.array2d[float]  # (B, K) log of each component's share of the density
@@ -170,7 +170,7 @@ class Likelihood:
 
 @wp.struct
 class Pull:
-    """What a landmark's distance from where it is seen does."""
+    """Cost of a landmark's distance from its keypoint, and the force that follows."""
 
     cost: float
     force: wp.vec3  # on the landmark
@@ -189,7 +189,7 @@ class Wrench:
 
 @wp.struct
 class Load:
-    """What a bone carries: the forces on its subtree."""
+    """Sum of the forces on a bone's subtree."""
 
     force: wp.vec3
     torque: wp.vec3  # about the bone's start
@@ -197,9 +197,9 @@ class Load:
 
 @wp.struct
 class Records:
-    """What is remembered of each body."""
+    """Energies of each body: the best, and the history."""
 
-    better: wp.array[int]  # (B,) whether this iteration's state is the best so far
+    better: wp.array[int]  # (B,) 1 if this iteration's state is the best so far
     energy: wp.array[float]  # (B,) the best
     terms: wp.array[Terms]  # (B,) of the best
     history: wp.array2d[float]  # (iterations + 1, B)
@@ -207,7 +207,7 @@ class Records:
 
 @wp.struct
 class State:
-    """B bodies on their way."""
+    """State of B bodies during their refinement."""
 
     iteration: wp.array[int]  # (B,) the one that comes next; the last one may be repeated
     bodies: Bodies
@@ -228,7 +228,7 @@ class State:
 
 @wp.func
 def has_bit(mask: int, bit: int):
-    """Whether a bit of a set is there."""
+    """True if a bit of a set is set."""
     return (mask >> bit) & 1 == 1
 
 

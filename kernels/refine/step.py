@@ -1,4 +1,4 @@
-"""What follows from energy and gradient: the books, a step of Adam (Kingma and Ba, 2015), and the best row seen."""
+"""One step of Adam (Kingma and Ba, 2015), the energy's history and the best parameters so far."""
 
 import warp as wp
 
@@ -12,8 +12,8 @@ _NUM_TERMS = wp.constant(NUM_TERMS)
 
 
 @wp.func
-def keep_books(problem: Problem, state: State, b: int):
-    """Note the energy, and whether it is the best."""
+def record_energy(problem: Problem, state: State, b: int):
+    """Sum the energy's terms, record them, and mark the body if they are its best."""
     records = state.records
     terms = Terms()
     for part in range(state.costs.shape[1]):

@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 
 from warp_partdr.kernels.ellipsoids.borders import chord_shares
-from warp_partdr.kernels.ellipsoids.creases import room_range
-from warp_partdr.kernels.ellipsoids.forces import Subject
+from warp_partdr.kernels.ellipsoids.creases import radicand_range
+from warp_partdr.kernels.ellipsoids.forces import EllipsoidView
 from warp_partdr.kernels.ellipsoids.silhouette import Silhouette
 from warp_partdr.kernels.labels import DenseGradient
 
@@ -15,23 +15,23 @@ HEIGHT, WIDTH = 6, 9
 
 @wp.kernel
 def share_chords(
-    subject: Subject,
+    view: EllipsoidView,
     gradient: DenseGradient,
     starts: wp.array[wp.vec2],
     ends: wp.array[wp.vec2],
     shares: wp.array[wp.vec2],
 ):
     i = wp.tid()
-    shares[i] = chord_shares(subject, starts[i], ends[i], 1, 0, gradient)
+    shares[i] = chord_shares(view, starts[i], ends[i], 1, 0, gradient)
 
 
 def chord_costs(maps: np.ndarray, starts: np.ndarray, ends: np.ndarray, device: str) -> np.ndarray:
-    subject, gradient = Subject(), DenseGradient()
-    subject.height, subject.width = HEIGHT, WIDTH
+    view, gradient = EllipsoidView(), DenseGradient()
+    view.height, view.width = HEIGHT, WIDTH
     gradient.maps = wp.array(maps[None, None], dtype=float, device=device)
     points = [wp.array(each, dtype=wp.vec2, device=device) for each in (starts, ends)]
     shares = wp.empty(len(starts), dtype=wp.vec2, device=device)
-    wp.launch(share_chords, len(starts), [subject, gradient, *points], [shares], device=device)
+    wp.launch(share_chords, len(starts), [view, gradient, *points], [shares], device=device)
     return shares.numpy()
 
 
@@ -73,7 +73,7 @@ def bound_rooms(
     silhouettes: wp.array[Silhouette], places: wp.array[wp.vec2], halves: wp.array[float], ranges: wp.array[wp.vec2]
 ):
     i = wp.tid()
-    ranges[i] = room_range(silhouettes[i], places[i][0], places[i][1], halves[i])
+    ranges[i] = radicand_range(silhouettes[i], places[i][0], places[i][1], halves[i])
 
 
 def test_bounds_of_an_ellipsoid_hold_all_over_a_cell(device, rng):

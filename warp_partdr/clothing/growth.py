@@ -44,7 +44,7 @@ _INDICES = [[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second] for 
 
 
 class Growth:
-    """What EllipBody's measures are of bodies of a model, and stretches of the model's parts that change them.
+    """EllipBody's measures of a model's bodies, and stretches of the model's parts that change them.
 
     Attributes:
         spreads: Of the measures' logarithms over natural people, shape (27,).
@@ -92,5 +92,5 @@ class Growth:
         return (sizes * self.ratios).log().flatten(1) @ self.sharing
 
     def stretches(self, factors: torch.Tensor) -> torch.Tensor:
-        """What ``model.pose`` takes, shape (B, 20, 3, 3), for a factor of each measure, shape (B, 27)."""
+        """Stretches for ``model.pose``, shape (B, 20, 3, 3), from a factor of each measure, shape (B, 27)."""
         return (self.axes * factors[:, self.indices][..., None, :]) @ self.axes.mT

@@ -174,7 +174,7 @@ class DetailedModel:
         return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
 
     def landmarks(self, detailed: Detailed, names: Sequence[str]) -> torch.Tensor:
-        """Where landmarks are, shape (B, L, 3) [m].
+        """Positions of landmarks, shape (B, L, 3) [m].
 
         Raises:
             ValueError: If the model has no landmark of a name.
@@ -203,7 +203,7 @@ class DetailedModel:
 
     @cached_property
     def _stretch_weights(self) -> torch.Tensor:
-        """How much each vertex follows each part's stretch, shape (V, 20): skin weights, spread over the mesh.
+        """Weights with which vertices follow the parts' stretches, shape (V, 20): skin weights, spread over the mesh.
 
         Skin weights change within two or three rows of vertices, where a thicker part would end in a step.
         """

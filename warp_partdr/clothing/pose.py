@@ -21,7 +21,7 @@ _TWISTING_LAST = {"lower_leg": "foot", "forearm": "hand"}
 
 
 class PosedBones(Protocol):
-    """What is needed of posed EllipBodies; ``warp_partdr.pose`` returns it."""
+    """Members of posed EllipBodies, as ``warp_partdr.pose`` returns them, that are read here."""
 
     @property
     def joints(self) -> torch.Tensor:
@@ -79,8 +79,8 @@ def pose_from_ellipbody(
     rotations = torch.cat([turns[:, :1], turns[:, list(model.parents[1:])].mT @ turns[:, 1:]], dim=1)
     hips = ("left_hip", "right_hip")
     middle = model.landmarks(rest, hips).mean(1) - rest.joints[:, 0]
-    wanted = posed.joints[:, [JOINT_NAMES.index(name) for name in hips]].mean(1)
-    return rotations, wanted - (pelvis @ middle[..., None])[..., 0]
+    between_hips = posed.joints[:, [JOINT_NAMES.index(name) for name in hips]].mean(1)
+    return rotations, between_hips - (pelvis @ middle[..., None])[..., 0]
 
 
 def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:

@@ -72,7 +72,7 @@ class RegistrationWeights:
 
 @dataclass(frozen=True)
 class RegistrationOptions:
-    """How a registration goes.
+    """Options of a registration.
 
     Attributes:
         weights: Of the loss.
@@ -236,14 +236,14 @@ def shape_from_lengths(model: DetailedModel, posed: Posed, *, prior: float = 1e-
     joints = model.landmark_weights[rows] @ points
     moves = model.landmark_weights[rows] @ directions
     bones, changes = joints[1:] - joints[starts], moves[:, 1:] - moves[:, starts]
-    wanted = 2 * posed.semi_axes[..., 0]
-    shape = bones.new_zeros(len(wanted), model.num_shapes)
+    targets = 2 * posed.semi_axes[..., 0]
+    shape = bones.new_zeros(len(targets), model.num_shapes)
     regular = prior * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)
     for _ in range(iterations):
         now = bones + torch.einsum("bs,skc->bkc", shape, changes)
         lengths = now.norm(dim=-1)
         slopes = torch.einsum("bkc,skc->bks", now / lengths[..., None], changes)
-        aims = wanted - lengths + (slopes @ shape[..., None])[..., 0]
+        aims = targets - lengths + (slopes @ shape[..., None])[..., 0]
         shape = torch.linalg.solve(slopes.mT @ slopes + regular, slopes.mT @ aims[..., None])[..., 0]
     return shape
 
@@ -335,7 +335,7 @@ class _Tailor:
         return self.options.weights.measures * squares.log1p().mean(-1)
 
     def differences(self, shape: torch.Tensor) -> torch.Tensor:
-        """Logarithms of what EllipBody demands over what bodies have that do not grow, shape (B, 27)."""
+        """Logarithms of EllipBody's measures over those of the model without growth, shape (B, 27)."""
         return self.demanded - self.body.measured(shape)
 
     def grow(self, shape: torch.Tensor) -> None:
@@ -344,10 +344,10 @@ class _Tailor:
             return
         has = self.body.measured(shape)
         off = self._kept(self.demanded - has)
-        wanted = off**3 / (off.square() + self.spreads.square())
+        target = off**3 / (off.square() + self.spreads.square())
         # A part's stretch changes a little less than its measure, and its neighbours' too.
         got = self.body.measured(shape, self.stretches) - has
-        self.logs = self.growing * (self.logs + wanted - got).clamp(-_MOST_GROWTH, _MOST_GROWTH)
+        self.logs = self.growing * (self.logs + target - got).clamp(-_MOST_GROWTH, _MOST_GROWTH)
         self.stretches = self.body.stretches(self.logs.exp())
 
     def _kept(self, differences: torch.Tensor) -> torch.Tensor:

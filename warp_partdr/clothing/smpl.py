@@ -111,7 +111,7 @@ _VERTICES: dict[int, dict[str, int]] = {
 
 
 def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
-    """Which model these arrays are: "smpl", "smplh" or "smplx".
+    """Identify the model of these arrays: "smpl", "smplh" or "smplx".
 
     Args:
         arrays: Those of ``ARRAYS``; others are not looked at.
@@ -136,8 +136,8 @@ def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
             sizes["9 (J - 1)"] = 9 * (sizes["J"] - 1)
     for name, (dimensions, kind) in ARRAYS.items():
         array = arrays[name]
-        wanted = tuple(sizes.get(size, -1) if isinstance(size, str) else size for size in dimensions)
-        if array.shape != wanted or 0 in wanted:
+        expected = tuple(sizes.get(size, -1) if isinstance(size, str) else size for size in dimensions)
+        if array.shape != expected or 0 in expected:
             raise ValueError(f"{where}: {name}: shape {array.shape}; expected ({_shape(dimensions, sizes)}), none 0")
         if kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{where}: {name}: holds NaN or infinity; expected finite numbers")

@@ -1,4 +1,4 @@
-"""What a fit models for one input, what it leaves out, and why: ``partdr fit --explain``."""
+"""Report of what a fit models for one input, what it leaves out, and why: ``partdr fit --explain``."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _labels(seen: Observation, size: int) -> Iterator[Choice]:
             "L_seg",
             f"one byte a pixel: {size**2 / 1e3:.0f} KB",
             f"{groups} maps of floats: {megabytes:.1f} MB a body, and as much of gradients",
-            "loss and gradient of a pixel follow from two labels, the wanted and the shown",
+            "loss and gradient of a pixel follow from two labels, the target's and the one shown",
         )
     else:
         yield Choice(
@@ -139,11 +139,11 @@ def _labels(seen: Observation, size: int) -> Iterator[Choice]:
         if ignored
         else "every pixel's label is known",
     )
-    wanted = set(np.unique(labels).tolist()) - {BACKGROUND, IGNORE}
-    absent = [name for group, name in enumerate(seen.label_set.group_names, start=1) if group not in wanted]
+    present = set(np.unique(labels).tolist()) - {BACKGROUND, IGNORE}
+    absent = [name for group, name in enumerate(seen.label_set.group_names, start=1) if group not in present]
     yield Choice(
         "groups of parts",
-        f"{len(wanted)} of {groups} ({seen.label_set.name}) are wanted somewhere",
+        f"{len(present)} of {groups} ({seen.label_set.name}) are present",
         f"the pull on {_list(absent)}" if absent else "",
         "no pixel of the crop shows them: they can only be wrong" if absent else "all are in the crop",
     )

@@ -15,7 +15,7 @@ _LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEll
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How a fit goes.
+    """Options of a fit.
 
     Attributes:
         stages: In order. The first one of a search lifts its hypotheses into 3D; a network's body goes through all of
@@ -67,7 +67,7 @@ class FitOptions:
 
     @property
     def renderer(self) -> Renderer:
-        """What the last stage draws with; exact ellipsoids where there is none."""
+        """Renderer of the last stage; exact ellipsoids where there is none."""
         return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
     def labels_first(self) -> FitOptions:

@@ -1,4 +1,4 @@
-"""Left or right: where labels and keypoints contradict each other, which of the two to believe.
+"""Choice between left and right where labels and keypoints contradict each other.
 
 Seen in weak perspective, a person and the mirror image behind the picture's plane look the same but for what hides
 what, and for the face. So both readings are fitted, quickly, and the more plausible one wins.

@@ -1,4 +1,4 @@
-"""How much a fit spends on accuracy: the stages of each quality, chosen from what ``partdr bench tradeoff`` found."""
+"""Stages of each quality of a fit, chosen from the measurements of ``partdr bench tradeoff``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a fit may start: from 2D keypoints through bone lengths to many 3D hypotheses.
+"""Search for a fit's start: 2D keypoints and bone lengths give many 3D hypotheses.
 
 Seen by a weak-perspective camera, a bone of known length points toward the viewer or away from it by as much as it
 looks too short (Taylor, 2000). Every combination is one hypothesis: each limb bone either way, the body turned either
@@ -128,7 +128,7 @@ def _depth_choices(
     """Depth of each joint under each combination, from the hips, in crop units."""
 
     def hidden(a: str, b: str) -> float:
-        """How much of a bone is hidden in depth; 0 where an end is missing."""
+        """Depth between a bone's ends [px]; 0 if one is missing or the bone is seen in full length."""
         if a not in flat or b not in flat:
             return 0.0
         full = scale * np.linalg.norm(rest[a] - rest[b])

@@ -140,7 +140,7 @@ def _people_of_list(entries: Sequence[Any], name: str, fmt: Any) -> list[Mapping
 
 
 def _holds_people(values: Any) -> bool:
-    """Whether this is a list of people, not of one person's rows or numbers."""
+    """True if this is a list of people, not of one person's rows or numbers."""
     if not isinstance(values, list) or not values:
         return False
     first = values[0]
@@ -242,7 +242,7 @@ def _checked(table: np.ndarray, fmt: str, places: Sequence[str]) -> tuple[np.nda
 
 
 def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None]:
-    """What is wrong with each of N people's keypoints, None where nothing is."""
+    """Reason why each of N people's keypoints can't be used, None where they can."""
     visible = confidence[..., None] > 0
     lowest = np.where(visible, points, np.inf).min(axis=1)
     highest = np.where(visible, points, -np.inf).max(axis=1)

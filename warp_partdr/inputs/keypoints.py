@@ -55,12 +55,12 @@ class Keypoints2D:
 
     @property
     def visible(self) -> np.ndarray:
-        """Whether each keypoint is there at all, shape (J,), bool."""
+        """Mask of the keypoints with a confidence above 0, shape (J,), bool."""
         return self.confidence > 0
 
     @property
     def confident(self) -> np.ndarray:
-        """Whether each keypoint is to be relied on, shape (J,): confidence of 0.3 and more, or any if none has that."""
+        """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
         return confident(self.confidence[None])[0]
 
 
@@ -71,7 +71,7 @@ def confident(confidence: np.ndarray) -> np.ndarray:
 
 
 def person_height(keypoints: Keypoints2D) -> float:
-    """How tall the person would stand in the picture [px], from the lengths of trunk, thighs and shins.
+    """Height of the person standing upright in the picture [px], from the lengths of trunk, thighs and shins.
 
     A bone seen at an angle looks shorter than it is, so the upper quartile of what the bones say counts, and a bent or
     cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.

@@ -58,6 +58,6 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
 
 
 def _background_share(groups: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """How much of the line from one point (x, y) to another lies on background; beyond the picture nothing does."""
+    """Share of the line from one point (x, y) to another that lies on background; beyond the picture none does."""
     shown = labels_along(groups, start, end, samples=_SAMPLES)
     return np.count_nonzero(shown == BACKGROUND) / _SAMPLES

@@ -1,4 +1,4 @@
-"""What a fit sees of one person: a square crop with keypoints and labels, from which everybody else is left out."""
+"""Observation of one person: a square crop with keypoints and labels, from which everybody else is left out."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ LABEL_SIZE = 512  # [px] side of the crop that labels are kept at, twice what is
 
 @dataclass(frozen=True)
 class Observation(Movable):
-    """What is known of the person, in a square crop of side 2 (coordinates -1 to 1).
+    """Keypoints and labels of one person in a square crop of side 2 (coordinates -1 to 1).
 
     Attributes:
         landmarks: Names of the L keypoints that are there.
-        points: Where they are, shape (L, 2).
-        confidence: How much they count, 0 to 1, shape (L,).
+        points: Their positions, shape (L, 2).
+        confidence: Their weights, 0 to 1, shape (L,).
         labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
         label_set: What the group ids mean.
         maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.

@@ -1,4 +1,4 @@
-"""One person out of a picture: whose pixels are whose, and the crop around them.
+"""One person out of a picture: assignment of pixels to people, and the crop around the person.
 
 Boxes are (x0, y0, x1, y1) in pixels of the picture: pixel (row v, column u) covers u to u + 1 and v to v + 1. A box may
 reach beyond the picture; what lies there the camera never saw, so its labels are 255, ignore, not background.

@@ -1,4 +1,4 @@
-"""Derivatives that kernels do not have: the second ones of what is drawn, and those that ``torch.func`` asks for.
+"""Errors instead of wrong values for derivatives that kernels lack: second ones of images, and ``torch.func``'s.
 
 Without these, autograd would take a kernel's gradient for a constant, and say nothing.
 """
@@ -11,7 +11,7 @@ import torch
 
 
 def is_transformed(*tensors: torch.Tensor | None) -> bool:
-    """Whether ``torch.func`` has wrapped one of them, as ``vmap`` and ``grad`` do: no kernel can read it."""
+    """True if ``torch.func`` has wrapped one of them, as ``vmap`` and ``grad`` do: no kernel can read it."""
     return any(isinstance(t, torch.Tensor) and torch._C._functorch.is_functorch_wrapped_tensor(t) for t in tensors)
 
 

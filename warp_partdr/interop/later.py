@@ -1,4 +1,4 @@
-"""Images that are drawn when somebody looks at them."""
+"""Images that are drawn when they are first read."""
 
 from __future__ import annotations
 

@@ -29,13 +29,13 @@ _MAX_GRAPHS = 8
 
 @dataclass(frozen=True)
 class Buffers:
-    """What launches read and write, of B bodies.
+    """Inputs and outputs of a renderer's launches, of B bodies.
 
     Attributes:
-        inputs: What the gradient is with respect to, each of shape (B, ...); a body's numbers are contiguous.
-        target: Wanted labels, shape (N, H, W), N = 1 or B, uint8.
+        inputs: Tensors that the gradient is taken of, each of shape (B, ...); a body's numbers are contiguous.
+        target: Target labels, shape (N, H, W), N = 1 or B, uint8.
         losses: Partial sums of L_seg, shape (B, K).
-        grads: Gradients, laid out as the inputs; empty where none is wanted.
+        grads: Gradients, laid out as the inputs; empty if not needed.
     """
 
     inputs: tuple[torch.Tensor, ...]
@@ -54,7 +54,7 @@ class Buffers:
 
 
 class Recipe(Protocol):
-    """How a renderer finds the loss and its gradient: the same object for the same options, for it is a graph's key."""
+    """A renderer's launches of loss and gradient; equal for equal options, for it is a graph's key."""
 
     def __hash__(self) -> int: ...
 
@@ -91,14 +91,14 @@ def find_label_loss(
         The loss of each body, differentiable, shape (B,), and ``rows``: ``rows[0]`` is a copy of the tensors for
         ``split_rows``.
     """
-    wanted = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     shapes = tuple([tensor.shape for tensor in tensors])
     with torch.no_grad():
-        if wanted and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
+        if needs_grad and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
             loss, rows = _graph(recipe, shapes, target)(tensors, target)
         else:
-            loss, rows = launch_label_loss(recipe, wanted, tensors, target)
-    if wanted:
+            loss, rows = launch_label_loss(recipe, needs_grad, tensors, target)
+    if needs_grad:
         loss = LabelLoss.apply(recipe.name, (loss, rows), *tensors)
     return loss, rows
 
@@ -141,7 +141,7 @@ def _view(rows: torch.Tensor, place: _Place) -> torch.Tensor:
 
 @lru_cache(maxsize=64)
 def _layout(shapes: Shapes) -> list[_Place]:
-    """Where the tensors are in rows."""
+    """Shape, strides and offset of each tensor in a row."""
     length, layout, start = row_length(shapes), [], 0
     for shape in shapes:
         inner = [math.prod(shape[k + 1 :]) for k in range(1, len(shape))]
@@ -156,14 +156,14 @@ def row_length(shapes: Shapes) -> int:
 
 
 def launch_label_loss(
-    recipe: Recipe, wanted: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
+    recipe: Recipe, needs_grad: bool, tensors: tuple[torch.Tensor, ...], target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss and rows, in fresh buffers and launch by launch; with ``wanted``, ``rows[1]`` is the gradient."""
+    """Loss and rows, in fresh buffers and launch by launch; with ``needs_grad``, ``rows[1]`` is the gradient."""
     shapes = tuple([tensor.shape for tensor in tensors])
     (batch, height, width), device = (shapes[0][0], *target.shape[1:]), target.device
-    rows = torch.empty(2 if wanted else 1, batch, row_length(shapes), device=device)
+    rows = torch.empty(2 if needs_grad else 1, batch, row_length(shapes), device=device)
     inputs = split_rows(rows[0], shapes)
-    grads = split_rows(rows[1], shapes) if wanted else ()
+    grads = split_rows(rows[1], shapes) if needs_grad else ()
     torch._foreach_copy_(inputs, tensors)
     losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
     buffers = Buffers(inputs, target.contiguous(), losses, grads)

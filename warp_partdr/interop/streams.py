@@ -1,4 +1,4 @@
-"""Where a Warp launch goes: the device of the tensors, on torch's current stream; and captures left undisturbed."""
+"""Warp launches on torch's current stream and the tensors' device, and graph captures that nothing disturbs."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ launching = _gate.launching
 
 
 def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:
-    """What ``launch`` launches, as a graph, and nothing of other threads.
+    """Capture what ``launch`` launches as a graph, without what other threads launch.
 
     Raises:
         RuntimeError: If it is called inside ``on_torch_stream``.

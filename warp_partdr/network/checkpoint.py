@@ -37,7 +37,7 @@ def load_label_network(path: Path | str | None = None, *, device: torch.device |
 
 
 def about_network(path: Path | str | None = None) -> dict[str, Any]:
-    """What the file says of its training.
+    """Read a network file's record of its training.
 
     Raises:
         InputError: If the file can't be read or isn't such a network.

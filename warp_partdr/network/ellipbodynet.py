@@ -30,7 +30,7 @@ _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet'
 
 @dataclass(frozen=True)
 class EllipBodyNetConfig:
-    """What an EllipBodyNet is made of.
+    """Backbone and sizes of an EllipBodyNet.
 
     Attributes:
         backbone: Name on the Hugging Face hub, or a local folder with its config.json.
@@ -54,7 +54,7 @@ class EllipBodyNetConfig:
 
 @dataclass(frozen=True)
 class PicturePrediction:
-    """What EllipBodyNet says of B pictures.
+    """Output of EllipBodyNet for B pictures.
 
     Attributes:
         bodies: EllipBody and its camera.
@@ -187,7 +187,7 @@ def _no_files(what: str) -> str:
 
 
 def _stored(architecture: PreTrainedConfig) -> dict[str, Any]:
-    """What tells this architecture from the default one of its kind, without the path that it came from."""
+    """Settings of an architecture that differ from its kind's defaults, without the path that it came from."""
     differing = architecture.to_diff_dict()
     kept = {name: value for name, value in differing.items() if not name.startswith(("_", "transformers_version"))}
     unneeded = ("architectures", "dtype", "torch_dtype", "id2label", "label2id", "stage_names", "out_features")

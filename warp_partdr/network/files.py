@@ -26,11 +26,11 @@ class NetworkFiles(Generic[Config]):
     Args:
         kind: Name and version, in the file.
         config: Dataclass of its sizes.
-        wanted: What such a file is, for messages.
+        expected: Description of such a file, for messages.
     """
 
-    def __init__(self, kind: str, config: type[Config], wanted: str) -> None:
-        self._kind, self._config, self._wanted = kind, config, wanted
+    def __init__(self, kind: str, config: type[Config], expected: str) -> None:
+        self._kind, self._config, self._expected = kind, config, expected
 
     def save(
         self,
@@ -70,22 +70,22 @@ class NetworkFiles(Generic[Config]):
 
         try:
             if Path(path).stat().st_size > MAX_BYTES:
-                raise InputError(f"{path}: more than {MAX_BYTES >> 20} MiB; expected {self._wanted}")
+                raise InputError(f"{path}: more than {MAX_BYTES >> 20} MiB; expected {self._expected}")
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
                 if metadata.get("format") != self._kind:
-                    raise InputError(f"{path}: format {metadata.get('format')!r}; expected {self._wanted}")
+                    raise InputError(f"{path}: format {metadata.get('format')!r}; expected {self._expected}")
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  no mapping
-            config = read_section(self._config, parse_json(metadata["config"], f"{path}: config", self._wanted))
-            about: dict[str, Any] = parse_json(metadata.get("about", "{}"), f"{path}: about", self._wanted)
+            config = read_section(self._config, parse_json(metadata["config"], f"{path}: config", self._expected))
+            about: dict[str, Any] = parse_json(metadata.get("about", "{}"), f"{path}: about", self._expected)
         except InputError as error:
             raise error if str(error).startswith(str(path)) else self._refused(path, error) from None
         except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}; expected {self._wanted}") from None
+            raise InputError(f"{path}: {error.strerror or error}; expected {self._expected}") from None
         except (SafetensorError, KeyError, ValueError) as error:
             raise self._refused(path, error) from None
         if not all(torch.isfinite(tensor).all() for tensor in weights.values()):
-            raise InputError(f"{path}: weights hold NaN or infinity; expected {self._wanted}")
+            raise InputError(f"{path}: weights hold NaN or infinity; expected {self._expected}")
         return weights, config, about
 
     def load(self, path: Path | str, make: Callable[[Config], Network]) -> Network:
@@ -107,4 +107,4 @@ class NetworkFiles(Generic[Config]):
         return network.eval().requires_grad_(False)
 
     def _refused(self, path: Path | str, error: Exception) -> InputError:
-        return InputError(f"{path}: {' '.join(str(error).split())[:200]}; expected {self._wanted}")
+        return InputError(f"{path}: {' '.join(str(error).split())[:200]}; expected {self._expected}")

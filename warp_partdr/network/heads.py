@@ -40,7 +40,7 @@ class DeconvolutionHead(nn.Module):
 
 
 def soft_argmax(heatmaps: torch.Tensor) -> torch.Tensor:
-    """Where heat maps have their mean, and how sure that is: the less, the wider they spread.
+    """Mean of each heat map, and a confidence that falls with its spread.
 
     Args:
         heatmaps: Logits, shape (B, L, h, w); a softmax makes probabilities of each map.

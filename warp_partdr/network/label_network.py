@@ -1,4 +1,4 @@
-"""From part labels and keypoints, no colour, to a body: a small convolutional encoder before the regressor.
+"""Label network: a body from part labels and keypoints, no colour, by a small convolutional encoder and a regressor.
 
 What it sees doesn't hang on who made it: a pixel is the share that each of the 20 parts may have in its label, of any
 label set, or background, or unknown; keypoints are those of ``LANDMARKS``, as far as they were found.
@@ -29,13 +29,13 @@ _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being
 
 @dataclass(frozen=True)
 class LabelNetworkConfig:
-    """How large a label network is.
+    """Sizes of a label network.
 
     Attributes:
         size: Side of the label images [px], a multiple of 32.
         channels: Of the encoder's five stages, each at half the size of the one before.
         places: Channels that the last stage's places are described with.
-        keypoint_features: How many numbers the keypoints' coordinates become.
+        keypoint_features: Number of features made of the keypoints' coordinates.
         regressor: Of what follows.
     """
 
@@ -47,7 +47,7 @@ class LabelNetworkConfig:
 
 
 def label_table(labels: LabelSet) -> torch.Tensor:
-    """What each group id says: shares of the parts, background and unknown, shape (256, 22), rows sum to 1."""
+    """Shares of the parts, background and unknown in each group id, shape (256, 22); rows sum to 1."""
     table = np.zeros((256, NUM_CHANNELS), dtype=np.float32)
     table[:, _UNKNOWN] = 1.0  # ids that the set does not have, and 255
     for group in range(1, labels.num_groups + 1):
@@ -65,7 +65,7 @@ def label_tables(sets: Sequence[LabelSet]) -> torch.Tensor:
 
 
 def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-    """What label images say, pixel by pixel.
+    """Look up each pixel's shares of the parts, background and unknown.
 
     Args:
         groups: Group ids, shape (B, S, S), uint8.

@@ -15,7 +15,7 @@ from .landmarks import network_keypoints
 
 
 def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """What a label network sees of one person: shares (22, size, size) and keypoints (24, 3)."""
+    """Input of a label network for one person: shares (22, size, size) and keypoints (24, 3)."""
     keypoints = network_keypoints(seen.landmarks, seen.points, seen.confidence)
     device = keypoints.device
     if seen.label_set is None or seen.labels is None:

@@ -1,4 +1,4 @@
-"""What networks say of bodies: the numbers of EllipBody and of its camera, rotations as matrices."""
+"""Output of the networks: the numbers of EllipBody and of its camera, rotations as matrices."""
 
 from __future__ import annotations
 

@@ -32,12 +32,12 @@ _HEADS: dict[str, int] = {
 
 @dataclass(frozen=True)
 class RegressorConfig:
-    """How large a regressor is; the paper's numbers.
+    """Sizes of a regressor; the paper's by default.
 
     Attributes:
         width: Of the layers.
         blocks: Residual blocks of two layers each.
-        iterations: How often the estimate is corrected.
+        iterations: Number of corrections of the estimate.
         dropout: Share of activations that training drops.
     """
 

@@ -35,7 +35,7 @@ from ..render.captured import CapturedEllipsoids
 from ..render.renderers import RendererEllipsoids
 from .energy import TERMS, Energy
 from .steps import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
-from .tables import LANDMARK_NAMES, find_touches, landmark_arrays, mixture_arrays, rule_arrays, skeleton_arrays
+from .tables import LANDMARK_NAMES, landmark_arrays, landmark_shares, mixture_arrays, rule_arrays, skeleton_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
@@ -116,7 +116,7 @@ class CapturedRefinement:
         return CapturedEllipsoids(energy.renderer, labels, self._targets, self._state.ellipsoids)
 
     def _make_state(self, where: str) -> State:
-        """What the host reads or writes, and what the kernels alone use."""
+        """Allocate the bodies' state."""
         batch, prior = len(self._parameters), self._energy.prior
 
         def zeros(*shape: int, dtype: Any = float) -> wp.array:
@@ -152,7 +152,7 @@ class CapturedRefinement:
         return state
 
     def _make_problem(self, where: str, free: Collection[str]) -> Problem:
-        """What stays the same, but for what is seen."""
+        """Set up the problem's constants; ``observe`` writes the observations into them."""
         energy, problem = self._energy, Problem()
         problem.skeleton, problem.half_size = skeleton_arrays(where), energy.size / 2
         problem.landmarks = landmark_arrays(where, warp_array(self._points, wp.vec2), warp_array(self._votes))
@@ -196,7 +196,7 @@ class CapturedRefinement:
         table = self._problem.landmarks
         seen = {name for energy in energies for name in energy.observation.landmarks}
         with on_torch_stream(self._device):
-            for array, rows in zip((table.touches, table.first_touch), find_touches(seen), strict=True):
+            for array, rows in zip((table.shares, table.first_share), landmark_shares(seen), strict=True):
                 array.assign(rows)
         if self._renderer is not None:
             with on_torch_stream(self._device):
@@ -216,7 +216,7 @@ class CapturedRefinement:
         launch_start(self._problem, self._state)
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
-        """What ``refine`` returns, from B starts.
+        """Refine B bodies.
 
         Args:
             start: B bodies.
@@ -250,7 +250,7 @@ class CapturedRefinement:
 
 
 def can_capture(energy: Energy) -> bool:
-    """Whether the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
+    """True if the kernels have all that an energy asks for: labels, not probabilities, and exact ellipsoids."""
     drawn = energy.target is None or isinstance(energy.renderer, RendererEllipsoids)
     return energy.observation.maps is None and drawn
 

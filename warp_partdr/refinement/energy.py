@@ -1,4 +1,4 @@
-"""What a fit minimises: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a hold in depth.
+"""Energy of a fit: L_proj + L_seg + L_l + L_t (paper, section 3.4), a pose prior, joint limits, a hold in depth.
 
 Units decide what the paper's weights 1 : 1e-2 : 1e-3 : 1e-3 mean. Here L_proj is in pixels of a crop of 256 px, L_seg
 in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square millimetres, the prior in nats.

@@ -1,4 +1,4 @@
-"""Steps of a refinement, whichever way it is computed: their rates, the bounds of sizes, and where it ends."""
+"""Learning rates, bounds of sizes and result of a refinement, shared by its two implementations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZES = {"lengths": (0.6, 1.4), "thicknesses": (0.4, 1.6)}
 
 @dataclass(frozen=True)
 class Refined(Movable):
-    """Where a refinement ended.
+    """Result of a refinement.
 
     Attributes:
         parameters: The best bodies seen, B of them.

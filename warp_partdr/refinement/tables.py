@@ -1,4 +1,4 @@
-"""The constant arrays that the fused refinement reads, made once a device: skeleton, landmarks, prior."""
+"""Constant arrays that the captured refinement reads, made once a device: skeleton, landmarks, rules, prior."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import warp as wp
 from ..body.landmarks import LANDMARKS, landmark_points
 from ..body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
-from ..kernels.refine.state import Bone, Landmark, Landmarks, Mixture, Rules, SkeletonArrays, Touch
+from ..kernels.refine.state import Bone, Landmark, Landmarks, LandmarkShare, Mixture, Rules, SkeletonArrays
 
 LANDMARK_NAMES = tuple(LANDMARKS)
 
@@ -55,34 +55,34 @@ def skeleton_arrays(device: str) -> SkeletonArrays:
 
 
 def landmark_arrays(device: str, points: wp.array, votes: wp.array) -> Landmarks:
-    """All ``LANDMARK_NAMES`` on a Warp device; ``points`` and ``votes`` say where which of them are seen."""
-    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
+    """All ``LANDMARK_NAMES`` on a Warp device, with the keypoints' ``points`` and ``votes``."""
+    parts, normalised, weights = landmark_points(LANDMARK_NAMES)
     first, second = normalised.swapaxes(0, 1)
     table = Landmarks()
-    table.landmarks = _structs(Landmark, device, parts=parts, shares=shares, first=first, second=second)
-    touches, first_touch = find_touches(LANDMARK_NAMES)
-    table.touches = wp.array(touches, dtype=Touch, device=device)
-    table.first_touch = wp.array(first_touch, dtype=int, device=device)
+    table.landmarks = _structs(Landmark, device, parts=parts, shares=weights, first=first, second=second)
+    shares, first_share = landmark_shares(LANDMARK_NAMES)
+    table.shares = wp.array(shares, dtype=LandmarkShare, device=device)
+    table.first_share = wp.array(first_share, dtype=int, device=device)
     table.points = points
     table.votes = votes
     return table
 
 
-def find_touches(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Which landmarks hold on to part 0, to part 1, ..., and where each part's begin.
+def landmark_shares(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of ``LandmarkShare`` sorted by part, and the index of each part's first, shape (P + 1,).
 
-    Rows of ``Touch``, as many as all ``LANDMARK_NAMES`` have: those of ``names`` first. The others are never read, for
-    each costs time in every iteration.
+    There are as many rows as all ``LANDMARK_NAMES`` have, those of ``names`` first. The others are never read, for each
+    costs time in every iteration.
     """
-    parts, normalised, shares = landmark_points(LANDMARK_NAMES)
-    index, end = np.nonzero(shares > 0)
-    wanted = np.isin(LANDMARK_NAMES, list(names))[index]
-    order = np.lexsort((np.arange(len(index)), parts[index, end], ~wanted))
-    index, end, count = index[order], end[order], np.count_nonzero(wanted)
+    parts, normalised, weights = landmark_points(LANDMARK_NAMES)
+    index, end = np.nonzero(weights > 0)
+    named = np.isin(LANDMARK_NAMES, list(names))[index]
+    order = np.lexsort((np.arange(len(index)), parts[index, end], ~named))
+    index, end, count = index[order], end[order], np.count_nonzero(named)
     rows = _rows(
-        Touch,
+        LandmarkShare,
         landmark=index,
-        share=shares[index, end],
+        weight=weights[index, end],
         normalised=normalised[index, end],
         counts=np.equal(end, 0),
     )

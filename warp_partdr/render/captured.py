@@ -1,4 +1,4 @@
-"""Exact ellipsoids with launches alone, in fixed buffers: what a captured graph replays."""
+"""Exact ellipsoids in fixed buffers, by launches alone, so that a graph can capture them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class CapturedEllipsoids:
     """Draws B bodies and compares them with N label images.
 
     Args:
-        renderer: How the gradient is estimated.
+        renderer: The gradient's options.
         part_labels: Label that each ellipsoid shows.
         targets: Label images, shape (N, size, size), uint8, on the bodies' device; body b is compared with number
             b % N. What is written there later is seen after ``update``.
         ellipsoids: Posed parts and cameras, B of them.
 
     Attributes:
-        drawn: Where ``launch`` leaves L_seg [px of the drawn crop] and its forces.
+        drawn: L_seg [px of the drawn crop] and its forces, which ``launch`` fills.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class CapturedEllipsoids:
         self._launch_forces = EllipsoidOptions(**vars(renderer)).launcher()
 
     def update(self) -> None:
-        """See what was written into the targets."""
+        """Update what depends on the targets after they were written to."""
         if self._target.reach.size > 0:
             launch_find_reach(self._target.target, self._target.reach)
 
     def launch(self) -> None:
-        """See, draw, compare."""
+        """Project, draw, compare, sum the forces."""
         seen = self._seen
         launch_see(self._posed, self._part_labels, near=-math.inf, perspective=False, seen=seen)
         launch_draw(

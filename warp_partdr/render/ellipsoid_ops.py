@@ -100,21 +100,21 @@ def _loss_op(
     semi_axes: torch.Tensor,
     camera: torch.Tensor,
     target: torch.Tensor,
-    wanted: bool,
+    needs_grad: bool,
     labels: Sequence[int],
     perspective: bool,
     gradient: str,
     numbers: Sequence[float],
 ) -> tuple[torch.Tensor, torch.Tensor]:
     view, options = _read(target.shape[1:], labels, perspective, gradient, numbers)
-    return launch_label_loss(ellipsoid_recipe(view, options), wanted, (centres, axes, semi_axes, camera), target)
+    return launch_label_loss(ellipsoid_recipe(view, options), needs_grad, (centres, axes, semi_axes, camera), target)
 
 
 @_loss_op.register_fake
-def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, target: Any, wanted: bool, *rest: Any) -> Any:
+def _(centres: Any, axes: Any, semi_axes: Any, camera: Any, target: Any, needs_grad: bool, *rest: Any) -> Any:
     batch = centres.shape[0]
     length = row_length(tuple(tensor.shape for tensor in (centres, axes, semi_axes, camera)))
-    return centres.new_empty(batch), centres.new_empty(2 if wanted else 1, batch, length)
+    return centres.new_empty(batch), centres.new_empty(2 if needs_grad else 1, batch, length)
 
 
 def _save_loss(ctx: Any, inputs: Any, output: Any) -> None:

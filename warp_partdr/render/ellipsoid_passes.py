@@ -1,4 +1,4 @@
-"""What the exact renderer launches: the picture of ellipsoids, and the gradient of a loss, in buffers made for them."""
+"""Launches of the exact renderer: the picture of ellipsoids, and the gradient of a loss, in buffers made for them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Launch = Callable[[slice], None]  # the work of some bodies of the batch
 
 @dataclass(frozen=True)
 class View:
-    """How the picture is taken."""
+    """Size of the picture, kind of camera, and labels."""
 
     height: int
     width: int
@@ -49,7 +49,7 @@ class View:
 
 @dataclass(frozen=True)
 class EllipsoidOptions:
-    """How the gradient is estimated."""
+    """Options of the gradient."""
 
     gradient: Gradient
     max_distance: float
@@ -58,12 +58,12 @@ class EllipsoidOptions:
 
     @property
     def estimator(self) -> ModuleType:
-        """Where its kernels are."""
+        """Module of its kernels."""
         modules = {"edges": edges, "coverage": coverage, "partdr": partdr}
         return modules[self.gradient]
 
     def launcher(self) -> Callable[..., None]:
-        """What fills the sums of forces on ellipsoids: one call for all estimators."""
+        """Launcher of the sums of forces on ellipsoids, with one signature for all estimators."""
         if self.gradient == "edges":
             return edges.launch_edge_forces
         if self.gradient == "coverage":
@@ -81,7 +81,7 @@ class EllipsoidOptions:
 
 @dataclass(frozen=True)
 class Picture:
-    """What ``draw`` fills: images of shape (B, H, W); of a picture that is only compared, ``parts`` alone."""
+    """Images of shape (B, H, W) that ``draw`` fills; only ``parts`` if the picture is just compared."""
 
     seen: Seen
     parts: torch.Tensor
@@ -170,7 +170,7 @@ def prepare_gradients(
     gradient: Any,
     grads: Sequence[torch.Tensor],
 ) -> Launch:
-    """What fills ``grads``, which are laid out as ``tensors``: launches alone."""
+    """Prepare launches, and nothing else, that fill ``grads``, laid out as ``tensors``."""
     batch, count = tensors[0].shape[:2]
     with on_torch_stream(picture.parts.device) as where:
         arrays = arrays_of(tensors)
@@ -183,9 +183,9 @@ def prepare_gradients(
         def launch(part: slice) -> None:
             posed = [_cut(array, part) for array in arrays]
             here = surface_forces.cut_forces(forces, part)
-            wanted = _cut_gradient(gradient, part)
+            of_part = _cut_gradient(gradient, part)
             shown = picture.seen.cut(part), _cut(parts, part)
-            launch_forces(posed, *shown, perspective=view.perspective, gradient=wanted, forces=here)
+            launch_forces(posed, *shown, perspective=view.perspective, gradient=of_part, forces=here)
             cut = {name: _cut(array, part) for name, array in outputs.items()}
             surface_forces.launch_spread(posed[1], posed[2], here, **cut)
 
@@ -225,7 +225,7 @@ class EllipsoidRecipe:
 
     @property
     def modules(self) -> Sequence[ModuleType]:
-        """What it launches."""
+        """Modules of the kernels that it launches."""
         return kernel_ellipsoids, ellipsoid_picture, self.options.estimator, surface_forces
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:

@@ -36,7 +36,7 @@ MAX_SAMPLES = 64  # a pixel; the work on creases grows with their square
 
 @dataclass(frozen=True)
 class EllipsoidImage:
-    """What ellipsoids look like.
+    """Picture of B bodies of ellipsoids.
 
     Attributes:
         labels: Label at each pixel, 0 = background, shape (B, H, W), uint8.
@@ -166,8 +166,8 @@ def ellipsoid_label_loss(
     tensors, view = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, validate)
     check_target(target, ("centres", tensors[0]), tensors[0].shape[0])
     if torch.compiler.is_compiling():
-        wanted = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-        given = (*tensors, target.contiguous(), wanted, *ellipsoid_numbers(view, options))
+        needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+        given = (*tensors, target.contiguous(), needs_grad, *ellipsoid_numbers(view, options))
         loss, _ = torch.ops.warp_partdr.ellipsoid_label_loss(*given)
         return loss, _draw_compiled(tensors, view, options, 0)
     loss, rows = find_label_loss(ellipsoid_recipe(view, options), tensors, target)
@@ -263,7 +263,7 @@ class _Maps(torch.autograd.Function):
     def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
         grads: tuple[torch.Tensor | None, ...] = (None,) * 4
         if incoming[3] is not None:
-            wanted = dense_gradient(incoming[3])
-            found = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, wanted)
+            of_maps = dense_gradient(incoming[3])
+            found = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, of_maps)
             grads = once("draw_ellipsoids", found, incoming[3], *ctx.saved_tensors)
         return *grads, None, None, None

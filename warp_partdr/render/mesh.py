@@ -29,7 +29,7 @@ from .part_mesh import MAX_LABEL, PartMesh
 
 @dataclass(frozen=True)
 class PartImage:
-    """What a mesh looks like.
+    """Picture of B bodies' meshes.
 
     Attributes:
         labels: Part at each pixel, 0 = background, shape (B, H, W), uint8.
@@ -138,8 +138,8 @@ def mesh_label_loss(
             raise ValueError(f"target: label {label}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore")
     screen, *topology = geometry
     if torch.compiler.is_compiling():
-        wanted = torch.is_grad_enabled() and screen.requires_grad
-        given = (*geometry, target.contiguous(), wanted, mesh.num_labels, *mesh_numbers(options))
+        needs_grad = torch.is_grad_enabled() and screen.requires_grad
+        given = (*geometry, target.contiguous(), needs_grad, mesh.num_labels, *mesh_numbers(options))
         loss, _ = torch.ops.warp_partdr.mesh_label_loss(*given)
         return loss, _draw_compiled(geometry, size, options, 0)
     loss, rows = find_label_loss(mesh_recipe(*topology, mesh.num_labels, options), (screen,), target)

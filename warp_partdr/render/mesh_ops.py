@@ -95,19 +95,19 @@ def _loss_op(
     face_labels: torch.Tensor,
     edges: torch.Tensor,
     target: torch.Tensor,
-    wanted: bool,
+    needs_grad: bool,
     num_labels: int,
     perspective: bool,
     numbers: Sequence[float],
 ) -> tuple[torch.Tensor, torch.Tensor]:
     recipe = mesh_recipe(faces, face_labels, edges, num_labels, _options(perspective, numbers))
-    return launch_label_loss(recipe, wanted, (vertices,), target)
+    return launch_label_loss(recipe, needs_grad, (vertices,), target)
 
 
 @_loss_op.register_fake
-def _(vertices: Any, faces: Any, face_labels: Any, edges: Any, target: Any, wanted: bool, *rest: Any) -> Any:
+def _(vertices: Any, faces: Any, face_labels: Any, edges: Any, target: Any, needs_grad: bool, *rest: Any) -> Any:
     batch = vertices.shape[0]
-    return vertices.new_empty(batch), vertices.new_empty(2 if wanted else 1, batch, row_length((vertices.shape,)))
+    return vertices.new_empty(batch), vertices.new_empty(2 if needs_grad else 1, batch, row_length((vertices.shape,)))
 
 
 def _save_loss(ctx: Any, inputs: Any, output: Any) -> None:

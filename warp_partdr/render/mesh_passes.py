@@ -1,4 +1,4 @@
-"""What the mesh renderer launches: the picture, and the gradient of a loss, in buffers made for them."""
+"""Launches of the mesh renderer: the picture, and the gradient of a loss, in buffers made for them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _Launch = Callable[[], None]
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """How the picture is taken, and the gradient estimated."""
+    """Options of the mesh renderer's picture and gradient."""
 
     near: float
     perspective: bool
@@ -160,23 +160,23 @@ class MeshRecipe:
         extents = torch.empty((batch, rasterize.NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
         geometry = vertices, self.faces, self.face_labels, self.edges
         draw, zbuffer = prepare_raster(geometry, images, self.options, background=False)
-        wanted = LabelTarget()
-        wanted.target = warp_array(target)
-        wanted.extents = warp_array(extents, wp.vec4i)
-        wanted.scale = wp.ones(batch, dtype=float, device=wanted.target.device)
+        of_target = LabelTarget()
+        of_target.target = warp_array(target)
+        of_target.extents = warp_array(extents, wp.vec4i)
+        of_target.scale = wp.ones(batch, dtype=float, device=of_target.target.device)
         lanes = rasterize.pixel_lanes(tuple(images[0].shape), vertices.is_cpu)
         losses = warp_array(buffers.losses.view(lanes))
         compare = partial(
             rasterize.launch_compare_labels,
             warp_array(images[0]),
-            wanted.target,
-            extents=wanted.extents,
+            of_target.target,
+            extents=of_target.extents,
             losses=losses,
         )
         launches: list[_Launch] = [draw, compare]
         if buffers.grads:
             gradient = prepare_gradient(
-                geometry, images, lambda: [wanted], self.options, zbuffer.keys, buffers.grads[0]
+                geometry, images, lambda: [of_target], self.options, zbuffer.keys, buffers.grads[0]
             )
             launches.append(gradient)
 

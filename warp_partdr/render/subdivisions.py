@@ -1,4 +1,4 @@
-"""Which level of the mesh is fine enough: how far its silhouettes lie from those of the ellipsoids it stands for."""
+"""Choice of the mesh's level by the distance of its silhouettes from the ellipsoids' own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BODIES = 8  # at a time: a table of one has 26 MB
 
 
 class Parts(Protocol):
-    """What is needed of ``Posed`` or ``Ellipsoids``."""
+    """Members of ``Posed`` and ``Ellipsoids`` that are read here."""
 
     @property
     def centres(self) -> torch.Tensor:
@@ -60,7 +60,7 @@ def coarsest_subdivisions(parts: Parts, camera: Camera, *, tolerance: float = DE
 
 @torch.no_grad()
 def silhouette_error(parts: Parts, camera: Camera, subdivisions: int) -> torch.Tensor:
-    """How far each ellipsoid's silhouette is from its mesh's: their Hausdorff distance [px], shape (B, P), float64.
+    """Hausdorff distance of each ellipsoid's silhouette from its mesh's [px], shape (B, P), float64.
 
     The mesh is inscribed. In the plane where the ellipse is the unit disc, both have a support in each direction, and
     how far the ellipse lies outside is greatest across one of the polygon's edges. An ellipsoid that reaches the
