@@ -48,7 +48,7 @@ def ellipbody_faces(subdivisions: int = DEFAULT_SUBDIVISIONS) -> tuple[np.ndarra
 
 
 class WarpArrays(Movable):
-    """Mixin for a dataclass of Warp arrays: their views and copies; it can be pickled and copied deeply."""
+    """Mixin for a dataclass of Warp arrays: views and copies of them, pickling and deep copies."""
 
     def torch(self) -> dict[str, torch.Tensor]:
         """The same memory as torch tensors, such as rotations (B, 20, 3, 3): writing to one changes the body."""
@@ -93,7 +93,7 @@ class PosedEllipBody(WarpArrays):
 
 @dataclass
 class EllipBody(WarpArrays):
-    """A batch of B bodies: parameters only; ``pose`` says where that puts them.
+    """Batch of B bodies by their parameters; ``pose`` computes joints, ellipsoids and meshes.
 
     Attributes:
         global_orient: Rotation of the whole body, shape (B,), mat33.

@@ -112,7 +112,7 @@ class PosePrior(torch.nn.Module):
 
         Args:
             rotation_vectors: Local rotations as axis times angle [rad], shape (B, 20, 3). The hips don't count.
-            up: Which way is up, in the pelvis' frame, shape (B, 3); see `up_direction`.
+            up: Direction of up in the pelvis's frame, shape (B, 3); see `up_direction`.
 
         Returns:
             Negative log-likelihoods [nats], shape (B,).

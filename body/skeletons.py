@@ -133,7 +133,7 @@ def convert(values: np.ndarray, source: str, target: str, *, missing: float = np
     Args:
         values: Coordinates (and perhaps confidences), shape (..., J_source, C); integers become float64.
         source: Name of the format of ``values``.
-        target: Name of the format wanted.
+        target: Name of the format of the result.
         missing: What fills the rows of joints that ``source`` lacks: NaN for positions, 0 for confidences.
 
     Returns:

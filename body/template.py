@@ -138,7 +138,7 @@ LOCKED_PARTS: tuple[int, ...] = (0, 1)
 
 @dataclass(frozen=True)
 class Template:
-    """The constant numbers of EllipBody, float64 on the host.
+    """Constant numbers of EllipBody, float64 on the host.
 
     Attributes:
         rest_directions: Unit direction O of each bone in the rest pose, body frame, shape (20, 3).
@@ -146,7 +146,7 @@ class Template:
             shape (20, 3, 3).
         mean_lengths: Mean adult lengths [m], shape (12,).
         mean_thicknesses: Mean adult thicknesses [m], full widths, shape (15,).
-        source: Where the mean shape was measured.
+        source: Source of the mean shape.
     """
 
     rest_directions: np.ndarray

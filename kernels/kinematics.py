@@ -130,7 +130,7 @@ def place_vertices_adjoint(
     grad_axes: wp.array2d[Any],  # (B, P) mat33  OUTPUT
     grad_semi_axes: wp.array2d[Any],  # (B, P) vec3  OUTPUT
 ):
-    """One thread an ellipsoid sums over its own vertices, in a fixed order."""
+    """Adjoint of ``place_vertices``: one thread an ellipsoid sums over its own vertices, in a fixed order."""
     b, k = wp.tid()
     size = semi_axes[b, k]
     unrotate = wp.transpose(axes[b, k])
@@ -164,7 +164,7 @@ _register(wp.vec3d, wp.mat33d, wp.float64)
 
 @dataclass(frozen=True)
 class BoneTree:
-    """The constant arrays that every kinematics kernel reads, on one device and in one precision.
+    """Constant arrays that every kinematics kernel reads, on one device and in one precision.
 
     Attributes:
         parents: Parent bone, -1 = root, shape (P,), int.

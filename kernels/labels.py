@@ -18,7 +18,7 @@ _LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
 
 @wp.func
 def flat(image: wp.array2d[Any]):
-    """The pixels of a contiguous image row by row.
+    """Pixels of a contiguous image row by row.
 
     With strides known to the compiler, reading one takes a fraction of the instructions, and these kernels are bound by
     instructions.
@@ -40,7 +40,7 @@ def are_words(images: wp.array3d[wp.uint8]):
 
 @wp.func
 def unequal_bytes(a: wp.uint32, b: wp.uint32):
-    """The highest bit of each byte in which two words differ."""
+    """Highest bit of each byte in which two words differ."""
     difference = a ^ b
     return (((difference & _LOW_BITS) + _LOW_BITS) | difference) & HIGH_BITS
 
@@ -80,20 +80,20 @@ def target_of(g: LabelTarget, b: int):
 
 @wp.func
 def target_of(g: DenseGradient, b: int):
-    """Each body has its own maps."""
+    """Index of body b's maps: its own."""
     return b
 
 
 @wp.func
 def gradient_at(g: LabelTarget, t: int, label: int, pixel: int, shown: int):
     """dL/dA of map ``label`` at a pixel that shows ``shown``; pixels are counted row by row."""
-    want = int(flat(g.target[t])[pixel])
-    if want == IGNORE or want == shown:
+    expected = int(flat(g.target[t])[pixel])
+    if expected == IGNORE or expected == shown:
         return 0.0
     value = 0.0
     if shown == label:
         value = 2.0
-    elif want == label:
+    elif expected == label:
         value = -2.0
     return value * map_weight(label)
 
@@ -107,48 +107,48 @@ def gradient_at(g: DenseGradient, t: int, label: int, pixel: int, shown: int):
 
 
 @wp.func
-def may_want(g: LabelTarget, t: int, label: int, pixel: int):
+def may_have_gradient(g: LabelTarget, t: int, label: int, pixel: int):
     """True if a pixel that does not show a label may have a gradient of its map: cheaper than the gradient."""
     return int(flat(g.target[t])[pixel]) == label
 
 
 @wp.func
-def may_want(g: DenseGradient, t: int, label: int, pixel: int):
-    """Any pixel may."""
+def may_have_gradient(g: DenseGradient, t: int, label: int, pixel: int):
+    """True for any pixel."""
     return True
 
 
 @wp.func
-def may_want_other(g: LabelTarget, t: int, shown: int, pixel: int):
+def may_have_other_gradient(g: LabelTarget, t: int, shown: int, pixel: int):
     """True if a pixel may have a gradient of a map whose label it does not show."""
-    want = int(flat(g.target[t])[pixel])
-    return want != IGNORE and want != shown and want > 0
+    expected = int(flat(g.target[t])[pixel])
+    return expected != IGNORE and expected != shown and expected > 0
 
 
 @wp.func
-def may_want_other(g: DenseGradient, t: int, shown: int, pixel: int):
-    """Any pixel may."""
+def may_have_other_gradient(g: DenseGradient, t: int, shown: int, pixel: int):
+    """True for any pixel."""
     return True
 
 
 @wp.func
-def cost_of(g: LabelTarget, want: int, label: int):
-    """Cost of one pixel of area that shows ``label`` where the target is ``want``; 0 = background."""
-    if want == IGNORE or want == label:
+def cost_of(g: LabelTarget, expected: int, label: int):
+    """Cost of one pixel of area that shows ``label`` where the target shows ``expected``; 0 = background."""
+    if expected == IGNORE or expected == label:
         return 0.0
-    return map_weight(label) + map_weight(want)
+    return map_weight(label) + map_weight(expected)
 
 
 @wp.func
 def excess_at(g: LabelTarget, t: int, inside: int, outside: int, pixel: int):
     """Cost of a pixel of area that shows ``inside``, less its cost if it shows ``outside``."""
-    want = int(flat(g.target[t])[pixel])
-    return cost_of(g, want, inside) - cost_of(g, want, outside)
+    expected = int(flat(g.target[t])[pixel])
+    return cost_of(g, expected, inside) - cost_of(g, expected, outside)
 
 
 @wp.func
 def excess_at(g: DenseGradient, t: int, inside: int, outside: int, pixel: int):
-    """To first order."""
+    """Cost to first order, from the gradient of the maps."""
     excess = float(0.0)
     if inside > 0 and inside <= g.maps.shape[1]:
         excess = flat(g.maps[t, inside - 1])[pixel]
@@ -159,15 +159,15 @@ def excess_at(g: DenseGradient, t: int, inside: int, outside: int, pixel: int):
 
 @wp.func
 def pull_range(g: LabelTarget, t: int, axis: int, label: int, line: int, count: int):
-    """First and last pixel of a scan line that can pull this label's edges out: those that want it."""
+    """First and last pixel of a scan line that can pull this label's edges out: those whose target it is."""
     if label >= g.reach.shape[2]:
-        return wp.vec2i(count, -1)  # no pixel wants it
+        return wp.vec2i(count, -1)  # no pixel's target
     return g.reach[t, axis, label, line]
 
 
 @wp.func
 def pull_range(g: DenseGradient, t: int, axis: int, label: int, line: int, count: int):
-    """Any pixel can."""
+    """All pixels of the scan line."""
     return wp.vec2i(0, count - 1)
 
 
@@ -188,7 +188,7 @@ def find_reach(
     target: wp.array3d[wp.uint8],  # (B, H, W)
     reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
 ):
-    """First and last pixel of each row (axis 0) and column (axis 1) that wants a label: no edge has to look further."""
+    """Find the first and last pixel of each label in the target's rows (axis 0) and columns (axis 1)."""
     b, axis, line = wp.tid()
     if line >= target.shape[1 + axis]:
         return

@@ -30,7 +30,7 @@ def ballot(yes: bool) -> wp.uint32:
     return value;
 """)
 def sum_lanes(value: float) -> float:  # type: ignore[empty-body]
-    """The sum of all threads' values, added in a fixed order."""
+    """Sum of all threads' values, added in a fixed order."""
     ...
 
 
@@ -45,7 +45,7 @@ def sum_lanes(value: float) -> float:  # type: ignore[empty-body]
     return value;
 """)
 def count_up(value: int) -> int:  # type: ignore[empty-body]
-    """The sum of this thread's value and those of all threads before it."""
+    """Inclusive prefix sum over the threads."""
     ...
 
 
@@ -57,7 +57,7 @@ def count_up(value: int) -> int:  # type: ignore[empty-body]
 #endif
 """)
 def tell(value: wp.uint32, lane: int) -> wp.uint32:
-    """Another thread's value."""
+    """Value of the thread ``lane``."""
     ...
 
 

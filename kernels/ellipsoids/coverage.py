@@ -35,7 +35,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 def push_coverage(
     scene: SceneArrays, forces: Forces, w: Worker, lanes: int, steps_per_pixel: float, halvings: int, gradient: Any
 ):
-    """A thread's share in the forces on an ellipsoid."""
+    """Share of one thread in the forces on an ellipsoid."""
     sums = SurfaceForces()
     s = scene.silhouettes[w.b, w.k]
     height = scene.parts.shape[1]

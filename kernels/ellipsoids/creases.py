@@ -1,7 +1,7 @@
 """Forces of creases, the borders of labels where the fronts of two ellipsoids that meet in space are equally near.
 
-They are looked for in cells of a share of a pixel: where the two fronts cross on a cell's sides, a crease enters and
-leaves, or it ends in the cell, at an outline. Between such places it is taken as straight.
+They are searched in cells no larger than a pixel: a crease enters and leaves where the two fronts cross on a cell's
+sides, or it ends in the cell, at an outline. Between such points it is taken as straight.
 """
 
 from typing import Any
@@ -307,7 +307,7 @@ def walk_creases(
     halvings: int,
     gradient: Any,
 ):
-    """One of ``shares`` shares in the forces of an ellipsoid's creases, with ``cells``² cells a pixel."""
+    """Forces of one of ``shares`` shares of an ellipsoid's creases, with ``cells``² cells a pixel."""
     size = 1.0 / float(cells)
     s = view.silhouettes[view.k]
     creases = scene.creases[view.b, view.k]

@@ -85,7 +85,7 @@ def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool
 
 @wp.func
 def place_of(bit: int):
-    """Row and column among 4 by 4 pixels, and whether the neighbour is to the right (0) or below (1)."""
+    """Row and column among 4 by 4 pixels, and 0 for the neighbour to the right, 1 for the one below."""
     down = 7 - bit % 8
     return wp.vec3i(down // 2, bit // 8, down % 2)
 
@@ -127,7 +127,7 @@ def push_crease_crossing(
 
 @wp.func
 def push_picture(sums: SurfaceForces, lever: Lever, x: float, y: float, nearness: float, push: wp.vec2, pull: float):
-    """Add dL/d(x, y) = push and dL/d nearness = pull of a surface point; its moment is with the way from the centre."""
+    """Add dL/d(x, y) = push and dL/d nearness = pull of a surface point; the moment's lever starts at the centre."""
     ray = wp.vec2((x - lever.camera[2]) / lever.camera[0], (y - lever.camera[3]) / lever.camera[1])
     force = wp.vec3(lever.camera[0] * push[0], lever.camera[1] * push[1], -pull)
     point = wp.vec3(ray[0], ray[1], -nearness)
@@ -221,7 +221,7 @@ def find_lane(found: int, number: int, lanes: int):
 
 @wp.func
 def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
-    """A thread's share in the forces on an ellipsoid."""
+    """Share of one thread in the forces on an ellipsoid."""
     sums = SurfaceForces()
     s = scene.silhouettes[w.b, w.k]
     view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))

@@ -27,7 +27,7 @@ class Ellipsoid:
 
 @wp.struct
 class SceneArrays:
-    """B bodies of P ellipsoids and their picture: what every estimator of a gradient reads."""
+    """B bodies of P ellipsoids and their picture: the input of every estimator of a gradient."""
 
     centres: wp.array2d[wp.vec3]  # (B, P)
     axes: wp.array2d[wp.mat33]  # (B, P)
@@ -114,7 +114,7 @@ def to_unit(e: Ellipsoid, point: wp.vec3):
 
 @wp.func
 def unproject(e: Ellipsoid, x: float, y: float, nearness: float, perspective: bool):
-    """The camera-frame point of a pixel position and a nearness."""
+    """Camera-frame point of a pixel position and a nearness [m]."""
     rx = (x - e.camera[2]) / e.camera[0]
     ry = (y - e.camera[3]) / e.camera[1]
     if perspective:
@@ -177,12 +177,9 @@ def add_nearness_force(
 
 @wp.struct
 class Forces:
-    """Sums over the forces on each of P ellipsoids, in S shares to be added up: one from each warp that worked on it.
+    """Sums over the forces on each of P ellipsoids, in S shares to be added up, one of each warp that worked on it."""
 
-    Of 16 numbers, force, moment and camera, row by row.
-    """
-
-    values: wp.array4d[float]  # (B, P, S, 16)
+    values: wp.array4d[float]  # (B, P, S, 16) force, moment row by row, camera
 
 
 @wp.struct
@@ -233,7 +230,7 @@ def store_forces(forces: Forces, w: Worker, sums: SurfaceForces):
 
 @wp.func
 def add_shares(forces: Forces, b: int, k: int, i: int):
-    """One of the 16 numbers."""
+    """Sum one of the 16 numbers of an ellipsoid's forces over its shares."""
     shares = forces.values[b, k]
     total = float(0.0)
     for share in range(shares.shape[0]):
@@ -293,7 +290,7 @@ def sum_rows(
     values: wp.array2d[float],  # (B, N)
     totals: wp.array[float],  # (B,)  OUTPUT
 ):
-    """One thread a body adds in a fixed order."""
+    """Sum of each row, one thread a body, in a fixed order."""
     b = wp.tid()
     total = float(0.0)
     for i in range(values.shape[1]):
@@ -309,7 +306,7 @@ _MAX_SHARES = 16  # measured: docs/performance.md
 
 
 def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool) -> SceneArrays:
-    """A scene of centres, axes, semi-axes and camera, as ``launch_see`` and ``launch_draw`` left it."""
+    """Scene of centres, axes, semi-axes and camera, after ``launch_see`` and ``launch_draw``."""
     scene = SceneArrays()
     scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
     scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases

@@ -1,7 +1,7 @@
-"""Outlines as borders of labels: where nothing hides one and another label, or none, lies behind.
+"""Forces of outlines, where nothing hides an ellipsoid's outline and another label, or background, lies behind.
 
-An outline belongs to one ellipsoid. It is walked in steps of a share of a pixel; where what lies behind it, or in
-front, changes within a step, the step is halved to find where.
+An outline is divided into steps shorter than a pixel; where the ellipsoid behind it, or one in front, changes within a
+step, bisection finds the place.
 """
 
 from typing import Any
@@ -41,7 +41,7 @@ def outline_circle(e: Ellipsoid, perspective: bool):
 
 @wp.func
 def rim_of(e: Ellipsoid, circle: wp.mat33):
-    """An ellipsoid's outline as if it were one: its "unit sphere" holds (1, cos, sin) of angles."""
+    """Outline as an ``Ellipsoid`` whose "unit sphere" holds (1, cos, sin) of angles, for ``add_image_force``."""
     rim = Ellipsoid()
     rim.centre = e.centre
     rim.axes = wp.matrix_from_cols(
@@ -127,7 +127,7 @@ def push_outline(
 
 @wp.func
 def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
-    """The value of the thread before this one; to the first, what the last thread had before."""
+    """Value of the thread before this one; for the first, the value the last thread had before."""
     return tell(wp.where(lane == lanes - 1, last, value), wp.where(lane == 0, lanes, lane) - 1)
 
 

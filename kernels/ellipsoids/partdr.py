@@ -10,7 +10,15 @@ from typing import Any
 
 import warp as wp
 
-from ..labels import DenseGradient, LabelTarget, gradient_at, may_want, may_want_other, pull_range, target_of
+from ..labels import (
+    DenseGradient,
+    LabelTarget,
+    gradient_at,
+    may_have_gradient,
+    may_have_other_gradient,
+    pull_range,
+    target_of,
+)
 from ..mesh.push_z import MIN_DELTA_Z
 from .borders import front_at, line_root, outline_end
 from .forces import (
@@ -86,7 +94,7 @@ def walk_line(
         shown = label_at(view.silhouettes, part)
         if part > 0 and shown == s.label:
             break
-        if may_want(gradient, view.target, s.label, at):
+        if may_have_gradient(gradient, view.target, s.label, at):
             switches = part == 0
             if part > 0:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
@@ -120,7 +128,7 @@ def walk_lines(
     max_distance: float,
     gradient: Any,
 ):
-    """x and y: rows and columns that meet the outline, two ends each."""
+    """Forces in x and y: from rows and columns that meet the outline, two ends each."""
     left, right, top, bottom = pixel_box(view, s)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
@@ -152,7 +160,7 @@ def walk_lines(
 def push_depth(
     sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float, perspective: bool
 ):
-    """A force along z on the surface point at (x, y)."""
+    """Add a force along z on the surface point at (x, y)."""
     unit = to_unit(e, unproject(e, x, y, nearness, perspective))
     return add_force(sums, wp.vec3(0.0, 0.0, amount), unit)
 
@@ -191,7 +199,7 @@ def walk_depths(
     depth_weight: float,
     gradient: Any,
 ):
-    """z: where the target's label is hidden, its ellipsoid comes forward and the one that hides it goes back."""
+    """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
     silhouettes = view.silhouettes
     left, right, top, bottom = pixel_box(view, s)
     columns = right - left + 1
@@ -208,12 +216,16 @@ def walk_depths(
         y = float(row) + 0.5
         shown = silhouettes[part - 1].label
         if part == view.k + 1:
-            if not may_want_other(gradient, view.target, shown, at):
+            if not may_have_other_gradient(gradient, view.target, shown, at):
                 continue
             front = front_at(s, x, y)
             for j in range(silhouettes.shape[0]):
                 other = silhouettes[j].label
-                if other != shown and may_want(gradient, view.target, other, at) and in_box(silhouettes[j], x, y):
+                if (
+                    other != shown
+                    and may_have_gradient(gradient, view.target, other, at)
+                    and in_box(silhouettes[j], x, y)
+                ):
                     g = gradient_at(gradient, view.target, other, at, shown)
                     if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
@@ -221,7 +233,7 @@ def walk_depths(
                             between = depth_between(front, back, perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
                             sums = push_depth(sums, e, x, y, front, amount, perspective)
-        elif shown != s.label and may_want(gradient, view.target, s.label, at) and inside_at(s, x, y) > 0.0:
+        elif shown != s.label and may_have_gradient(gradient, view.target, s.label, at) and inside_at(s, x, y) > 0.0:
             g = gradient_at(gradient, view.target, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
@@ -234,7 +246,7 @@ def walk_depths(
 
 @wp.func
 def push_partdr(scene: SceneArrays, w: Worker, max_distance: float, depth_weight: float, gradient: Any):
-    """A thread's share in the forces on an ellipsoid."""
+    """Share of one thread in the forces on an ellipsoid."""
     sums = SurfaceForces()
     view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
     s = view.silhouettes[w.k]

@@ -80,7 +80,7 @@ def draw_tiles(
     depth: wp.array3d[float],  # (B, H, W) [m], inf = background, or empty  OUTPUT
     losses: wp.array2d[float],  # (B, T) L_seg of each tile, or empty  OUTPUT
 ):
-    """CUDA: a warp looks only at the ellipsoids that may meet its strip, each thread at one to find out."""
+    """Draw on CUDA: a warp reads only the ellipsoids that may meet its strip, after each thread tested one of them."""
     # One dimension, split in 32 bits: Warp's own split takes 64-bit divisions for every dimension.
     thread = wp.tid()
     lane = thread % LANES
@@ -181,7 +181,7 @@ def draw_rows(
     depth: wp.array3d[float],
     losses: wp.array2d[float],  # (B, H)
 ):
-    """CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
+    """Draw on the CPU: a row meets each outline in one closed-form interval, and visits no other pixel."""
     b, row = wp.tid()
     width = parts.shape[2]
     begin = row * width
@@ -208,7 +208,7 @@ def draw_rows(
                 along = along_row(s)
                 middle = s.mean[0] - row_lean(s, dy) / along
                 reach = wp.sqrt(root) / along
-                # One pixel more on either side: ``inside_at`` has the last word.
+                # One pixel more on either side, since ``inside_at`` decides.
                 left = int(wp.clamp(middle - reach - 1.0, 0.0, float(width)))
                 right = int(wp.clamp(middle + reach + 1.0, -1.0, float(width - 1)))
                 # The nearness of background is set where an ellipsoid may be, and nowhere else.

@@ -98,7 +98,7 @@ def half_axes_row(axes: wp.mat33, semi_axes: wp.vec3, row: int):
 def see_ellipsoid(
     centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3, camera: wp.vec4, label: int, near: float, perspective: bool
 ):
-    """The silhouette of one ellipsoid; not drawn with label 0, where it reaches the near plane, or without an area.
+    """Silhouette of one ellipsoid; not drawn with label 0, where it reaches the near plane, or without an area.
 
     In double, for a thin or far ellipsoid is a small difference of large numbers; and in forms that cancel little:
     determinants as cross products of the rows of A diag(a).
@@ -199,7 +199,7 @@ def see_ellipsoids(
     perspective: bool,
     silhouettes: wp.array2d[Silhouette],  # (B, P)  OUTPUT
 ):
-    """Every ellipsoid's silhouette."""
+    """Silhouettes of all ellipsoids."""
     b, k = wp.tid()
     silhouettes[b, k] = see_ellipsoid(
         centres[b, k], axes[b, k], semi_axes[b, k], camera[b], int(part_labels[k]), near, perspective

@@ -27,10 +27,10 @@ def pixels_of(g: DenseGradient, b: int, label: int):
 @wp.func
 def pixel_gradient(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
     """dL/dA of map ``label`` at a pixel that shows this label or another, but for the factor ``weight_of``."""
-    want = int(target[at])
+    expected = int(target[at])
     if shows_it:
-        return wp.where(want == label or want == IGNORE, 0.0, 2.0)
-    return wp.where(want == label, -2.0, 0.0)
+        return wp.where(expected == label or expected == IGNORE, 0.0, 2.0)
+    return wp.where(expected == label, -2.0, 0.0)
 
 
 @wp.func
@@ -53,19 +53,19 @@ def weight_of(g: DenseGradient, b: int, label: int):
 
 @wp.func
 def target_label_at(g: LabelTarget, b: int, at: int):
-    """The label that may come forward at a pixel: what the target shows."""
+    """Label that may come forward at a pixel: the target's."""
     return int(flat(g.target[b])[at])
 
 
 @wp.func
 def target_label_at(g: DenseGradient, b: int, at: int):
-    """The label that may come forward at a pixel: every one in its turn, and its map's gradient says how much."""
+    """Label that may come forward at a pixel: the one whose turn it is, by the gradient of its map."""
     return g.label
 
 
 @wp.func
 def extent(g: LabelTarget, b: int, kind: int, label: int):
-    """First and last row, first and last column of the pixels that are wrong in this way; last < first if none is."""
+    """First and last row and column of a label's wrong pixels of this kind; last < first if there are none."""
     if label >= g.extents.shape[2]:
         return wp.vec4i(0, -1, 0, -1)
     reach = g.extents[b, kind, label]
@@ -74,7 +74,7 @@ def extent(g: LabelTarget, b: int, kind: int, label: int):
 
 @wp.func
 def extent(g: DenseGradient, b: int, kind: int, label: int):
-    """Any pixel can have a gradient."""
+    """First and last row and column of the picture, for any pixel can have a gradient."""
     if label > g.maps.shape[1]:
         return wp.vec4i(0, -1, 0, -1)
     return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)

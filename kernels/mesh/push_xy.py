@@ -29,13 +29,13 @@ _COUNT_STRIDE = 16  # counters of two bodies share no line of memory, or their a
 
 @wp.func
 def along_and_across(axis: int, p: wp.vec3):
-    """A point's place along the scan lines, then across them, and its depth."""
+    """Coordinates of a point along the scan lines, across them, and in depth."""
     return wp.vec3(wp.where(axis == 0, p[0], p[1]), wp.where(axis == 0, p[1], p[0]), p[2])
 
 
 @wp.func
 def lines_between(start: float, end: float, first: int, last: int, size: int):
-    """First scan line that an edge crosses, of the first to the last, and how many it does."""
+    """First scan line that an edge crosses, between ``first`` and ``last``, and the number of them."""
     low = wp.max(first_pixel(wp.min(start, end), size), first)
     high = wp.min(first_pixel(wp.max(start, end), size), last + 1)
     return wp.vec2i(low, wp.max(high - low, 0))
@@ -60,7 +60,7 @@ def find_silhouettes(
     counts: wp.array2d[wp.uint64],  # (B, 16), zeroed  MODIFIED: column 0, edges in the high half, lines in the low one
     silhouettes: wp.array2d[wp.vec2i],  # (B, E)  OUTPUT: edge and its sides as one number; lines of those before it
 ):
-    """List the edges that bound their part, where it is wrong: few of all, and they do all the work."""
+    """List the silhouette edges that cross a scan line with wrong pixels of their part."""
     thread = wp.tid()
     b = first_body + thread // threads
     ends = mesh.edges[thread % threads]
@@ -170,7 +170,7 @@ def push_edges(
     gradient: Any,
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
 ):
-    """x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
+    """Gradient in x and y (paper, eq. 10 and 11), along each pixel row and column that an edge crosses.
 
     Pixels of background that should show the part pull the edge out, pixels of the part that should not push it in,
     others do nothing. Threads share the lines of all edges, outward first: neighbours do the same for about as long.
@@ -279,8 +279,8 @@ class SilhouetteList:
     """Scratch: the silhouette edges of each body.
 
     Attributes:
-        counts: How many a body has, and how many scan lines they cross, in column 0, shape (B, 16), uint64.
-        silhouettes: Room for all edges, shape (B, E), vec2i.
+        counts: Number of each body's edges, and of the scan lines they cross, in column 0, shape (B, 16), uint64.
+        silhouettes: Edge and lines before it, shape (B, E), vec2i.
     """
 
     counts: wp.array
@@ -288,7 +288,7 @@ class SilhouetteList:
 
     @classmethod
     def make(cls, batch: int, num_edges: int, device: str | wp.Device) -> Self:
-        """Room for a batch."""
+        """Allocate for a batch."""
         return cls(
             counts=wp.empty((batch, _COUNT_STRIDE), dtype=wp.uint64, device=device),
             silhouettes=wp.empty((batch, num_edges), dtype=wp.vec2i, device=device),

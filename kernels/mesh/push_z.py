@@ -34,7 +34,7 @@ MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in e
 
 _PIXEL_THREADS = 1024  # on CUDA for one body: about one for each hidden pixel in a picture of 256 x 256
 
-_COUNT_STRIDE = 32  # as of the silhouettes' counters
+_COUNT_STRIDE = 32  # counters of two bodies share no line of memory
 
 
 @wp.kernel
@@ -99,7 +99,7 @@ def push_depths(
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
 ):
-    """z (paper, eq. 12): the face that should be seen comes forward, the one that hides it goes back by as much."""
+    """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much."""
     thread = wp.tid()
     b = first_body + thread // threads
     width = keys.shape[2]
@@ -161,8 +161,8 @@ class HiddenPixels:
 
     Attributes:
         keys: The nearest face of that part, as a ``ZBuffer``'s: empty between launches, shape (B, H, W).
-        counts: How many a body has, in column 0, shape (B, 32), int32.
-        pixels: Room for all pixels, row by row, shape (B, H * W), int32.
+        counts: Number of each body's pixels, in column 0, shape (B, 32), int32.
+        pixels: Indices of these pixels, row by row, shape (B, H * W), int32.
     """
 
     keys: wp.array
@@ -171,7 +171,7 @@ class HiddenPixels:
 
     @classmethod
     def make(cls, keys: wp.array) -> Self:
-        """For pictures of the size of empty keys."""
+        """Allocate for pictures of the size of ``keys``, which are empty."""
         batch, height, width = keys.shape
         return cls(
             keys=keys,

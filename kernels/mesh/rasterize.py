@@ -38,7 +38,7 @@ BLOCK = wp.constant(4)
 _Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
 _IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four times IGNORE
 
-# Which wrong pixels of a label ``compare_labels`` tells apart; index 1 of its ``extents``
+# Kinds of wrong pixels of a label: the second index of ``extents``.
 MISSING = wp.constant(0)  # should show the label and do not
 SURPLUS = wp.constant(1)  # show it and should not
 HIDDEN = wp.constant(2)  # should show it and show another part
@@ -73,7 +73,7 @@ class ZBuffer:
 
     @classmethod
     def make(cls, batch: int, height: int, width: int, device: str | wp.Device) -> Self:
-        """An empty one."""
+        """Allocate an empty z-buffer."""
         tiles = (batch, -(-height // int(TILE_ROWS)), -(-width // int(TILE_COLUMNS)))
         return cls(
             keys=empty_keys((batch, height, width), device),
@@ -185,10 +185,7 @@ def compare_labels(
     extents: wp.array3d[wp.vec4i],  # (B, 3, L), zeroed, as ``grow``  MODIFIED
     losses: wp.array3d[float],  # ``pixel_lanes``  OUTPUT
 ):
-    """L_seg (paper, eq. 6) from two label images, and where they differ.
-
-    A wrong pixel misses one map and dirties another.
-    """
+    """L_seg (paper, eq. 6) from two label images, and the extents in which they differ."""
     thread = wp.tid()
     b = first_body + thread // threads
     lane = (thread % threads) & (lanes - 1)
@@ -235,7 +232,7 @@ def compare_labels(
 
 @wp.func
 def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy sees no type
-    """The label that one of the wrong pixels shows, and 256 times the one it should; 0 if none is wrong."""
+    """Label that one of the wrong pixels shows, plus 256 times its target; 0 if none is wrong."""
     bits = wrong[0]
     shown_word = shown[0]
     target_word = expected[0]
@@ -279,7 +276,7 @@ def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, target: int, r
 
 @wp.func
 def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp.vec4i):
-    """Let a label's extent reach a block; all four count from a border of the picture, so that zero is empty."""
+    """Extend a label's extent to a block; all four numbers count from a border of the picture, so that 0 is empty."""
     if label >= extents.shape[2]:
         return
     have = extents[b, kind, label]
@@ -289,9 +286,9 @@ def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp
 
 
 def launch_rasterize(mesh: MeshArrays, images: ImageArrays, *, zbuffer: ZBuffer, background: bool = True) -> None:
-    """Draw every face: the label image and, where there are such, depth and face-index map, all of them contiguous.
+    """Draw every face: the label image and, unless None, depth and face-index map, all of them contiguous.
 
-    Without ``background`` these two stay as they were where nothing shows; the gradient does not look there.
+    Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
     """
     images.labels.zero_()
     if background and images.depth is not None:

@@ -1,4 +1,4 @@
-"""The geometry of a projected triangle that the forward and the backward pass share: coverage and depth.
+"""Geometry of a projected triangle for the forward and the backward pass: coverage and depth.
 
 Vertices are in screen space: (u, v) in pixels, z in metres, camera frame. Pixel (row, column) has its centre at
 (column + 0.5, row + 0.5).
@@ -26,7 +26,7 @@ class MeshArrays:
 
 @wp.struct
 class ImageArrays:
-    """The picture of a mesh; depth and face index hold no values where nothing shows."""
+    """Picture of a mesh; depth and face index hold no values where nothing shows."""
 
     labels: wp.array3d[wp.uint8]  # (B, H, W)
     depth: wp.array3d[float]  # (B, H, W) [m]
@@ -57,7 +57,7 @@ class Triangle:
 
 @wp.struct
 class Edges:
-    """A face's edges, each named by its ends."""
+    """Edges of a face, each named by its ends."""
 
     bc: Edge
     ca: Edge
@@ -66,7 +66,7 @@ class Edges:
 
 @wp.func
 def load_triangle(vertices: wp.array[wp.vec3], index: wp.vec3i, near: float):
-    """A face of a body; one with a vertex nearer than ``near`` is not valid."""
+    """Load a face of a body; it is not valid if a vertex is nearer than ``near``."""
     p0 = vertices[index[0]]
     p1 = vertices[index[1]]
     p2 = vertices[index[2]]
@@ -114,7 +114,7 @@ def make_edge(a: wp.vec3, b: wp.vec3):
 
 @wp.func
 def make_edges(t: Triangle):
-    """The edges, which only a face that meets some pixel row needs."""
+    """Make the three edges of a face."""
     e = Edges()
     e.bc = make_edge(t.b, t.c)
     e.ca = make_edge(t.c, t.a)
@@ -188,14 +188,14 @@ def pixel_rows(t: Triangle, height: int):
 
 @wp.func
 def pixel_columns(e: Edges, y: float, width: int):
-    """First and last column whose centres the triangle can cover in the row at y: hardly more than it does cover."""
+    """First and last column whose centres the triangle can cover in the row at y: a tight bound."""
     ends = bound_row(e.ab, y, bound_row(e.ca, y, bound_row(e.bc, y, wp.vec2(0.0, float(width)))))
     return wp.vec2i(first_pixel(ends[0], width), last_pixel(ends[1], width))
 
 
 @wp.func
 def bound_row(e: Edge, y: float, ends: wp.vec2):
-    """Cut a row off where it leaves the edge's side, a little late: rounding must not lose what ``covers`` keeps."""
+    """Clip a row to the edge's side, with a margin, so that rounding loses no pixel that ``covers`` keeps."""
     along = (y - e.origin[1]) * e.slope
     slack = 0.01 + 1.0e-6 * (wp.abs(e.origin[0]) + wp.abs(along))
     x = e.origin[0] + along
@@ -206,7 +206,7 @@ def bound_row(e: Edge, y: float, ends: wp.vec2):
 
 @wp.func
 def depth_key(depth: float, face: int):
-    """Sorts by depth, then by face index: the float's bits in an order-preserving form, then the face."""
+    """Key that sorts by depth, then by face index: the float's bits in an order-preserving form, then the face."""
     bits = wp.cast(depth, wp.uint32)
     if bits >= _SIGN_BIT:
         bits = ~bits
@@ -217,13 +217,13 @@ def depth_key(depth: float, face: int):
 
 @wp.func
 def key_face(key: wp.uint64):
-    """The face of a key."""
+    """Face of a key."""
     return int(key & wp.uint64(0xFFFFFFFF))
 
 
 @wp.func
 def key_depth(key: wp.uint64):
-    """The depth of a key, bit for bit."""
+    """Depth of a key, bit for bit."""
     bits = wp.uint32(key >> wp.uint64(32))
     if bits >= _SIGN_BIT:
         bits = bits & wp.uint32(0x7FFFFFFF)

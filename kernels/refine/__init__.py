@@ -1,1 +1,1 @@
-"""Kernels of the refinement's iterations."""
+"""Kernels of the captured refinement: energy terms, gradient, and a step of Adam for a batch of bodies."""

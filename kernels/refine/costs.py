@@ -68,7 +68,7 @@ def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
 
 @wp.func
 def add_drawn(problem: Problem, state: State, drawn: Drawn, b: int, i: int):
-    """One of the numbers that make up the renderer's forces on the parts."""
+    """Sum one of the 16 numbers of the renderer's forces on part k over its shares."""
     k = i // state.drawn.shape[2]
     number = i - k * state.drawn.shape[2]
     state.drawn[b, k, number] = problem.weights[SEG] * add_shares(drawn.forces, b, k, number)
@@ -76,7 +76,7 @@ def add_drawn(problem: Problem, state: State, drawn: Drawn, b: int, i: int):
 
 @wp.func
 def sum_forces(problem: Problem, state: State, b: int, k: int):
-    """The renderer's, the landmarks' and the rules' forces on part k, and what the landmarks cost."""
+    """Sum the renderer's, the landmarks' and the rules' forces on part k, and the landmarks' costs."""
     scale = wp.exp(state.bodies.log_scale[b])
     camera = state.ellipsoids.camera[b]
     half_size = camera[0] / scale

@@ -21,7 +21,7 @@ def turn_part(problem: Problem, state: State, b: int, k: int):
 
 @wp.func
 def turn_body(problem: Problem, state: State, b: int):
-    """Orientation and camera."""
+    """Orientation of the body, also as the prior's variable, and its camera."""
     orientation = matrix_from_6d(state.bodies.orientation[b, 0], state.bodies.orientation[b, 1])
     state.orientations[b] = orientation
     up = problem.mixture.slots[problem.mixture.slots.shape[0] - 1]
@@ -36,7 +36,7 @@ def turn_body(problem: Problem, state: State, b: int):
 
 @wp.func
 def place_part(problem: Problem, state: State, b: int, k: int):
-    """The same as ``pose_bones`` of the flexible path, from local rotations."""
+    """Ellipsoid of part k from the local rotations, as ``pose_bones`` has it."""
     rotation = state.turns[b, k]
     start = wp.vec3(0.0)
     above = problem.skeleton.bones[k].parent

@@ -42,7 +42,7 @@ def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
 @rule(column=2)
 @wp.func
 def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
-    """L_l: squared deviation of length k."""
+    """L_l: squared deviation of length k from the usual."""
     cost = float(0.0)
     if k < state.bodies.lengths.shape[1]:
         row = b % problem.rules.usual_lengths.shape[0]
@@ -55,7 +55,7 @@ def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
 @rule(column=3)
 @wp.func
 def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int):
-    """L_t: squared deviation of thickness k."""
+    """L_t: squared deviation of thickness k from the usual."""
     cost = float(0.0)
     if k < state.bodies.thicknesses.shape[1]:
         row = b % problem.rules.usual_thicknesses.shape[0]
@@ -68,7 +68,7 @@ def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int
 @rule(column=6)
 @wp.func
 def hold_depth(problem: Problem, state: State, weight: float, b: int, k: int):
-    """Squared distance along z of part k's centre from where it was."""
+    """Squared distance along z of part k's centre from its given depth."""
     row = b % problem.rules.depths.shape[0]
     deviation = (state.ellipsoids.centres[b, k][2] - problem.rules.depths[row, k]) * _MILLIMETRES
     push = 2.0 * weight * deviation * _MILLIMETRES

@@ -34,7 +34,7 @@ class Bone:
 
 @wp.struct
 class SkeletonArrays:
-    """The template."""
+    """Template of EllipBody."""
 
     bones: wp.array[Bone]  # (P + 1,) the root comes last
     locked: int  # bit k: part k keeps its rest rotation
@@ -42,7 +42,7 @@ class SkeletonArrays:
 
 @wp.struct
 class Landmark:
-    """A weighted mean of a point of each of two parts."""
+    """Weighted mean of a point of each of two parts."""
 
     parts: wp.vec2i
     shares: wp.vec2  # sum to 1
@@ -137,7 +137,7 @@ class Bodies:
 
 @wp.struct
 class Rows:
-    """Parameters as Adam sees them."""
+    """Parameters and Adam's moments, one row a body."""
 
     parameters: wp.array2d[float]  # (B, N)
     gradient: wp.array2d[float]  # (B, N)
@@ -179,7 +179,7 @@ class Pull:
 
 @wp.struct
 class Wrench:
-    """The forces on one part."""
+    """Forces on one part."""
 
     force: wp.vec3
     torque: wp.vec3  # about the part's centre

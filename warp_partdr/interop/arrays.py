@@ -9,7 +9,7 @@ import warp as wp
 
 
 def contiguous(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as Warp takes it: to torch an empty one is contiguous whatever its strides, to Warp it is not."""
+    """Contiguous tensor in Warp's sense, to which an empty one with odd strides is not contiguous, unlike torch's."""
     tensor = tensor.contiguous()
     return tensor if tensor.numel() else tensor.new_empty(tensor.shape)
 

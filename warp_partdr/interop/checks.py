@@ -108,9 +108,9 @@ def check_numbers(
 
     Args:
         tensors: By name; finite, and not larger than the kernels' float32 can reckon with.
-        rotations: Which of them are of rotations, shape (..., 3, 3).
-        frames: Which of them have orthonormal columns: rotations, or what mirrors too.
-        positive: Which of them are greater than 0.
+        rotations: Names of those that are rotations, shape (..., 3, 3).
+        frames: Names of those with orthonormal columns: rotations or reflections.
+        positive: Names of those that are greater than 0.
     """
     with torch.no_grad():
         norms = [torch.linalg.vector_norm(tensor, dtype=torch.float64) for tensor in tensors.values()]
@@ -138,7 +138,7 @@ def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.T
 
     Args:
         matrices: Shape (..., 3, 3).
-        mirrored: Whether orthonormal columns are enough; else the error of a matrix that mirrors is infinite.
+        mirrored: Accept reflections; else their error is infinite.
     """
     matrices = matrices.detach().to(torch.promote_types(matrices.dtype, torch.float32))
     # Not by a matrix product, which autocast and TF32 would round.
@@ -151,7 +151,7 @@ def rotation_error(matrices: torch.Tensor, *, mirrored: bool = False) -> torch.T
 
 
 def rotation_fault(matrices: torch.Tensor, *, mirrored: bool = False) -> str | None:
-    """A message about the first matrix that is no rotation, None if all are; arguments as of ``rotation_error``."""
+    """Message about the first matrix that is no rotation, None if all are; arguments as of ``rotation_error``."""
     errors = rotation_error(matrices, mirrored=mirrored)
     wrong = (~(errors <= ROTATION_TOLERANCE)).nonzero().tolist()
     if not wrong:
@@ -163,7 +163,7 @@ def rotation_fault(matrices: torch.Tensor, *, mirrored: bool = False) -> str | N
 
 
 def check_steps(iterations: int, learning_rate: float) -> int:
-    """The number of steps as an ``int``; raises ValueError unless it is one, and the rate finite."""
+    """Number of steps as an ``int``; raises ValueError unless it is one, and the rate finite."""
     iterations = check_whole("iterations", iterations, 0, _MAX_ITERATIONS)
     if not 0 <= learning_rate <= _MAX_RATE:
         raise ValueError(f"learning_rate: {learning_rate}; expected 0 to {_MAX_RATE:g}")

@@ -30,7 +30,7 @@ def refuse_transforms(name: str, *tensors: torch.Tensor | None) -> None:
 
 
 def once(name: str, gradients: tuple[torch.Tensor | None, ...], *tensors: torch.Tensor) -> Any:
-    """The gradients, and under ``create_graph=True`` such that to differentiate them raises NotImplementedError.
+    """Mark gradients so that to differentiate them, under ``create_graph=True``, raises NotImplementedError.
 
     ``torch.autograd.function.once_differentiable`` looks at the incoming gradients alone, so it is silent where only
     the inputs could be differentiated.
@@ -48,7 +48,7 @@ def once(name: str, gradients: tuple[torch.Tensor | None, ...], *tensors: torch.
 
 
 class _Once(torch.autograd.Function):
-    """The first ``count`` tensors, as if they depended on the others."""
+    """Identity of the first ``count`` tensors, made to depend on the others."""
 
     @staticmethod
     def forward(ctx: Any, name: str, count: int, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:

@@ -11,7 +11,7 @@ from ..errors import InputError
 
 
 def choose_device(name: str) -> str:
-    """The device that ``--device`` names, or the best there is; Warp is quiet from then on but for warnings.
+    """Choose the device that ``--device`` names, or the best there is; Warp then prints nothing but warnings.
 
     Args:
         name: "auto", "cpu", "cuda" or "cuda:N".
@@ -36,7 +36,7 @@ def choose_device(name: str) -> str:
 
 @contextmanager
 def without_driver_warning() -> Iterator[None]:
-    """Keep from stderr that Warp finds no CUDA driver, which its library writes there past all of Python's settings."""
+    """Suppress on stderr that Warp finds no CUDA driver, which its library prints past all of Python's settings."""
     stderr = os.dup(2)
     with tempfile.TemporaryFile() as written:
         os.dup2(written.fileno(), 2)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 
 class DrawnLater:
-    """Mixin for a frozen dataclass of images: all of them are drawn when one is first asked for.
+    """Mixin for a frozen dataclass of images: all of them are drawn when one is first read.
 
     Args:
         draw: Gives the fields by name.

@@ -44,7 +44,7 @@ class Buffers:
     grads: tuple[torch.Tensor, ...]
 
     def of_bodies(self, part: slice) -> Buffers:
-        """Those of some bodies."""
+        """Buffers of a slice of the bodies."""
         return Buffers(
             tuple(tensor[part] for tensor in self.inputs),
             self.target if len(self.target) == 1 else self.target[part],
@@ -60,7 +60,7 @@ class Recipe(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the public function."""
+        """Name of the public function."""
         ...
 
     @property
@@ -69,11 +69,11 @@ class Recipe(Protocol):
         ...
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """K, how many partial sums of its loss a body has."""
+        """K, the number of partial sums of a body's loss."""
         ...
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:
-        """Allocate what is needed between; returns what fills ``losses`` and ``grads``: launches alone."""
+        """Allocate intermediate buffers; return a function that fills ``losses`` and ``grads`` by launches alone."""
         ...
 
 
@@ -84,7 +84,7 @@ def find_label_loss(
 
     Args:
         recipe: The renderer's.
-        tensors: What the loss depends on, shapes (B, ...), on one device.
+        tensors: Inputs of the loss, shapes (B, ...), on one device.
         target: Shape (N, H, W), N = 1 or B, uint8.
 
     Returns:
@@ -104,11 +104,11 @@ def find_label_loss(
 
 
 class LabelLoss(torch.autograd.Function):
-    """A loss whose gradient was found with it, and waits for a factor."""
+    """Loss whose gradient was computed with it and only waits for the incoming factor."""
 
     @staticmethod
     def forward(ctx: Any, name: str, found: tuple[torch.Tensor, torch.Tensor], *tensors: torch.Tensor) -> torch.Tensor:
-        """The loss; ``found`` is a tuple, in which autograd sees no tensors."""
+        """Return the loss; ``found`` is a tuple, in which autograd sees no tensors."""
         loss, rows = found
         ctx.save_for_backward(rows)
         # Not saved as rows are, for they may be written to until then: only their shapes and history are asked for.
@@ -117,7 +117,7 @@ class LabelLoss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
-        """One multiplication serves all tensors."""
+        """Scale all gradients by one multiplication."""
         (rows,) = ctx.saved_tensors
         shapes = tuple([tensor.shape for tensor in ctx.tensors])
         scaled = rows.select(0, 1) * grad_loss.unsqueeze(1)
@@ -151,7 +151,7 @@ def _layout(shapes: Shapes) -> list[_Place]:
 
 
 def row_length(shapes: Shapes) -> int:
-    """R, how many numbers a body has."""
+    """R, the number of a body's values."""
     return sum(math.prod(shape[1:]) for shape in shapes)
 
 
@@ -179,13 +179,13 @@ def launch_label_loss(
 
 
 class LossGraph:
-    """The same in buffers that are kept, as a captured graph: on the CPU device one for each thread's bodies.
+    """Loss and rows by a captured graph in fixed buffers; on the CPU device one graph for each thread's bodies.
 
     Args:
         recipe: The renderer's.
-        shapes: Of the inputs.
+        shapes: Shapes of the inputs.
         targets: Shape of the target.
-        device: Where; on CUDA, for torch's current stream.
+        device: On CUDA, for torch's current stream.
     """
 
     def __init__(self, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device) -> None:
@@ -204,7 +204,7 @@ class LossGraph:
         self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
 
     def __call__(self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Loss and rows. Copies, for the next call fills the buffers again."""
+        """Copies of loss and rows, for the next call fills the buffers again."""
         torch._foreach_copy_(self._inputs, tensors)
         self._target.copy_(target)
         if self._stream is None:
@@ -217,7 +217,7 @@ class LossGraph:
 
 
 def _graph(recipe: Recipe, shapes: Shapes, target: torch.Tensor) -> LossGraph:
-    """The graph for these sizes, kept for the next call: for each thread and stream its own, for its buffers are."""
+    """Cached graph for these sizes, one for each thread and stream, as are its buffers."""
     device = target.device
     where = get_num_threads() if device.type == "cpu" else torch.cuda.current_stream(device).cuda_stream
     return _cached_graph(threading.get_ident(), where, recipe, shapes, target.shape, device)

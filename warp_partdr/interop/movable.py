@@ -1,4 +1,4 @@
-"""A mixin for all objects that hold arrays: copies on another device."""
+"""Mixin for all objects that hold arrays: copies on another device."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Movable:
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def to(self, device: Any) -> Self:
-        """The same on another device, such as "cpu" or "cuda:0"; what is there already is shared, not copied."""
+        """Copy to another device, such as "cpu" or "cuda:0"; what is there already is shared, not copied."""
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         return replace(self, **{name: _moved(value, str(device)) for name, value in given.items()})
 

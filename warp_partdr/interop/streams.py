@@ -15,10 +15,11 @@ from ..kernels.side_stream import branch_on
 
 
 class _Gate:
-    """Warp records every CPU launch of the process into a capture in progress, whichever thread launches it.
+    """Lock between captures and launches of other threads.
 
-    And on CUDA much of what another thread may do, such as allocate or make a graph ready to be launched, spoils it.
-    So a capture waits until no other thread launches, and the others wait until it ends.
+    A capture in progress records every CPU launch of the process, whichever thread makes it; on CUDA much of what
+    another thread may do, such as allocate or make a graph ready to be launched, spoils it. So a capture waits until no
+    other thread launches, and the others wait until it ends.
     """
 
     def __init__(self) -> None:
@@ -29,7 +30,7 @@ class _Gate:
 
     @contextmanager
     def launching(self) -> Iterator[None]:
-        """Any number of threads, and the capturing one itself."""
+        """Enter for a launch: any number of threads at once, but during a capture only the thread that captures."""
         with self._changed:
             self._changed.wait_for(lambda: self._capturing in (None, threading.get_ident()))
             self._launching += 1
@@ -44,10 +45,10 @@ class _Gate:
 
     @contextmanager
     def capturing(self) -> Iterator[None]:
-        """One thread, which is not launching yet.
+        """Enter for a capture: one thread at a time, and none that launches.
 
         Raises:
-            RuntimeError: If it is: it would wait for itself.
+            RuntimeError: If this thread is launching: it would wait for itself.
         """
         if getattr(self._own, "count", 0):
             raise RuntimeError("a capture inside on_torch_stream; expected it outside")
@@ -153,7 +154,7 @@ _memory_users: Counter[str] = Counter()
 
 @contextmanager
 def _torch_memory(device: wp.Device) -> Iterator[None]:
-    """Let Warp take memory from torch; a device has one allocator for all threads, so the last to leave resets it."""
+    """Make Warp allocate from torch; a device has one allocator for all threads, so the last to leave resets it."""
     with _memory_lock:
         _memory_users[device.alias] += 1
         if _memory_users[device.alias] == 1:

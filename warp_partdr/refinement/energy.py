@@ -23,14 +23,14 @@ _MILLIMETRES = 1000.0
 
 @dataclass(frozen=True)
 class Term:
-    """One term of the energy: what is beside its weight in a row of ``Weights``.
+    """Term of the energy: the row of ``Weights`` beside its weight.
 
     Attributes:
-        name: In ``Weights`` and in what an energy returns.
-        column: Of the kernels of ``refine``: its own there (``kernels.refine.rules``).
-        value: Of bodies before the weight, shape (B,), from the energy, the parameters and the posed bodies.
-        applies: Whether an energy has it.
-        factor: Of the weight, by which ``value`` and the kernel come to the term's unit.
+        name: Its name in ``Weights`` and in the energy's result.
+        column: Its column in the kernels (``kernels.refine``).
+        value: Function of the energy, the parameters and the posed bodies: values before the weight, shape (B,).
+        applies: Test if an energy has the term.
+        factor: Factor of the weight that brings ``value`` and the kernel to the term's unit.
     """
 
     name: str
@@ -127,10 +127,10 @@ class Energy:
             labels nor keypoints say so, and a body leans to fit an outline.
 
     Attributes:
-        votes: How much each landmark counts, shape (L,).
-        usual_lengths: What L_l is measured from [m], shape (12,).
-        usual_thicknesses: What L_t is measured from [m], shape (15,).
-        target: Labels that the picture is compared with, shape (size, size), uint8; None where none is drawn.
+        votes: Weight of each landmark, shape (L,).
+        usual_lengths: Lengths at which L_l is 0 [m], shape (12,).
+        usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (15,).
+        target: Target labels, shape (size, size), uint8; None if nothing is drawn.
     """
 
     observation: Observation
@@ -168,7 +168,7 @@ class Energy:
     def terms(
         self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None
     ) -> dict[str, torch.Tensor]:
-        """The same, of bodies that are posed already; ``names`` leaves the other terms out."""
+        """Weighted terms of bodies that are posed already; ``names`` leaves the other terms out."""
         return {
             term.name: self.weight(term) * term.value(self, parameters, posed)
             for term in TERMS
@@ -176,7 +176,7 @@ class Energy:
         }
 
     def weight(self, term: Term) -> float:
-        """By how much a term's value is multiplied."""
+        """Factor of a term's value: weight times unit."""
         weight: float = getattr(self.weights, term.name)
         return weight * term.factor(self)
 
@@ -206,5 +206,5 @@ class Energy:
         return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-        """L_proj: the same [px of a 256 px crop]."""
+        """L_proj: ``misses`` in px of a 256 px crop."""
         return self.misses(parameters, posed) * (REFERENCE_SIZE / 2)

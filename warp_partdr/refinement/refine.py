@@ -30,7 +30,7 @@ def refine(
 
     Args:
         start: B bodies; they do not influence one another.
-        energy: What is minimised: an ``Energy``, or a function that gives terms by name, shape (B,) each, whose sum is.
+        energy: An ``Energy``, or a function that returns terms by name, shape (B,) each; their sum is minimised.
         iterations: Steps of Adam.
         learning_rate: Of angles [rad] and of the camera [half-sides of the crop]; shape moves at 0.3 of it. It falls
             along a cosine to a tenth.

@@ -15,11 +15,11 @@ EnergyFunction = Callable[[BodyParameters], dict[str, torch.Tensor]]
 
 
 class Refinement:
-    """Bodies on their way to less energy, side by side; arguments and errors as of ``refine``.
+    """Optimiser of a batch of bodies by autograd; arguments and errors as of ``refine``.
 
     Attributes:
-        energy: What is minimised.
-        bodies: Where they are now, B of them.
+        energy: The energy to be minimised.
+        bodies: Their current state, B of them.
         best: The best state of each body so far, None before the first step.
         history: Energy before each step so far, shape (B,) each.
     """

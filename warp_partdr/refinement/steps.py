@@ -36,7 +36,7 @@ class Refined(Movable):
 
 
 def rate_share(step: int, iterations: int) -> float:
-    """Share of the learning rate at a step: from 1 to ``FINAL_RATE`` along a cosine, and so from then on."""
+    """Share of the learning rate at a step: from 1 to ``FINAL_RATE`` along a cosine, then constant."""
     course = min(step, iterations) / max(iterations, 1)
     return FINAL_RATE + (1 - FINAL_RATE) * (1 + math.cos(math.pi * course)) / 2
 

@@ -19,7 +19,7 @@ LANDMARK_NAMES = tuple(LANDMARKS)
 
 
 def _subtrees() -> list[int]:
-    """For each part a bit mask of what moves with it, itself included; the last one is the root's."""
+    """Bit mask of each part's subtree, itself included; the last one is the root's."""
     masks = [1 << part for part in range(NUM_PARTS)] + [0]
     for part in reversed(range(NUM_PARTS)):  # parents come before their children; -1 is the last entry
         masks[PARENTS[part]] |= masks[part]
@@ -27,7 +27,7 @@ def _subtrees() -> list[int]:
 
 
 def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
-    """An array of Warp structs, from their members."""
+    """Array of Warp structs, from their members."""
     return wp.array(_rows(kind, **columns), dtype=kind, device=device)
 
 
@@ -40,7 +40,7 @@ def _rows(kind: Any, **columns: Any) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def skeleton_arrays(device: str) -> SkeletonArrays:
-    """The template on a Warp device."""
+    """Template on a Warp device."""
     table = SkeletonArrays()
     table.bones = _structs(
         Bone,
@@ -108,7 +108,7 @@ _mixtures: WeakKeyDictionary[PosePrior, dict[str, Mixture]] = WeakKeyDictionary(
 
 
 def mixture_arrays(device: str, prior: PosePrior | None) -> Mixture:
-    """A prior's Gaussians on a Warp device; none of them without a prior."""
+    """Gaussians of a prior on a Warp device; none without a prior."""
     if prior is None:
         return _mixture(device, np.empty((0, NUM_FEATURES, NUM_FEATURES)), np.empty((0, NUM_FEATURES)), np.empty(0))
     known = _mixtures.setdefault(prior, {})

@@ -17,7 +17,7 @@ _NUM_TENSORS = 4  # centres, axes, semi-axes, camera
 
 
 def ellipsoid_numbers(view: View, options: EllipsoidOptions) -> tuple[list[int], bool, str, list[float]]:
-    """View, but for its size, and options as the operations take them."""
+    """Numbers of a view, but for its size, and of the options, as the custom operations take them."""
     numbers = [view.near, options.max_distance, options.depth_weight, options.samples_per_pixel]
     return list(view.labels), view.perspective, options.gradient, numbers
 

@@ -43,7 +43,7 @@ class View:
 
     @property
     def num_labels(self) -> int:
-        """The highest label that is shown, 255 aside."""
+        """Highest label that is shown, 255 aside."""
         return max((label for label in self.labels if label <= MAX_LABEL), default=0)
 
 
@@ -91,7 +91,7 @@ class Picture:
 
 @lru_cache(maxsize=64)
 def labels_on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
-    """On the device once: a copy from the host in every call would wait for it."""
+    """Labels on the device, cached: a copy from the host in every call would wait for it."""
     return torch.tensor(labels, dtype=torch.uint8, device=device)
 
 
@@ -102,7 +102,7 @@ def arrays_of(tensors: Sequence[torch.Tensor]) -> list[wp.array]:
 
 
 def draw(tensors: Sequence[torch.Tensor], view: View) -> Picture:
-    """The picture."""
+    """Draw the picture."""
     picture, launch = prepare_picture([contiguous(tensor) for tensor in tensors], view)
     if len(picture.parts):  # Warp cuts nothing out of an empty array
         modules = (kernel_ellipsoids, ellipsoid_picture)
@@ -114,7 +114,7 @@ def draw(tensors: Sequence[torch.Tensor], view: View) -> Picture:
 def prepare_picture(
     tensors: Sequence[torch.Tensor], view: View, target: LabelTarget | None = None, loss: torch.Tensor | None = None
 ) -> tuple[Picture, Launch]:
-    """Buffers of a picture, and what fills them: launches alone. With a target they fill ``loss``, and no labels."""
+    """Buffers of a picture, and launches that fill them; with a target these fill ``loss`` instead of the labels."""
     device = tensors[0].device
     batch, count = tensors[0].shape[:2]
     shape, none = (batch, view.height, view.width), (0, 0, 0)
@@ -151,7 +151,7 @@ def prepare_picture(
 def gradients(
     tensors: Sequence[torch.Tensor], picture: Picture, view: View, options: EllipsoidOptions, gradient: Any
 ) -> tuple[torch.Tensor, ...]:
-    """With respect to centres, axes, semi-axes and camera."""
+    """Gradients with respect to centres, axes, semi-axes and camera."""
     tensors = [contiguous(tensor) for tensor in tensors]
     grads = tuple(torch.empty_like(tensor) for tensor in tensors)
     launch = prepare_gradients(tensors, picture, view, options, gradient, grads)
@@ -193,12 +193,12 @@ def prepare_gradients(
 
 
 def _cut(array: wp.array, part: slice) -> wp.array:
-    """Some bodies' share of an array; all of it without a view, which would cost 15 us, and nothing of an empty one."""
+    """Slice of an array of bodies; the array itself if that is all, for a view costs 15 us, or if it is empty."""
     return array if part.stop - part.start == array.shape[0] or not array.size else array[part]
 
 
 def _cut_gradient(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGradient, classes of Warp's own making
-    """Some bodies' maps; a label target stays, which belongs to all bodies of a launch."""
+    """Slice of the maps of bodies; a label target stays whole, for all bodies of a launch share it."""
     if not hasattr(gradient, "maps"):
         return gradient
     dense = DenseGradient()
@@ -207,7 +207,7 @@ def _cut_gradient(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGra
 
 
 def dense_gradient(maps: torch.Tensor) -> DenseGradient:
-    """A gradient with respect to label maps, shape (B, K, H, W)."""
+    """Gradient with respect to label maps, shape (B, K, H, W), for the kernels."""
     with on_torch_stream(maps.device):
         dense = DenseGradient()
         dense.maps = warp_array(contiguous(maps.float()))
@@ -229,7 +229,7 @@ class EllipsoidRecipe:
         return kernel_ellipsoids, ellipsoid_picture, self.options.estimator, surface_forces
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """One sum: a kernel adds up in a fixed order, for any batch the same."""
+        """One sum: a kernel adds in a fixed order, the same for any batch."""
         return 1
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:

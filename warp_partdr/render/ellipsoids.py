@@ -101,8 +101,8 @@ def draw_ellipsoids(
             pixel's centre; or "partdr", the paper's rule (eq. 10 to 12), with which far pixels pull.
         max_distance: "partdr": as in ``draw_mesh`` [px].
         depth_weight: "partdr": as in ``draw_mesh``.
-        samples_per_pixel: "coverage": how densely outlines are walked, and, rounded up, on how many rows and columns a
-            pixel creases are looked for; at most 64. Outlines get longer steps where they would take more than 2**22.
+        samples_per_pixel: "coverage": steps a pixel along outlines and, rounded up, rows and columns a pixel in the
+            search for creases; at most 64. Outlines get longer steps where they would take more than 2**22.
         validate: Look for NaN, infinity, axes that are not orthonormal and lengths that are not positive; on CUDA that
             waits for the device.
 
@@ -144,12 +144,12 @@ def ellipsoid_label_loss(
     Args:
         ellipsoids: As in ``draw_ellipsoids``, like all that is not named here.
         camera: One a body, or one for all.
-        target: Wanted label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
+        target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         part_labels: Label that each ellipsoid shows.
         gradient: "coverage", "edges" or "partdr".
         max_distance: Reach of a pixel [px].
         depth_weight: The paper's lambda of the z gradient.
-        samples_per_pixel: How densely borders are sampled.
+        samples_per_pixel: Density of the borders' samples.
         validate: As in ``draw_ellipsoids``.
 
     Returns:
@@ -175,7 +175,7 @@ def ellipsoid_label_loss(
 
 
 def _draw_rows(rows: torch.Tensor, shapes: Shapes, view: View) -> dict[str, torch.Tensor]:
-    """The picture that a loss was found for, from its copy of the ellipsoids."""
+    """Draw the picture of a loss, from its copy of the ellipsoids."""
     with torch.no_grad():
         picture = draw(split_rows(rows[0], shapes), view)
     return {"labels": picture.labels, "depth": picture.depth, "parts": picture.parts}
@@ -204,7 +204,7 @@ def _check(
     part_labels: Sequence[int] | None,
     validate: bool,
 ) -> tuple[_Tensors, View]:
-    """Checks that both entry points share, of which ``name`` is one."""
+    """Check the arguments that both entry points share; ``name`` is the one called."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
     centres, axes, semi_axes = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes
     refuse_transforms(name, centres, axes, semi_axes)
@@ -228,7 +228,7 @@ def _check(
 
 
 def _draw_compiled(tensors: _Tensors, view: View, options: EllipsoidOptions, num_maps: int) -> EllipsoidImage:
-    """The picture, by an operation that ``torch.compile`` leaves out where nobody looks at it."""
+    """Draw by an operation that ``torch.compile`` removes where the picture is not used."""
     given = tensors if num_maps else [tensor.detach() for tensor in tensors]
     shape = [num_maps, view.height, view.width]
     maps, labels, depth, parts = torch.ops.warp_partdr.ellipsoid_maps(*given, shape, *ellipsoid_numbers(view, options))

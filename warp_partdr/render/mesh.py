@@ -114,7 +114,7 @@ def mesh_label_loss(
         vertices: In the camera frame [m], shape (B, V, 3).
         mesh: Topology and labels, on the same device.
         camera: As in ``draw_mesh``, like all that is not named here.
-        target: Wanted label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
+        target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
         max_distance: Pixels farther than this from an edge do not move it [px].
         depth_weight: The paper's lambda of the z gradient.
         validate: Look for NaN, infinity and labels that the mesh has not.
@@ -154,7 +154,7 @@ def _project(
     rule: tuple[float, float],
     validate: bool,
 ) -> tuple[Geometry, MeshOptions]:
-    """Check what both entry points share, of which ``name`` is one; the geometry on the screen, and the options."""
+    """Check what both entry points share (``name`` is the one called); return screen geometry and options."""
     refuse_transforms(name, vertices)
     check_type("mesh", mesh, PartMesh, "such as ellipbody_mesh()")
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
@@ -177,14 +177,14 @@ def _project(
 def _draw_rows(
     rows: torch.Tensor, shape: torch.Size, mesh: PartMesh, size: tuple[int, int], options: MeshOptions
 ) -> dict[str, torch.Tensor]:
-    """The picture that a loss was found for, from its copy of the vertices on the screen."""
+    """Draw the picture of a loss, from its copy of the vertices on the screen."""
     with torch.no_grad():
         images = draw_images((rows[0].view(shape), mesh.faces, mesh.face_labels, mesh.edges), size, options)
     return dict(zip(("labels", "depth", "face_index"), images, strict=True))
 
 
 def _draw_compiled(geometry: Geometry, size: tuple[int, int], options: MeshOptions, num_maps: int) -> PartImage:
-    """The picture, by an operation that ``torch.compile`` leaves out where nobody looks at it."""
+    """Draw by an operation that ``torch.compile`` removes where the picture is not used."""
     screen, *topology = geometry
     given = screen if num_maps else screen.detach()
     shape = [num_maps, *size]

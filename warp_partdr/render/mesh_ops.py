@@ -14,7 +14,7 @@ from .options import label_maps
 
 
 def mesh_numbers(options: MeshOptions) -> tuple[bool, list[float]]:
-    """Options as the operations take them."""
+    """Options as the custom operations take them."""
     return options.perspective, [options.near, options.max_distance, options.depth_weight]
 
 

@@ -37,7 +37,7 @@ class MeshOptions:
 
 
 def draw_images(geometry: Geometry, size: tuple[int, int], options: MeshOptions) -> Images:
-    """Labels, depth and face-index map."""
+    """Draw labels, depth and face-index map."""
     vertices, *mesh = geometry
     images = _empty_images((vertices.shape[0], *size), vertices.device)
 
@@ -75,7 +75,7 @@ def vertex_gradient(geometry: Geometry, images: Images, grad_maps: torch.Tensor,
 def prepare_raster(
     geometry: Sequence[torch.Tensor], images: Sequence[torch.Tensor], options: MeshOptions, background: bool = True
 ) -> tuple[_Launch, rasterize.ZBuffer]:
-    """The launch that fills labels, depth and face-index map, and the z-buffer that it empties again."""
+    """Launch that fills labels, depth and face-index map, and the z-buffer that it empties again."""
     mesh, pictures = _mesh_arrays(geometry, options), _image_arrays(images)
     batch, height, width = images[0].shape
     zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
@@ -90,12 +90,12 @@ def prepare_gradient(
     keys: wp.array,
     grad_vertices: torch.Tensor,
 ) -> _Launch:
-    """The launch that fills ``grad_vertices``.
+    """Launch that fills ``grad_vertices``.
 
     Args:
-        geometry: Of some bodies.
-        images: Of the same.
-        gradients: Gives the loss gradient once for each label that the z pass has to look for.
+        geometry: A slice of the bodies' geometry.
+        images: Their images.
+        gradients: Returns the loss gradient once for each label of the z pass.
         options: As the picture was drawn.
         keys: A ``ZBuffer``'s, empty before and after.
         grad_vertices: Shape (B, V, 3).
@@ -191,7 +191,7 @@ mesh_recipe = lru_cache(maxsize=16)(MeshRecipe)  # the same object for the same 
 
 
 def _launch_slices(work: Callable[[slice], None], like: torch.Tensor) -> None:
-    """Let ``work`` launch its kernels on the tensor's device and stream, for all of the batch."""
+    """Call ``work`` for slices of the batch, with launches on the tensor's device and stream."""
     with on_torch_stream(like.device) as device:
         launch_in_slices(work, like.shape[0], wp.get_device(device), modules=(rasterize, push_xy, push_z))
 

@@ -46,7 +46,7 @@ def label_maps(labels: torch.Tensor, count: int) -> torch.Tensor:
 
 
 def cached(function: Callable[..., _T]) -> Callable[..., _T]:
-    """``lru_cache``, but not while ``torch.compile`` traces: it would warn of one."""
+    """``lru_cache``, but not while ``torch.compile`` traces, which would warn."""
     kept = lru_cache(maxsize=64)(function)
 
     def call(*arguments: Any) -> _T:

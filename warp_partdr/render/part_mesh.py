@@ -1,4 +1,4 @@
-"""A part-labelled mesh: the faces, which part each shows, and the edges that may be silhouettes."""
+"""Part-labelled mesh: faces, their labels, and the edges that may be silhouettes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PartMesh(Movable):
         edges: (vertex, vertex, face, other face or -1, opposite vertex of either), shape (E, 6), int32. An edge between
             two labels, a border and each part of a non-manifold edge stand alone (other face -1).
         num_labels: The highest label of a face, 255 aside; 0 without faces.
-        num_vertices: How many vertices the faces ask for at least.
+        num_vertices: Least number of vertices that the faces need.
     """
 
     faces: torch.Tensor
@@ -46,7 +46,7 @@ class PartMesh(Movable):
         Args:
             faces: Vertex indices, shape (F, 3).
             face_labels: Label of each face, 1 to 254, shape (F,).
-            device: Where the tensors go.
+            device: Device of the tensors.
 
         Raises:
             ValueError: If a shape, an index or a label is out of range.

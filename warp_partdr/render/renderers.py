@@ -29,9 +29,9 @@ class RendererEllipsoids:
 
     Attributes:
         gradient: "partdr", "coverage" or "edges", see ``draw_ellipsoids``.
-        max_distance: "partdr": how far from an edge a pixel may move it [px].
+        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
         depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
-        samples_per_pixel: "coverage": how densely borders are sampled.
+        samples_per_pixel: "coverage": density of the borders' samples.
     """
 
     gradient: Gradient = "partdr"
@@ -49,7 +49,7 @@ class RendererEllipsoids:
         num_maps: int = 0,
         validate: bool = True,
     ) -> EllipsoidImage:
-        """Bodies in a picture; arguments and errors as of ``draw_ellipsoids``."""
+        """Draw bodies; arguments and errors as of ``draw_ellipsoids``."""
         return draw_ellipsoids(
             posed, camera, image_size, part_labels=part_labels, num_maps=num_maps, validate=validate, **vars(self)
         )
@@ -67,7 +67,7 @@ class RendererEllipsoids:
         return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **vars(self))
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
-        """The same: nothing in it depends on the bodies."""
+        """Return itself: nothing in it depends on the bodies."""
         return self
 
 
@@ -77,8 +77,8 @@ class RendererMesh:
 
     Attributes:
         subdivisions: Level of the mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance``.
-        tolerance: Of "auto": how far silhouettes may be from those of the ellipsoids [px].
-        max_distance: How far from an edge a pixel may move it [px].
+        tolerance: Of "auto": greatest distance of silhouettes from those of the ellipsoids [px].
+        max_distance: Greatest distance from an edge of a pixel that moves it [px].
         depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves it out.
     """
 
@@ -97,7 +97,7 @@ class RendererMesh:
         num_maps: int = 0,
         validate: bool = True,
     ) -> PartImage:
-        """Bodies in a picture; arguments and errors as of ``draw_mesh`` and ``draw_ellipsoids``."""
+        """Draw bodies; arguments and errors as of ``draw_mesh`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
         rule = {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
         return draw_mesh(vertices, mesh, camera, image_size, num_maps=num_maps, validate=validate, **rule)
@@ -117,7 +117,7 @@ class RendererMesh:
         return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **rule)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
-        """The same with the level that these bodies ask for, so that a loss does not jump while it is minimised."""
+        """Renderer with the level that these bodies need, so that a loss does not jump while it is minimised."""
         if self.subdivisions != "auto":
             return self
         return replace(self, subdivisions=coarsest_subdivisions(posed, camera, tolerance=self.tolerance))
@@ -134,6 +134,6 @@ Renderer = RendererEllipsoids | RendererMesh
 
 @lru_cache(maxsize=32)
 def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
-    """Kept, for its edges take a moment to find."""
+    """Mesh with its labels, cached, for its edges take a moment to find."""
     mesh = ellipbody_mesh(level, device=device)
     return mesh if part_labels == _ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))

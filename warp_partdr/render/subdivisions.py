@@ -34,7 +34,7 @@ class Parts(Protocol):
 
 
 def coarsest_subdivisions(parts: Parts, camera: Camera, *, tolerance: float = DEFAULT_TOLERANCE) -> int:
-    """The coarsest level whose silhouettes lie nowhere farther than ``tolerance`` from those of the ellipsoids.
+    """Coarsest level whose silhouettes lie nowhere farther than ``tolerance`` from those of the ellipsoids.
 
     Args:
         parts: B bodies, ``Posed`` or ``Ellipsoids``; one level serves them all.
@@ -83,7 +83,7 @@ def silhouette_error(parts: Parts, camera: Camera, subdivisions: int) -> torch.T
 def _error(
     centres: torch.Tensor, columns: torch.Tensor, unit: torch.Tensor, camera: Camera, some: slice
 ) -> torch.Tensor:
-    """Of some bodies; ``columns`` are the ellipsoids' axes as long as they are, shape (B, P, 3, 3)."""
+    """Silhouette error of some bodies; ``columns`` are axes times semi-axes, shape (B, P, 3, 3)."""
     focal = camera.intrinsics[some].double()[:, None, :2]
     points = centres[..., None, :] + unit @ columns.mT  # (B, P, N, 3)
     spread = columns @ columns.mT
