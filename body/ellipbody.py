@@ -51,7 +51,7 @@ class WarpArrays(Movable):
     """Mixin for a dataclass of Warp arrays: views and copies of them, pickling and deep copies."""
 
     def torch(self) -> dict[str, torch.Tensor]:
-        """The same memory as torch tensors, such as rotations (B, 20, 3, 3): writing to one changes the body."""
+        """Views as torch tensors, such as rotations (B, 20, 3, 3): writing to one changes the body."""
         return {field.name: wp.to_torch(getattr(self, field.name)) for field in fields(self)}
 
     def numpy(self) -> dict[str, np.ndarray]:

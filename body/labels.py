@@ -42,7 +42,7 @@ MAX_SOURCE_ID = 65535  # What a 16-bit PNG can hold.
 
 @dataclass(frozen=True)
 class LabelSet:
-    """A grouping of the 20 ellipsoids and the source ids that stand for its groups.
+    """Grouping of the 20 ellipsoids, and the source ids of its groups.
 
     Attributes:
         name: Name of the set, such as "cdcl14".
@@ -50,7 +50,7 @@ class LabelSet:
         ids: Source id -> group name, "background" or "ignore".
         class_names: Source id -> the data set's own name of the class, where it differs from the group's.
         left_out: Ellipsoids that are not drawn.
-        of: Whose ids these are: the data set or network, with its version where there are several.
+        of: Data set or network of the ids, with its version where there are several.
 
     Raises:
         ValueError: If a part is unknown, in two groups, or in one and left out, a group is empty, an id has no such
@@ -220,7 +220,7 @@ def _ranges(values: Iterable[int]) -> str:
 
 
 def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
-    """A label set by name, from a JSON file, or from what such a file holds.
+    """Read a label set by name, from a JSON file, or from its content.
 
     A file of one's own::
 

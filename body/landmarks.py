@@ -61,7 +61,7 @@ _SUFFIXED = ("mouth",)  # BlazePose says mouth_left.
 
 
 def _mirror_point(point: Point) -> Point:
-    """The same point of the other side. A foot's first thickness is its width, any other part's second one is."""
+    """Mirror image of a point. A foot's first thickness is its width, any other part's second one is."""
     part, (bone, first, second) = point
     if part.endswith("foot"):
         return part.replace("left_", "right_"), (bone, -first, second)
@@ -81,7 +81,7 @@ LANDMARKS: dict[str, tuple[Point, ...]] = _table()
 
 
 def mirror_name(name: str) -> str:
-    """The same landmark, part or group of the other side: left_eye -> right_eye, mouth_left -> mouth_right."""
+    """Name of the other side's landmark, part or group: left_eye -> right_eye, mouth_left -> mouth_right."""
     swap = {"left": "right", "right": "left"}
     return "_".join(swap.get(word, word) for word in name.split("_"))
 
@@ -106,7 +106,7 @@ class LandmarkPoints(NamedTuple):
 
 
 def landmark_points(names: Sequence[str]) -> LandmarkPoints:
-    """The table's rows of ``names``, shapes (L, P), (L, P, 3), (L, P).
+    """Points of the landmarks ``names``, shapes (L, P), (L, P, 3), (L, P).
 
     Raises:
         ValueError: If a name is no landmark.

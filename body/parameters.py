@@ -35,7 +35,7 @@ class BodyParameters(Movable):
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
         log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
-        shift: Where the pelvis is in the crop, shape (B, 2).
+        shift: Position of the pelvis in the crop, shape (B, 2).
 
     Raises:
         ValueError: If a shape or dtype is wrong, or they differ in dtype or device.
@@ -92,7 +92,7 @@ class BodyParameters(Movable):
         return self.rotations * free
 
     def posed(self) -> Posed:
-        """The bodies in the camera frame, pelvis at the origin [m]."""
+        """Posed bodies in the camera frame, pelvis at the origin [m]."""
         return pose(
             self.global_orient(),
             self.lengths.new_zeros(self.batch_size, 3),
@@ -103,11 +103,11 @@ class BodyParameters(Movable):
         )
 
     def camera(self, size: int) -> WeakPerspective:
-        """The cameras for a crop of ``size`` pixels a side."""
+        """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
 
     def select(self, index: torch.Tensor) -> BodyParameters:
-        """Some of the bodies."""
+        """Select some of the bodies."""
         return replace(self, **{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
@@ -130,15 +130,15 @@ class BodyParameters(Movable):
         return free
 
     def detach(self) -> BodyParameters:
-        """The numbers alone."""
+        """Detached copy, sharing memory."""
         return replace(self, **{field.name: getattr(self, field.name).detach() for field in fields(self)})
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """The tensors by name."""
+        """Tensors by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:
-    """The cameras of ``BodyParameters``, shapes (B,) and (B, 2), for a crop of ``size`` pixels a side."""
+    """Cameras for a crop of ``size`` pixels a side, from ``log_scale`` (B,) and ``shift`` (B, 2)."""
     half = size / 2
     return WeakPerspective(log_scale.exp() * half, (shift + 1) * half)

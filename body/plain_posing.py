@@ -24,7 +24,7 @@ def pose_bones_by_torch(
     lengths: torch.Tensor,
     thicknesses: torch.Tensor,
 ) -> tuple[torch.Tensor, ...]:
-    """The fields of ``Posed``, from the arguments of ``pose``."""
+    """Compute the fields of ``Posed`` from the arguments of ``pose``."""
     turns: list[torch.Tensor] = []
     for parent, rotation in zip(PARENTS, rotations.unbind(1), strict=True):
         turns.append((global_orient if parent < 0 else turns[parent]) @ rotation)
@@ -42,14 +42,14 @@ def pose_bones_by_torch(
 def place_vertices_by_torch(
     centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
 ) -> torch.Tensor:
-    """The unit sphere's mesh deformed into each ellipsoid, shape (B, P, N, 3) [m]."""
+    """Deform the unit sphere's mesh into each ellipsoid, shape (B, P, N, 3) [m]."""
     sphere = torch.ops.warp_partdr.unit_sphere(subdivisions).to(semi_axes)
     return centres[:, :, None] + (semi_axes[:, :, None] * sphere) @ axes.mT
 
 
 @torch.library.custom_op("warp_partdr::unit_sphere", mutates_args=())
 def _unit_sphere(subdivisions: int) -> torch.Tensor:
-    """An operation of its own, for ``torch.compile`` can't trace how the sphere is made."""
+    """Unit sphere as a custom operation, for ``torch.compile`` can't trace how it is made."""
     return torch.from_numpy(icosphere(subdivisions)[0].copy())
 
 

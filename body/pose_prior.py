@@ -176,7 +176,7 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
 
 
 def _read(path: Path | Traversable) -> dict[str, np.ndarray]:
-    """The file's arrays as float64, checked."""
+    """Read the file's arrays as float64 and check them."""
     description = "a file of scripts/learn_pose_prior.py"
     data: dict[str, np.ndarray] = {}
     for key, values in read_npz(path, tuple(_SHAPES), expected=description).items():

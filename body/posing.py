@@ -68,7 +68,7 @@ class LandmarkGather:
         self._weights = torch.from_numpy(points.weights.astype(np.float32)).to(device)
 
     def __call__(self, posed: Posed) -> torch.Tensor:
-        """Shape (B, L, 3) [m], float32 or as the bodies."""
+        """Compute the positions, shape (B, L, 3) [m], float32 or as the bodies."""
         local = posed.semi_axes[:, self.parts] * self._normalised.to(posed.semi_axes)
         points = posed.centres[:, self.parts] + (posed.axes[:, self.parts] @ local[..., None]).squeeze(-1)
         return (points * self._weights.to(points)[..., None]).sum(2)

@@ -27,7 +27,7 @@ def _check(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
 
 
 def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
-    """Rodrigues' formula.
+    """Rotation matrices from axis times angle, by Rodrigues' formula.
 
     Args:
         axis_angle: Axis times angle [rad], shape (..., 3). Any length; zero is the identity.
@@ -51,7 +51,7 @@ def rotation_from_axis_angle(axis_angle: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
-    """Gram-Schmidt of two columns (Zhou et al., 2019; paper, section 3.4).
+    """Rotation matrices from two columns, by Gram-Schmidt (Zhou et al., 2019; paper, section 3.4).
 
     Args:
         columns: First and second column, one after the other, shape (..., 6).
@@ -79,7 +79,7 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_to_6d(rotation: torch.Tensor) -> torch.Tensor:
-    """The first two columns of rotation matrices (..., 3, 3), shape (..., 6)."""
+    """First two columns of rotation matrices (..., 3, 3), shape (..., 6)."""
     _check("rotation", rotation, (3, 3))
     return torch.cat([rotation[..., 0], rotation[..., 1]], dim=-1)
 

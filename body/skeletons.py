@@ -21,7 +21,7 @@ from .landmarks import LANDMARKS, mirror_name
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A keypoint format.
+    """Keypoint format: its joints, as landmarks, and the edges between them.
 
     Attributes:
         name: Its name here, such as "coco17".
@@ -44,7 +44,7 @@ class Skeleton:
 
 
 def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
-    """From words: landmarks in order, and chains ``a-b-c``, where ``*`` stands for left and, again, for right."""
+    """Build a skeleton from words: landmarks, and chains ``a-b-c``, where ``*`` means left and, once more, right."""
     order = tuple(landmarks.split())
     if unknown := set(order) - set(LANDMARKS):
         raise ValueError(f"{name}: no landmarks {sorted(unknown)}")
@@ -111,7 +111,7 @@ MPJPE_SKELETON = "lsp14"
 
 
 def skeleton(name: str) -> Skeleton:
-    """The keypoint format called ``name``.
+    """Keypoint format called ``name``.
 
     Raises:
         ValueError: If there is none.
@@ -122,7 +122,7 @@ def skeleton(name: str) -> Skeleton:
 
 
 def joint_map(source: str, target: str) -> np.ndarray:
-    """For each joint of ``target``, the joint of ``source`` of the same landmark, -1 if none, shape (J,), int64."""
+    """Index of the joint of ``source`` for each joint of ``target``, -1 if it has none, shape (J,), int64."""
     order = skeleton(source).landmarks
     return np.array([order.index(name) if name in order else -1 for name in skeleton(target).landmarks], dtype=np.int64)
 
@@ -134,7 +134,7 @@ def convert(values: np.ndarray, source: str, target: str, *, missing: float = np
         values: Coordinates (and perhaps confidences), shape (..., J_source, C); integers become float64.
         source: Name of the format of ``values``.
         target: Name of the format of the result.
-        missing: What fills the rows of joints that ``source`` lacks: NaN for positions, 0 for confidences.
+        missing: Value of the joints that ``source`` lacks: NaN for positions, 0 for confidences.
 
     Returns:
         Values of shape (..., J_target, C).

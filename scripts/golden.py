@@ -1,4 +1,4 @@
-"""Bit-exact fingerprints of what the package computes, to hold a change of the layout to what it must not change.
+"""Bit-exact fingerprints of the package's results, to check that a change of the layout leaves them as they are.
 
     python scripts/golden.py save before.json     # with the code before
     python scripts/golden.py check before.json    # after; exit code 1 where a bit differs
@@ -94,7 +94,7 @@ def _camera(index: int) -> Camera:
 
 
 def _moved(body: object, camera: Camera) -> Ellipsoids:
-    """In front of a perspective camera."""
+    """Ellipsoids moved before a perspective camera."""
     centres = body.centres + torch.tensor([0.0, 0.0, 3.0 if camera.perspective else 0.0])
     return Ellipsoids(centres.detach(), body.axes.detach(), body.semi_axes.detach())
 

@@ -246,7 +246,7 @@ def report(outcomes: Sequence[Outcome], console: Console) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Try them; 1 if one survives unexplained or the list is wrong."""
+    """Try the mutants; return 1 if one survives unexplained or the list is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the first mutant of each file")
     parser.add_argument("--only", default="", metavar="WORD", help="mutants whose file, line or reason holds the word")

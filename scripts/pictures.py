@@ -78,7 +78,7 @@ def make(names: tuple[str, ...], arguments: tuple[str, ...], out: Path) -> bool:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Make them; 1 if one couldn't be made."""
+    """Make the pictures; return 1 if one couldn't be made."""
     choices = [name for names, _ in DRAWN for name in names]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"some of {', '.join(choices)}; default: all")

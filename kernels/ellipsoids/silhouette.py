@@ -250,7 +250,7 @@ class Seen:
 
     @classmethod
     def empty(cls, batch: int, parts: int, device: wp.DeviceLike) -> "Seen":
-        """Allocate."""
+        """Allocate for a batch."""
         sets = (batch, parts, (parts + 31) // 32)
         return cls(
             wp.empty((batch, parts), dtype=Silhouette, device=device),

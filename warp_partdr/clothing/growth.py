@@ -79,7 +79,7 @@ class Growth:
         return (2 * semi_axes).log().flatten(1) @ self.sharing
 
     def measured(self, shape: torch.Tensor, stretches: torch.Tensor | None = None) -> torch.Tensor:
-        """The same of bodies of the model, shape (B, 27), differentiable."""
+        """Logarithms of the 27 measures of the model's bodies, shape (B, 27), differentiable."""
         rest = self.model.rest(shape, stretches=stretches)
         joints = self.model.landmarks(rest, JOINT_NAMES)
         lengths = (joints[:, 1:] - joints[:, _LENGTH_STARTS]).norm(dim=-1, keepdim=True)

@@ -27,12 +27,12 @@ def load_model(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> DetailedModel:
-    """A body model by name or from a file.
+    """Load a body model by name or from a file.
 
     Args:
         source: "anny", which comes with the package, or an ``.npz`` or ``.safetensors`` file of SMPL, SMPL-H or SMPL-X,
             with the arrays v_template, shapedirs, posedirs, J_regressor, weights, kintree_table and f.
-        num_shapes: How many of a file's shape values to use, the first ones; by default 10. Anny has all its 20 always.
+        num_shapes: Number of a file's first shape values to use; by default 10. Anny always has all its 20.
         device: Of the model.
         dtype: Of the model, float32 or float64.
 

@@ -39,7 +39,7 @@ class Detailed(Movable):
 
 @dataclass(frozen=True, eq=False)
 class DetailedModel:
-    """A body model of V vertices, F faces, J joints, S shape values and L landmarks.
+    """Body model of V vertices, F faces, J joints, S shape values and L landmarks.
 
     Attributes:
         name: Such as "anny" or "smplx".
@@ -50,13 +50,13 @@ class DetailedModel:
         faces: Vertex indices, shape (F, 3), int32.
         face_parts: Part label 1 to 20 of each face, shape (F,), uint8.
         rest_vertices: The body of shape 0 [m], shape (V, 3).
-        shape_directions: What a unit of each shape value adds [m], shape (S, V, 3).
+        shape_directions: Change of the vertices by a unit of each shape value [m], shape (S, V, 3).
         rest_joints: Joints of shape 0 [m], shape (J, 3).
-        joint_directions: What a unit of each shape value adds [m], shape (S, J, 3).
-        skin_weights: How much each vertex follows each joint, rows sum to 1, shape (V, J).
+        joint_directions: Change of the joints by a unit of each shape value [m], shape (S, J, 3).
+        skin_weights: Weight of each joint in each vertex's motion, rows sum to 1, shape (V, J).
         landmark_weights: Landmarks as linear functions of vertices and then joints, shape (L, V + J).
-        pose_directions: What the entries of (R - I) of all joints but the root add [m], shape (9 (J - 1), 3 V); None
-            for a model without.
+        pose_directions: Change of the vertices by the entries of (R - I) of all joints but the root [m], shape
+            (9 (J - 1), 3 V); None for a model without.
     """
 
     name: str
@@ -76,17 +76,17 @@ class DetailedModel:
 
     @property
     def num_joints(self) -> int:
-        """J."""
+        """J, the number of joints."""
         return len(self.parents)
 
     @property
     def num_shapes(self) -> int:
-        """S."""
+        """S, the number of shape values."""
         return len(self.shape_directions)
 
     @property
     def num_vertices(self) -> int:
-        """V."""
+        """V, the number of vertices."""
         return len(self.rest_vertices)
 
     @property
@@ -101,7 +101,7 @@ class DetailedModel:
         return table.to(self.face_parts.device)[self.face_parts.long()]
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> DetailedModel:
-        """The same model on another device or with another floating dtype."""
+        """Copy to another device or another floating dtype."""
         moved: dict[str, Any] = {
             field.name: value.to(device, dtype if value.is_floating_point() else None)
             for field in fields(self)

@@ -1,4 +1,4 @@
-"""From EllipBody's pose to that of a detailed model: each limb points and twists as its ellipsoid does."""
+"""Transfer of EllipBody's pose to a detailed model: each limb points and twists as its ellipsoid does."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
 
 
 def _joint_between(model: DetailedModel, joint: int, carried: dict[int, str]) -> int | None:
-    """The child of a part's joint that carries no part but leads to one that does."""
+    """Child of a part's joint that carries no part but has a descendant that does."""
     leading = set()
     for other in carried:
         while (other := model.parents[other]) >= 0:

@@ -36,7 +36,7 @@ _CENTIMETRES = 1e4  # square metres to square centimetres
 
 @dataclass(frozen=True)
 class RegistrationWeights:
-    """Of the terms of the loss, which ``docs/registration.md`` defines; distances count in centimetres.
+    """Weights of the loss's terms, which ``docs/registration.md`` defines; distances count in centimetres.
 
     The defaults are for ellipsoids that match a person's outlines, so that half of the skin is inside, and whose
     thicknesses are known: measured or edited.
@@ -46,7 +46,7 @@ class RegistrationWeights:
         icp: Distance between the surfaces, both ways.
         penetration: Eq. 18.
         measures: Lengths and thicknesses of the body against EllipBody's.
-        thinner: Whether a thickness counts where EllipBody is thinner than the model; within a body it says nothing.
+        thinner: Count thicknesses where EllipBody is thinner than the model, too; not for ellipsoids within a body.
         shape: Square of the shape values.
         pose: Square of the turns from EllipBody's pose [rad].
     """
@@ -61,12 +61,12 @@ class RegistrationWeights:
 
     @classmethod
     def fitted(cls) -> RegistrationWeights:
-        """For a fit's ellipsoids, of which single thicknesses, such as hands', are rough."""
+        """Weights for a fit's ellipsoids, of which single thicknesses, such as hands', are rough."""
         return cls(icp=2.0, measures=0.0)
 
     @classmethod
     def inscribed(cls) -> RegistrationWeights:
-        """For ellipsoids that lie within the body, as the paper has them."""
+        """Weights for ellipsoids that lie within the body, as the paper has them."""
         return cls(icp=1.0, penetration=2000.0, shape=0.05, thinner=False)
 
 
@@ -81,8 +81,8 @@ class RegistrationOptions:
         search_every: Steps after which closest points are looked for again.
         scale: Distance from which on closest points count less and less (Geman and McClure) [m].
         reach: Distance beyond which there is no closest point [m].
-        growth: Whether parts may grow beyond what the model's shape values reach. By default they do after an edit,
-            that is with a ``start``: people are in the model's reach, and what is not is mostly a fit's error.
+        growth: Let parts grow beyond what the model's shape values reach. By default after an edit, that is with a
+            ``start``: people are in the model's reach, and what is not is mostly a fit's error.
     """
 
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
@@ -99,7 +99,7 @@ class Registered(Movable):
     """Detailed bodies that clothe EllipBodies.
 
     Attributes:
-        model: What they are bodies of.
+        model: Their model.
         shape: Shape values, shape (B, S).
         rotations: Local rotation of each joint, shape (B, J, 3, 3).
         translation: Position of the root joint [m], shape (B, 3).
@@ -121,7 +121,7 @@ class Registered(Movable):
     losses: dict[str, torch.Tensor]
 
     def rest(self) -> Detailed:
-        """The bodies at rest, where the model has its origin."""
+        """Bodies at rest, where the model has its origin."""
         return self.model.rest(self.shape, stretches=self.stretches)
 
 
@@ -296,7 +296,7 @@ class _Loss:
 
 
 class _Tailor:
-    """Compares EllipBody's lengths and thicknesses with the body's, and lets parts grow where no shape has them.
+    """Growth of parts to lengths and thicknesses of EllipBody that no shape of the model has.
 
     A measure whose logarithm is off by r adds log(1 + r² / d²) to the loss, d being the spread over natural people: a
     Cauchy distribution, so that the shape follows small differences and is not drawn far by large ones. What such a
@@ -330,7 +330,7 @@ class _Tailor:
         self.stretches = self.body.stretches(self.logs.exp())
 
     def __call__(self, shape: torch.Tensor) -> torch.Tensor:
-        """The loss, shape (B,)."""
+        """Loss, shape (B,)."""
         squares = (self._kept(self.differences(shape)) / self.spreads).square()
         return self.options.weights.measures * squares.log1p().mean(-1)
 

@@ -165,12 +165,12 @@ def smpl_model(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> DetailedModel:
-    """A model from a file's arrays, checked.
+    """Check a file's arrays and make a model of them.
 
     Args:
         arrays: Those of ``ARRAYS``.
         where: The file, for messages.
-        num_shapes: How many of the file's shape values to use, the first ones; 10, or all if there are fewer.
+        num_shapes: Number of the file's first shape values to use; 10, or all if there are fewer.
         device: Of the model.
         dtype: Of the model.
 

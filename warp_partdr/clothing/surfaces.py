@@ -77,7 +77,7 @@ def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 class PartCells:
-    """The parts of all bodies' meshes, each in a cell of its own, for closest points on the same part."""
+    """Meshes of all bodies' parts, each in a cell of its own, for closest points on the same part."""
 
     def __init__(self, model: DetailedModel, skin: torch.Tensor, batch: int) -> None:
         outside = skin[model.faces.long()].all(1)

@@ -1,1 +1,1 @@
-"""Files that users bring: nothing is unpickled, and nothing in them is lost without a word."""
+"""Files of users: nothing is unpickled, and nothing in them is lost silently."""

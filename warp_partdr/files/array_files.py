@@ -1,4 +1,4 @@
-"""NumPy's files that users bring: nothing is unpickled, and headers are checked before anything is unpacked."""
+"""NumPy files of users: nothing is unpickled, and headers are checked before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def read_npz(
     expected: str,
     most: int = MAX_BYTES,
 ) -> dict[str, np.ndarray]:
-    """The arrays of these names in an ``.npz`` file; optional ones may be missing.
+    """Read arrays of an ``.npz`` file by name; optional ones may be missing.
 
     Args:
         path: The file.
@@ -44,7 +44,7 @@ def read_npz(
 
 
 def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]) -> np.ndarray:
-    """The array of an ``.npy`` file.
+    """Read the array of an ``.npy`` file.
 
     Args:
         path: The file.
@@ -67,7 +67,7 @@ def read_npy(path: str | Path, *, expected: str, check: Callable[[Header], None]
 
 
 def _guarded(path: str | Path | Traversable, read: Callable[[IO[bytes]], Any], expected: str) -> Any:
-    """Result of ``read`` on the file; whatever goes wrong becomes an InputError."""
+    """Call ``read`` on the file; whatever goes wrong becomes an InputError."""
     try:
         with (Path(path) if isinstance(path, str) else path).open("rb") as file:
             return read(file)
@@ -117,7 +117,7 @@ def _header(file: IO[bytes]) -> Header:
 
 
 def _check_held(header: Header, size: int) -> None:
-    """Raise if a header asks for more than there is: NumPy makes room for it before it reads."""
+    """Raise if a header asks for more bytes than there are: NumPy allocates them before it reads."""
     shape, dtype = header
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"says that its shape is {shape}, but holds {size} bytes")

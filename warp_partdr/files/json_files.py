@@ -1,4 +1,4 @@
-"""JSON that users bring, read so that nothing in it is lost without a word."""
+"""JSON files of users, read so that nothing in them is lost silently."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_json(path: str | Path, expected: str) -> Any:
 
 
 def parse_json(text: str, where: str, expected: str) -> Any:
-    """The same from text.
+    """Parse JSON text, refusing keys that stand twice.
 
     Args:
         text: JSON.

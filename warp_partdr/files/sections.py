@@ -16,7 +16,7 @@ Section = TypeVar("Section")
 
 
 def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, Any]:
-    """Tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Args:
         path: The file.
@@ -65,7 +65,7 @@ def set_value(values: dict[str, Any], override: str) -> str:
 
 
 def read_section(kind: type[Section], values: object, where: str = "") -> Section:
-    """A dataclass from a mapping; keys left out keep their defaults.
+    """Make a dataclass from a mapping; keys left out keep their defaults.
 
     Args:
         kind: A dataclass. Its fields are bool, int, float, str, Path, Literal, Any, dataclasses, or tuples, dicts and
@@ -89,7 +89,7 @@ def read_section(kind: type[Section], values: object, where: str = "") -> Sectio
 
 
 def change_section(section: Section, values: object, where: str = "") -> Section:
-    """A dataclass with values of a mapping in place of its own; tables change the dataclasses within.
+    """Replace values of a dataclass by those of a mapping; tables change the dataclasses within.
 
     Args:
         section: A dataclass as ``read_section`` reads them.
@@ -111,14 +111,14 @@ def change_section(section: Section, values: object, where: str = "") -> Section
 
 
 def check_keys(values: Mapping[str, Any], known: Iterable[str], where: str = "") -> None:
-    """Raise InputError that names the first key that is none of those known, and these."""
+    """Raise an InputError that names the first unknown key, and the known ones."""
     for key in values:
         if key not in known:
             raise InputError(f"{_join(where, key)}: unknown; expected one of {', '.join(known) or 'no keys'}")
 
 
 def _checked(make: Callable[[], Section], where: str) -> Section:
-    """A dataclass whose own check of its values may fail."""
+    """Make a dataclass; a ValueError of its own check becomes an InputError."""
     try:
         return make()
     except InputError:

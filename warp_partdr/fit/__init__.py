@@ -1,1 +1,1 @@
-"""From one person's keypoints and labels to a body: stages, starts, and what looks wrong at the end."""
+"""Fit of a body to one person's keypoints and labels: stages, starts, result and warnings."""

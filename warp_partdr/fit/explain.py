@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Choice:
-    """One thing that a fit could model.
+    """Aspect of the input: the share that a fit models, and the reason.
 
     Attributes:
-        what: Of what this is about.
-        modelled: What of it is modelled.
-        left_out: What isn't; empty where that is nothing.
+        what: Name of the aspect.
+        modelled: The share that is modelled.
+        left_out: The share that is not; empty if none.
         why: The reason.
     """
 
@@ -82,7 +82,7 @@ def explain(
 
 
 def print_choices(choices: list[Choice], console: Console) -> None:
-    """A table."""
+    """Print the choices as a table."""
     from rich.table import Table
 
     table = Table(title="What is modelled, and what is not", show_lines=True)

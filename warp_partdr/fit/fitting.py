@@ -1,4 +1,4 @@
-"""From one person's 2D keypoints and part labels to a body: many hypotheses, side by side, pruned as they go."""
+"""Fit of EllipBody to one person's 2D keypoints and part labels: hypotheses are refined in a batch and pruned."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def fit_body(
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit of one observation; arguments as ``fit_body`` has them."""
+    """Fit of one observation; arguments as ``fit_body`` has them."""
 
     seen: Observation
     crop: Crop
@@ -104,14 +104,14 @@ class _Fit:
     progress: Progress | None
 
     def search(self) -> FitResult:
-        """From many hypotheses, lifted in the first stage."""
+        """Fit from many hypotheses, lifted in the first stage."""
         first = self.stages[0]
         bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
         bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
         return self._refine(bodies, self.seen, "search", lambda energy: LiftEnergy(energy, targets, known))
 
     def from_network(self) -> FitResult:
-        """From the network's body, whose sizes are what is expected of the person from then on."""
+        """Fit from the network's body, whose sizes then are the expected ones."""
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
@@ -128,7 +128,7 @@ class _Fit:
         start: Start,
         lift: Callable[[Energy], LiftEnergy] | None = None,
     ) -> FitResult:
-        """All stages; the first one by another energy, if there is one."""
+        """Refine through all stages; the first one by another energy, if there is one."""
         options, hypotheses = self.options, bodies.batch_size
         energies = torch.zeros(hypotheses, device=seen.points.device)
         terms: dict[str, torch.Tensor] = {}
@@ -190,16 +190,16 @@ class _Fit:
         )
 
     def complaints(self, found: FitResult) -> list[str]:
-        """Sentences about what the body is too far from; none if it lies where keypoints and labels are."""
+        """Warnings of what the body is too far from; none if it lies where keypoints and labels are."""
         return complaints(found.parameters, self._judge())
 
     def warn(self, found: FitResult, told: Sequence[str]) -> FitResult:
-        """The same, with all that looks wrong: in what was given, what was told of the body, and its parts."""
+        """Result with all warnings: of the input, of the body and of its parts."""
         poor = poor_labels(found.parameters, self._judge())
         return replace(found, warnings=(*self.evidence.warnings, *told, *poor))
 
     def better(self, found: FitResult, again: FitResult) -> FitResult:
-        """The one with the lower energy; times and hypotheses are both's."""
+        """Result with the lower energy, with times and hypotheses of both."""
         energy = self._judge()
         losses = [sum(float(term) for term in energy(result.parameters).values()) for result in (found, again)]
         seconds = {
@@ -209,7 +209,7 @@ class _Fit:
         return replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
 
     def _judge(self) -> Energy:
-        """The same for all starts."""
+        """Energy by which results of all starts are compared."""
         options = self.options
         return Energy(
             self.seen,

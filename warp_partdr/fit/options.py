@@ -43,7 +43,7 @@ class FitOptions:
 
     @classmethod
     def at(cls, quality: Quality, start: Start = "network") -> FitOptions:
-        """Those of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
+        """Options of a quality: "fast", "balanced" (the default) or "accurate"; ``replace`` changes any of them.
 
         Raises:
             ValueError: If there is no such quality or start.
@@ -55,7 +55,7 @@ class FitOptions:
         return cls(stages=STAGES[start][quality], start=start, search=STAGES["search"][quality])
 
     def drawn_by(self, change: Callable[[Renderer], Renderer]) -> FitOptions:
-        """The same, but each stage, also of the search, draws with what ``change`` makes of its renderer.
+        """Options whose stages, also of the search, have renderers that ``change`` makes of theirs.
 
         ``options.drawn_by(lambda old: RendererMesh(1, max_distance=old.max_distance))`` draws the paper's mesh.
         """
@@ -71,19 +71,19 @@ class FitOptions:
         return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
     def labels_first(self) -> FitOptions:
-        """The same, but its last stage follows the labels' outlines as far as it can, and joints pay for it.
+        """Options whose last stage follows the labels' outlines as far as it can, at the cost of the joints.
 
         With the coverage gradient, whose steps lower the loss, and the default weights but for L_seg's, which is 1.
         """
         return replace(self, stages=(*self.without_outline().stages, _LABELS_FIRST))
 
     def without_outline(self) -> FitOptions:
-        """The same but for the last stage: joints nearer to the truth, outlines farther from the labels."""
+        """Options without the last stage: joints nearer to the truth, outlines farther from the labels."""
         return replace(self, stages=tuple(stage for stage in self.stages if stage.name != OUTLINE))
 
 
 def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
-    """The rounds of a fit: without labels, nothing is drawn, and a network's body follows the keypoints alone.
+    """Stages of a fit; without labels, nothing is drawn, and a network's body follows the keypoints alone.
 
     Raises:
         ValueError: If a search has none left.
@@ -99,5 +99,5 @@ def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...
 
 
 def drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | None) -> tuple[Stage, ...]:
-    """Stages that draw are left out where there are no labels."""
+    """Leave out the stages that draw if there are no labels."""
     return tuple(stage for stage in stages if parts is not None or stage.size == 0)

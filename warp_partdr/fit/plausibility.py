@@ -1,4 +1,4 @@
-"""Plausibility of a fitted body: how far it ends from what was seen, against PartBench's hardest people."""
+"""Plausibility of a fitted body: its distance from keypoints and labels, against PartBench's hardest people."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST_PART_F1 = 0.35  # in the label set's own parts
 
 
 def complaints(parameters: BodyParameters, energy: Energy) -> list[str]:
-    """Sentences about what one body is too far from; none where it lies where keypoints and labels are."""
+    """Warnings of what one body is too far from; none if it lies where keypoints and labels are."""
     posed = parameters.posed()
     off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
     told = []
@@ -35,7 +35,7 @@ def complaints(parameters: BodyParameters, energy: Energy) -> list[str]:
 
 
 def poor_labels(parameters: BodyParameters, energy: Energy) -> list[str]:
-    """A sentence if one body's parts lie elsewhere than the labels."""
+    """Warning if one body's parts lie elsewhere than the labels."""
     label_set = energy.observation.label_set
     if energy.target is None or label_set is None:
         return []

@@ -1,4 +1,4 @@
-"""The result of a fit: a body, its camera, and how it went."""
+"""Result of a fit: a body, its camera, its energies and warnings."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class FitResult(Movable):
 
     Attributes:
         parameters: The body and its camera in the crop, B = 1.
-        crop: Where the crop lies in the picture.
-        observation: What was fitted, in the crop.
-        stages: The rounds it took.
+        crop: Place of the crop in the picture.
+        observation: Keypoints and labels in the crop.
+        stages: Stages of the fit.
         energy: Weighted terms of the energy at the end, by name.
         history: Energy of the winner's lineage before each iteration, one row a stage.
         stage_seconds: Wall time of each stage.
-        hypotheses: How many starts there were.
+        hypotheses: Number of starts.
         finalists: Energies at the end of the last stage that compared several bodies, best first.
-        start: Where the winner comes from, "network" or "search".
-        evidence: Keypoints and labels that it went by.
-        warnings: What looks wrong, in the input or at the end, a sentence each.
+        start: Start of the winner, "network" or "search".
+        evidence: Keypoints and labels in the picture.
+        warnings: Faults of the input or the body, a sentence each.
     """
 
     parameters: BodyParameters

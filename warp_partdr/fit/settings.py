@@ -59,7 +59,7 @@ def _change_outline(options: FitOptions, outline: object) -> FitOptions:
 
 
 def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
-    """All stages with the mesh, as far-reaching as their own renderers if nothing is said of that."""
+    """Replace all renderers by the mesh, with their own ``max_distance`` unless it is given."""
     mesh = read_section(RendererMesh, values, MESH)
     assert isinstance(values, Mapping)
     level, tolerance = mesh.subdivisions, mesh.tolerance

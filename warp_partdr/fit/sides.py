@@ -25,7 +25,7 @@ _EARS = ("left_ear", "right_ear")
 
 
 def choose_sides(readings: Sequence[Evidence], fit: Callable[[Evidence], FitResult]) -> Evidence:
-    """The most plausible of several readings of one person.
+    """Choose the most plausible of several readings of one person.
 
     Args:
         readings: Of ``weigh_evidence``.
@@ -37,7 +37,7 @@ def choose_sides(readings: Sequence[Evidence], fit: Callable[[Evidence], FitResu
 
 
 def implausibility(reading: Evidence, result: FitResult) -> float:
-    """The energy, and what a face costs that is seen through the back of the head."""
+    """Energy plus a penalty for a face that is seen through the back of the head."""
     points = result.landmarks((*_FACE, *_EARS))
     forward = points[0] - points[len(_FACE) :].mean(axis=0)
     away = max(float(forward[2] / np.linalg.norm(forward)), 0.0)

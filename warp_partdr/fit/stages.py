@@ -17,11 +17,11 @@ Start = Literal["network", "search"]
 
 @dataclass(frozen=True)
 class Stage:
-    """One round of a fit: refine what is left, then keep the best.
+    """Stage of a fit: refine the remaining bodies, then keep the best.
 
     Attributes:
         name: For the progress bar and the report.
-        bodies: How many hypotheses enter at most.
+        bodies: Largest number of hypotheses that enter.
         iterations: Steps of Adam.
         learning_rate: Of these steps.
         size: Side of the drawn crop [px]; 0 draws nothing and looks at keypoints alone.

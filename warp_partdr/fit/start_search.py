@@ -35,14 +35,14 @@ _JOINTS = ("mid_hip", "neck", *dict.fromkeys(name for pair in (*_ACROSS, *_LIMBS
 
 
 def rest_positions(device: torch.device | str) -> dict[str, np.ndarray]:
-    """The mean adult's joints in the rest pose, body frame [m]."""
+    """Joints of the mean adult in the rest pose, body frame [m]."""
     upright = replace(BodyParameters.mean(1, device=device), orientation=_BODY_FRAME.to(device))
     points = LandmarkGather(_JOINTS, device)(upright.posed())[0].cpu().numpy()
     return dict(zip(_JOINTS, points, strict=True))
 
 
 def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyParameters, torch.Tensor, torch.Tensor]:
-    """Starts for a fit: cameras and orientations, and where the joints should be in depth.
+    """Starts for a fit: cameras, orientations, and target depths of the joints.
 
     Args:
         seen: The keypoints.
@@ -51,7 +51,7 @@ def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyPa
 
     Returns:
         Bodies in the mean pose, placed and turned, B of them; the joints' target positions for ``_JOINTS`` in crop
-        coordinates (depth in the same unit), shape (B, J, 3); and which of them are known, shape (J,), bool.
+        coordinates (depth in the same unit), shape (B, J, 3); and a mask of the known ones, shape (J,), bool.
     """
     rest = rest_positions(seen.points.device)
     flat = _joints_in_picture(seen)
@@ -81,7 +81,7 @@ def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyPa
 
 
 class LiftEnergy:
-    """Keypoints with a depth: pulls bodies into their hypotheses, under the pose prior and joint limits."""
+    """Energy of keypoints with a depth, which pulls bodies into their hypotheses, with pose prior and joint limits."""
 
     def __init__(self, energy: Energy, targets: torch.Tensor, known: torch.Tensor) -> None:
         self._energy = energy
@@ -100,7 +100,7 @@ class LiftEnergy:
 
 
 def _joints_in_picture(seen: Observation) -> dict[str, np.ndarray]:
-    """The joints that hypotheses are made of, as far as the keypoints say, crop coordinates."""
+    """Positions of the joints that hypotheses are made of, as far as keypoints show them, crop coordinates."""
     points = seen.points.cpu().numpy()
     confident = seen.confidence.cpu().numpy() >= MIN_CONFIDENCE
     if not confident.any():
@@ -128,7 +128,7 @@ def _depth_choices(
     """Depth of each joint under each combination, from the hips, in crop units."""
 
     def hidden(a: str, b: str) -> float:
-        """Depth between a bone's ends [px]; 0 if one is missing or the bone is seen in full length."""
+        """Depth between a bone's ends [crop units]; 0 if one is missing or the bone is seen in full length."""
         if a not in flat or b not in flat:
             return 0.0
         full = scale * np.linalg.norm(rest[a] - rest[b])
@@ -178,7 +178,7 @@ def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apar
     Args:
         bodies: B bodies.
         energies: Shape (B,).
-        count: How many to keep at most.
+        count: Largest number to keep.
         apart: Mean distance of joints below which two bodies are one [m].
     """
     order = energies.argsort()

@@ -1,1 +1,1 @@
-"""From files and pixels to what a fit sees of one person."""
+"""Input of a fit: keypoints and part labels from files, and the observation of one person made of them."""

@@ -53,13 +53,13 @@ class Agreement:
 
     @property
     def swapped(self) -> bool:
-        """Left and right are exchanged between labels and keypoints."""
+        """True if left and right are exchanged between labels and keypoints."""
         sided = self.own + self.mirrored
         return sided >= _FEWEST and self.mirrored >= _SWAPPED * sided
 
 
 def confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
-    """Places [px] of the confident keypoints by landmark."""
+    """Positions [px] of the confident keypoints by landmark."""
     landmarks = keypoints.format.landmarks
     return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
@@ -70,7 +70,7 @@ def bone_ends(part: int) -> tuple[str, str]:
 
 
 def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> dict[str, Agreement]:
-    """Agreement of arms and of legs, as far as keypoints show them and the label set tells their sides apart.
+    """Compare arms and legs, as far as keypoints show them and the label set tells their sides apart.
 
     Args:
         groups: Group ids with only this person's in them (``select_person``), shape (H, W).
@@ -96,7 +96,7 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
 
 
 def disagreement(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> float:
-    """Number that is large where labels can't be of these keypoints; sides don't count.
+    """Measure of disagreement between labels and keypoints, regardless of sides.
 
     The share of the limbs' bones that run over other parts' labels, plus four times the share of labels that lie far
     from any bone of their part. At most 0.87 for 120 people of PartBench, "realistic" and "hard"; their labels read as
@@ -120,7 +120,7 @@ def labels_along(
         groups: Shape (H, W).
         start: One end, (x, y) [px].
         end: The other.
-        samples: How many points.
+        samples: Number of points.
         margin: Share of the bone that is left out at either end.
     """
     along = np.linspace(margin, 1 - margin, samples)[:, None]
@@ -131,7 +131,7 @@ def labels_along(
 
 
 def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) -> list[Segment] | None:
-    """Places where a group may be, on either side; None if keypoints of one of its parts are missing."""
+    """Segments near which a group may be, on either side; None if keypoints of one of its parts are missing."""
     found: list[Segment] = []
     for group in {name, mirror_name(name)} & set(labels.group_names):
         for part in labels.groups[group]:
@@ -143,7 +143,7 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
 
 
 def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:
-    """Places where a part may be; nothing if keypoints don't tell."""
+    """Segments near which a part may be; empty if its keypoints are missing."""
     side = next((prefix for prefix in ("left_", "right_") if part.startswith(prefix)), "")
     kind = part.removeprefix(side)
     if kind in ("hip", "abdomen", "chest", "shoulder"):
@@ -175,7 +175,7 @@ class Beyond:
         group: Its id.
         name: Its name.
         rows: Of the pixels, shape (N,).
-        columns: The same.
+        columns: Of the pixels, shape (N,).
         distances: Beyond the flesh, negative within, as a share of the person's height, shape (N,).
     """
 
@@ -194,7 +194,7 @@ def coarse(groups: np.ndarray) -> int:
 def distances_beyond(
     groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, *, stride: int = 1, only: int | None = None
 ) -> Iterator[Beyond]:
-    """Distances of each group that shows and that all keypoints are known of; mirror images count as well.
+    """Distances of each visible group whose keypoints are all known; mirror images count as well.
 
     Args:
         groups: Group ids with only this person's in them, shape (H, W).

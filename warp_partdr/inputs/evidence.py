@@ -1,4 +1,4 @@
-"""One person's keypoints and labels, as far as they agree: others' pixels left out, contradictions mended and told."""
+"""Evidence of one person: keypoints and labels without others' pixels, contradictions mended and reported."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _MANY = 3  # groups with stray pixels, from which on it is likelier that the ids
 
 @dataclass(frozen=True)
 class Evidence:
-    """Keypoints and labels that a fit goes by.
+    """Keypoints and labels of a person that a fit uses.
 
     Attributes:
-        keypoints: The person's, in pixels of the picture; left and right as they are believed to be.
+        keypoints: The person's, in pixels of the picture; left and right as decided.
         picture: Labels of the whole picture, left and right likewise; None if there are none.
         window: The part of the picture where the person's labels may be, made smaller if it is large.
         groups: Group ids in it, others' and stray ones being 255, ignore, shape of the window, uint8; None without.
-        warnings: What was found wrong, a sentence each.
+        warnings: Faults that were found, a sentence each.
     """
 
     keypoints: Keypoints2D
@@ -53,11 +53,11 @@ class Evidence:
         return self.picture
 
     def in_window(self) -> Keypoints2D:
-        """The keypoints in pixels of the window."""
+        """Keypoints in pixels of the window."""
         return crop_keypoints(self.keypoints, _box_of(self.window), self.window.size)
 
     def target(self, size: tuple[int, int], box: Box | None = None) -> np.ndarray:
-        """The person's labels, others' being 255: group ids, shape ``size``, uint8.
+        """Group ids of the person, others' being 255, shape ``size``, uint8.
 
         Args:
             size: (H, W) of the result [px].
@@ -89,7 +89,7 @@ class Evidence:
 def weigh_evidence(
     keypoints: Keypoints2D, parts: PartLabels | None = None, others: Sequence[Keypoints2D] = ()
 ) -> list[Evidence]:
-    """Leave other people out of one person's labels, and look for what contradicts the keypoints.
+    """Leave other people out of one person's labels, and find contradictions to the keypoints.
 
     Args:
         keypoints: The person's, in the picture.
@@ -97,8 +97,8 @@ def weigh_evidence(
         others: Other people's keypoints.
 
     Returns:
-        What to believe. Where keypoints and labels disagree on left and right, either may be wrong, and there are two:
-        first the keypoints' view, then the labels'.
+        One reading; two where keypoints and labels disagree on left and right, for either may be wrong: first by the
+        keypoints, then by the labels.
 
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
@@ -141,7 +141,7 @@ def _check_places(keypoints: Keypoints2D) -> None:
 
 
 def _window(keypoints: Keypoints2D, size: tuple[int, int]) -> Crop:
-    """The picture itself or, if that is large, what of it the person's labels may be in."""
+    """Part of the picture in which the person's labels may be: all of it unless it is large."""
     height, width = size
     if max(size) <= WINDOW_SIDE:
         return Crop(0.0, 0.0, 1.0, (height, width))
@@ -183,7 +183,7 @@ def _either_side(seen: Evidence, swapped: list[str], *, whole: bool) -> Iterator
 
 
 def _mirrored_groups(labels: LabelSet, kinds: set[str] | None) -> np.ndarray:
-    """The group that each one becomes, where its parts are all of these kinds; None: any, shape (256,), uint8."""
+    """Mirror image of each group whose parts are all of these kinds (None: any), shape (256,), uint8."""
     table = np.arange(256, dtype=np.uint8)
     names = labels.group_names
     for name, parts in labels.groups.items():
@@ -200,7 +200,7 @@ _LIMB_JOINTS = {
 
 
 def _mirrored_joints(keypoints: Keypoints2D, limbs: list[str] | None) -> np.ndarray:
-    """The keypoint whose place each one takes, those of some limbs alone, shape (J,), int64."""
+    """Mirror image of each keypoint, of some limbs alone, shape (J,), int64."""
     mirror = keypoints.format.mirror
     if limbs is None:
         return mirror

@@ -52,7 +52,7 @@ _MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
 
 
 def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list[Keypoints2D]:
-    """Everybody's 2D keypoints in a JSON file, in the file's order, but for people without visible keypoints.
+    """Read everybody's 2D keypoints from a JSON file, in its order, but for people without visible keypoints.
 
     Args:
         path: The file.
@@ -66,7 +66,7 @@ def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list
 
 
 def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str = "keypoints") -> list[Keypoints2D]:
-    """The same from what the file holds; ``name`` is what errors call it.
+    """Read everybody's 2D keypoints from a file's content; errors call it ``name``.
 
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
@@ -98,7 +98,7 @@ def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str 
 
 
 def _format_name(text: str, where: str) -> str:
-    """A skeleton's name from what a user or a file calls it: "BlazePose33 x,y,visibility px" is blazepose33."""
+    """Name of a skeleton from a user's or file's spelling: "BlazePose33 x,y,visibility px" is blazepose33."""
     words = str(text).lower().split()
     for candidate in (words[0] if words else "", "".join(words)):
         key = re.sub(r"[^a-z0-9]", "", candidate)
@@ -108,7 +108,7 @@ def _format_name(text: str, where: str) -> str:
 
 
 def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
-    """One object with "keypoints" per person, whatever the file's shape."""
+    """Objects with "keypoints", one per person, whatever the file's shape."""
     if isinstance(data, Mapping):
         for key in ("people", "instances", "annotations"):
             if isinstance(data.get(key), list):

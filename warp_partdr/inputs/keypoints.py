@@ -1,4 +1,4 @@
-"""2D keypoints of one person, how tall they say the person is, and which of several people is meant."""
+"""2D keypoints of one person, the person's height by them, and the choice of one among several people."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Keypoints2D:
 
     @property
     def format(self) -> Skeleton:
-        """The skeleton itself: landmarks and edges."""
+        """Skeleton of the format: landmarks and edges."""
         return skeleton(self.skeleton)
 
     @property
@@ -94,7 +94,7 @@ def _heights(name: str, points: np.ndarray, confidence: np.ndarray) -> np.ndarra
 
 
 def _upper_quartile(values: np.ndarray) -> np.ndarray:
-    """Of each row (N, K), leaving out what is -inf; as ``numpy.quantile``, which has no way to leave out, quickly."""
+    """Upper quartile of each row (N, K) without its -inf, by the rule of ``numpy.quantile``, which can't leave them out."""
     values = np.sort(values, axis=1)
     count = (values > -np.inf).sum(axis=1)
     place = 0.75 * (count - 1)
@@ -122,12 +122,12 @@ def _bones(name: str, bones: tuple[tuple[str, float], ...]) -> tuple[np.ndarray,
 def choose_person(
     people: Sequence[Keypoints2D], groups: np.ndarray | None = None, index: int | None = None
 ) -> Keypoints2D:
-    """The one person to fit.
+    """Choose the one person to fit.
 
     Args:
         people: Everybody whose keypoints there are.
         groups: Group ids of the picture's part labels, shape (H, W); without labels under them, keypoints count less.
-        index: Whom to take, 0 = first; by default the largest and most confident.
+        index: Index of the person, 0 = first; by default the largest and most confident.
 
     Raises:
         InputError: If there is nobody, or ``index`` is out of range.

@@ -33,9 +33,9 @@ class Observation(Movable):
         labels: Group ids in the crop, 0 = background, 255 = ignore, shape (N, N), uint8; None without labels.
         label_set: What the group ids mean.
         maps: Probability of each group, shape (G, N, N), instead of ``labels``; None without probabilities.
-        known: How much a pixel of ``maps`` counts, shape (N, N): what is missing to 1 is the share to be ignored.
-        lengths: What to expect of the person's ``LENGTH_NAMES`` [m], shape (12,); None: the mean adult's.
-        thicknesses: The same of ``THICKNESS_NAMES`` [m], shape (15,).
+        known: Weight of each pixel of ``maps``, shape (N, N); the rest to 1 is the share to be ignored.
+        lengths: Expected ``LENGTH_NAMES`` of the person [m], shape (12,); None: the mean adult's.
+        thicknesses: Expected ``THICKNESS_NAMES`` [m], shape (15,); None: the mean adult's.
     """
 
     landmarks: tuple[str, ...]
@@ -68,7 +68,7 @@ def observe(
 def crop_evidence(
     evidence: Evidence, *, trust_background: bool = False, device: torch.device | str = "cpu"
 ) -> tuple[Observation, Crop]:
-    """The same of a person whose evidence was weighed."""
+    """Cut out a person whose evidence was weighed (``weigh_evidence``)."""
     window, keypoints = evidence.window, evidence.in_window()
     if evidence.groups is not None and not trust_background:
         evidence = replace(evidence, groups=ignore_missing_limbs(evidence.groups, keypoints))

@@ -59,7 +59,7 @@ class PartLabels:
 
 
 def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
-    """A label set by name, JSON file or content, see ``body.labels.label_set``.
+    """Read a label set by name, from a JSON file or from content, see ``body.labels.label_set``.
 
     Raises:
         InputError: If there is none, or it is wrong.
@@ -71,7 +71,7 @@ def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
 
 
 def described_label_set(path: Path) -> LabelSet:
-    """The label set in a JSON file: ids with the class names of a set that comes with the project, or one's own set."""
+    """Read the label set in a JSON file: ids with class names of a set of the project's, or one's own set."""
     data = read_json(path, "ids and their names")
     if isinstance(data, dict) and "groups" in data:
         return read_label_set(path)
@@ -86,7 +86,7 @@ def described_label_set(path: Path) -> LabelSet:
 
 
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
-    """Part labels as the options --parts and --labels name them; None without.
+    """Read the part labels of the options --parts and --labels; None without.
 
     Args:
         parts: The file.
@@ -110,7 +110,7 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
 
 
 def read_photo(path: str | Path) -> np.ndarray:
-    """A picture as it is meant to be seen (turned as its EXIF data says), shape (H, W, 3), uint8.
+    """Read a picture, turned upright by its EXIF data, shape (H, W, 3), uint8.
 
     Raises:
         InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
@@ -123,7 +123,7 @@ def read_photo(path: str | Path) -> np.ndarray:
 
 @contextmanager
 def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
-    """A picture of which the header alone is read yet; of whatever goes wrong with it, an InputError."""
+    """Open a picture of which only the header is read yet; whatever goes wrong with it becomes an InputError."""
     from PIL import Image
 
     try:
@@ -159,7 +159,7 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
 
 
 def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
-    """Part labels from a ``.png`` or ``.npy`` file.
+    """Read part labels from a ``.png`` or ``.npy`` file.
 
     Args:
         path: The file.
@@ -209,7 +209,7 @@ def _read_npy(path: str | Path, channels: int) -> np.ndarray:
 
 
 def _reason(error: BaseException) -> str:
-    """One line for what went wrong with a file."""
+    """Describe in one line what went wrong with a file."""
     return (
         (error.strerror or str(error))
         if isinstance(error, OSError)

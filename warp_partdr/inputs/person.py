@@ -90,7 +90,7 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
 
 
 def reach_box(keypoints: Keypoints2D) -> Box:
-    """A box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
+    """Box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
     height = person_height(keypoints)
     reach = np.where(_loose_ends(keypoints), _LOOSE_REACH, _REACH) * height
     reach = np.maximum(reach, _MIN_SEED_RADIUS)[keypoints.confident, None]
@@ -116,7 +116,7 @@ def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
     Args:
         image: Distances [px] or a mask, shape (H, W), float32 or bool; changed in place.
         segment: Its two ends, (x, y, x, y) [px].
-        reach: How far from the segment [px].
+        reach: Greatest distance from the segment [px].
     """
     x0, y0, x1, y1 = map(float, segment)
     rows, columns = image.shape
@@ -153,7 +153,7 @@ def _loose_ends(keypoints: Keypoints2D) -> np.ndarray:
 
 
 def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """The pixels of ``mask`` that hang together with a seed (8 neighbours), shape (H, W), bool.
+    """Pixels of ``mask`` that are connected to a seed (8 neighbours), shape (H, W), bool.
 
     Works on runs, the unbroken stretches of a row, of which there are few: two runs of neighbouring rows touch if they
     overlap or meet at a corner, and those that touch one run are consecutive.
@@ -189,7 +189,7 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 
 
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
-    """A box around a person's labels and confident keypoints.
+    """Box around a person's labels and confident keypoints.
 
     Args:
         keypoints: The person's.
@@ -212,7 +212,7 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
 
 
 def crop_size(box: Box, longest: int) -> tuple[Box, tuple[int, int]]:
-    """The size of a crop whose longer side has ``longest`` pixels, and the box grown so that its pixels are square.
+    """Size of a crop whose longer side has ``longest`` pixels, and the box grown so that its pixels are square.
 
     Returns:
         The box, about the same centre and exactly in the ratio of the size, and the size (H, W).
@@ -229,7 +229,7 @@ def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: fl
 
     Args:
         image: Shape (..., H, W).
-        box: What to cut out; may reach beyond the picture.
+        box: The part to cut out; may reach beyond the picture.
         size: (H, W) of the result.
         fill: Value of what lies beyond the picture: 255, ignore, for labels; 0 for probability maps.
 
@@ -247,7 +247,7 @@ def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: fl
 
 
 def crop_keypoints(keypoints: Keypoints2D, box: Box, size: tuple[int, int]) -> Keypoints2D:
-    """The keypoints in pixels of the crop that ``crop_nearest`` makes; missing ones stay at 0."""
+    """Keypoints in pixels of the crop that ``crop_nearest`` makes; missing ones stay at 0."""
     x0, y0, x1, y1 = box
     scale = np.array([size[1] / (x1 - x0), size[0] / (y1 - y0)])
     points = (keypoints.points - np.array([x0, y0])) * scale

@@ -1,4 +1,4 @@
-"""One person out of the files that commands take: picture, keypoints and part labels."""
+"""Reading of one person from the files that commands take: picture, keypoints and part labels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .person import check_inside
 
 @dataclass(frozen=True)
 class PersonInputs:
-    """A person as ``fit_body`` takes one, and the picture.
+    """Arguments of ``fit_body`` for one person, and the picture.
 
     Attributes:
         keypoints: The person's.

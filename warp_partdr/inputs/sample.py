@@ -1,4 +1,4 @@
-"""One person of a data set: what a fit may see, and what it is scored against."""
+"""Sample of a data set: one person's input of a fit, and the truth that the fit is scored against."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Sample:
     """One person of a data set. Nothing but name and keypoints need be known.
 
     Attributes:
-        source: What figures are pooled over: a data set, or a level of difficulty.
-        name: Of the person within the source.
-        keypoints: What a fit sees: the person's 2D keypoints [px],
-        parts: and the picture's part labels.
+        source: Group whose figures are pooled: a data set, or a level of difficulty.
+        name: Name of the person within the source.
+        keypoints: Input of a fit: the person's 2D keypoints [px].
+        parts: Input of a fit: the picture's part labels.
         others: Other people's keypoints in the picture.
-        target: The labels that the fit is scored against, group ids of ``parts.label_set``, 255 = ignore, (H, W).
+        target: True labels, group ids of ``parts.label_set``, 255 = ignore, (H, W).
         mask: The person's silhouette, where it is annotated apart from the parts, shape (H, W), bool.
         joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.

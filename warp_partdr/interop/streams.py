@@ -139,12 +139,12 @@ class _TorchMemory:
         self._device = device
 
     def allocate(self, size_in_bytes: int) -> int:
-        """For the thread's current stream."""
+        """Allocate for the thread's current stream."""
         stream = torch.cuda.current_stream(self._device)
         return int(torch.cuda.caching_allocator_alloc(size_in_bytes, self._device, stream))
 
     def deallocate(self, ptr: int, size_in_bytes: int) -> None:
-        """After what that stream has been given until now."""
+        """Free after the work that the stream has been given until now."""
         torch.cuda.caching_allocator_delete(ptr)
 
 

@@ -1,1 +1,1 @@
-"""Networks that say at once where a fit should start: from part labels and keypoints, or from a picture."""
+"""Networks that predict a body as a fit's start: from part labels and keypoints, or from a picture."""

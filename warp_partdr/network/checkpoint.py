@@ -1,4 +1,4 @@
-"""Label networks: the packaged one, and those of ``partdr train``."""
+"""Loading of label networks: the packaged one, and those of ``partdr train``."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ save_label_network = _FILES.save
 
 
 def load_label_network(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> LabelNetwork:
-    """A trained network, ready to predict.
+    """Load a trained network in evaluation mode.
 
     Args:
         path: A file of ``partdr train``; the packaged network if None.
-        device: Where it is to run.
+        device: Device to run on.
 
     Raises:
         InputError: If the file can't be read or isn't such a network.

@@ -69,7 +69,7 @@ class PicturePrediction:
     parts: torch.Tensor
 
     def part_labels(self, size: int) -> torch.Tensor:
-        """The likeliest part of each pixel at ``size`` pixels a side, 0 = background, shape (B, size, size), uint8."""
+        """Most likely part of each pixel at ``size`` pixels a side, 0 = background, shape (B, size, size), uint8."""
         logits = nn.functional.interpolate(self.parts.float(), size=(size, size), mode="bilinear", antialias=False)
         return logits.argmax(1).to(torch.uint8)
 

@@ -1,4 +1,4 @@
-"""Networks in files: safetensors alone, with the sizes and where the weights come from in the file's own metadata."""
+"""Files of networks: safetensors, with sizes and the record of the training in the file's metadata."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class NetworkFiles(Generic[Config]):
             path: A ``.safetensors`` file.
             weights: Its ``state_dict``.
             config: Its sizes.
-            about: What a reader should know of its training, JSON.
+            about: Record of its training, JSON.
             half: Store weights in float16: half the size. Statistics of batch normalisation stay as they are.
         """
         from safetensors.torch import save_file
@@ -61,7 +61,7 @@ class NetworkFiles(Generic[Config]):
         save_file({name: stored(name, tensor) for name, tensor in weights.items()}, path, metadata)
 
     def read(self, path: Path | str) -> tuple[dict[str, torch.Tensor], Config, dict[str, Any]]:
-        """Weights, sizes, and what the file says of its training.
+        """Read weights, sizes, and the record of the training.
 
         Raises:
             InputError: If the file can't be read or is no such network.
@@ -89,7 +89,7 @@ class NetworkFiles(Generic[Config]):
         return weights, config, about
 
     def load(self, path: Path | str, make: Callable[[Config], Network]) -> Network:
-        """A network, ready to predict.
+        """Load a network in evaluation mode.
 
         Args:
             path: The file.

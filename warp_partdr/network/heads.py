@@ -18,7 +18,7 @@ class DeconvolutionHead(nn.Module):
 
     Args:
         channels: C of the feature maps.
-        outputs: How many maps.
+        outputs: Number of maps.
         width: Channels in between.
     """
 

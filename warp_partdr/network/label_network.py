@@ -80,7 +80,7 @@ def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor
 
 
 def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
-    """The same of probabilities.
+    """Shares of the parts, background and unknown from probability maps.
 
     Args:
         maps: Of the groups 1 to G, shape (B, G, S, S).
@@ -142,7 +142,7 @@ class LabelNetwork(nn.Module):
 
 
 def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
-    """A spot as bright as its confidence for each keypoint, shape (B, L, size, size).
+    """Draw each keypoint as a spot as bright as its confidence, shape (B, L, size, size).
 
     Args:
         keypoints: Crop coordinates and confidence, shape (B, L, 3).
@@ -154,7 +154,7 @@ def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
 
 
 class _Block(nn.Module):
-    """Two convolutions with a way past them (He et al., 2016)."""
+    """Two convolutions with a residual connection (He et al., 2016)."""
 
     def __init__(self, before: int, after: int, stride: int = 1) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The keypoints that networks know: COCO's, and what other formats add that says something of its own."""
+"""Keypoints that networks know: COCO's, and those of other formats that add information."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EllipBodyNets in files of ``partdr train``."""
+"""Loading of EllipBodyNets from files of ``partdr train``."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ save_ellipbodynet = _FILES.save
 
 
 def load_ellipbodynet(path: Path | str, *, device: torch.device | str = "cpu") -> EllipBodyNet:
-    """A trained network, ready to predict.
+    """Load a trained network in evaluation mode.
 
     Args:
         path: A file of ``save_ellipbodynet``.
-        device: Where it is to run.
+        device: Device to run on.
 
     Raises:
         InputError: If the file can't be read or isn't such a network.

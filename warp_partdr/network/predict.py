@@ -33,7 +33,7 @@ def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Te
 @one_torch_thread()
 @torch.no_grad()
 def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -> BodyParameters:
-    """Bodies that a network sees in observations, without refinement.
+    """Predict bodies from observations, without refinement.
 
     Args:
         observations: N people, on the network's device; ``observe`` makes them.

@@ -22,7 +22,7 @@ class Predicted:
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
         log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
-        shift: Where the pelvis is in the crop, shape (B, 2).
+        shift: Position of the pelvis in the crop, shape (B, 2).
     """
 
     orientation: torch.Tensor
@@ -33,16 +33,16 @@ class Predicted:
     shift: torch.Tensor
 
     def posed(self) -> Posed:
-        """The bodies in the camera frame, pelvis at the origin [m], differentiable."""
+        """Posed bodies in the camera frame, pelvis at the origin [m], differentiable."""
         pelvis = self.lengths.new_zeros(len(self.lengths), 3)
         return pose(self.orientation, pelvis, self.rotations, self.lengths, self.thicknesses, validate=False)
 
     def camera(self, size: int) -> WeakPerspective:
-        """The cameras for a crop of ``size`` pixels a side."""
+        """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
 
     def parameters(self) -> BodyParameters:
-        """The same numbers for a fit, detached."""
+        """Parameters for a fit, detached."""
         return BodyParameters(
             orientation=rotation_to_6d(self.orientation),
             rotations=rotation_to_axis_angle(self.rotations),

@@ -1,4 +1,4 @@
-"""The paper's second stage as one captured Warp graph: what ``refine`` does, without torch inside the loop."""
+"""Second stage of the paper as a captured Warp graph: ``refine`` without torch inside the loop."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters
 class CapturedRefinement:
     """Minimise an energy from B starts side by side, as ``refine`` does, in fixed buffers.
 
-    One launch beside the renderer's makes an iteration. They are captured once and replayed, and the host waits for
+    An iteration is the renderer's launches and one more. They are captured once and replayed, and the host waits for
     nothing in between. A run repeats bit for bit.
 
     Args:
-        energies: What is minimised: one for all bodies, or N of them, of which body b takes number b % N. They may
-            differ in what they saw, and in nothing else.
-        batch_size: B, how many bodies are refined at once.
+        energies: One for all bodies, or N of them, of which body b takes number b % N. They may differ in their
+            observations, and in nothing else.
+        batch_size: B, the number of bodies refined at once.
         iterations: Steps of Adam.
         learning_rate: As in ``refine``.
         frozen: As in ``refine``.
 
     Raises:
-        ValueError: If the energies differ in more than what they saw, see probabilities, or draw a mesh, or ``frozen``
-            names what is no parameter, or all of them.
+        ValueError: If the energies differ in more than their observations, see probabilities, or draw a mesh, or
+            ``frozen`` names what is no parameter, or all of them.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class CapturedRefinement:
             self._graph = capture_graph(self.iterate, self._device)
 
     def _make_renderer(self, count: int) -> CapturedEllipsoids | None:
-        """Draws and compares the posed ellipsoids with as many label images; None where none are compared."""
+        """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
         energy = self._energy
         self._targets = torch.zeros(count, energy.size, energy.size, dtype=torch.uint8, device=self._device)
         label_set = energy.observation.label_set
@@ -164,10 +164,10 @@ class CapturedRefinement:
         return problem
 
     def observe(self, energies: Energy | Sequence[Energy]) -> None:
-        """Copy what other energies saw into the fixed buffers; all else stays.
+        """Copy the observations of other energies into the fixed buffers; all else stays.
 
         Raises:
-            ValueError: If there are not as many as before, or they differ in more than what they saw.
+            ValueError: If there are not as many as before, or they differ in more than their observations.
         """
         energies = _as_list(energies)
         if len(energies) != len(self._points):
@@ -212,7 +212,7 @@ class CapturedRefinement:
         launch_step(self._problem, self._state, self._drawn)
 
     def _rewind(self) -> None:
-        """To the beginning, from the parameters as they are."""
+        """Start again from the parameters as they are."""
         launch_start(self._problem, self._state)
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
@@ -276,7 +276,7 @@ def refine_captured(
 
 
 def _join(parts: Sequence[Refined]) -> Refined:
-    """Slices of a batch as one."""
+    """Concatenate results of slices of a batch."""
     if len(parts) == 1:
         return parts[0]
     names = parts[0].parameters.tensors()

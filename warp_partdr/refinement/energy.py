@@ -162,7 +162,7 @@ class Energy:
         self._known = None if seen.known is None else resize_nearest(seen.known, self.size)
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
-        """Each weighted term by name, shape (B,)."""
+        """Weighted terms by name, shape (B,) each."""
         return self.terms(parameters, parameters.posed())
 
     def terms(

@@ -1,4 +1,4 @@
-"""The paper's second stage one step at a time: Adam on any energy, by autograd (section 3.4)."""
+"""Second stage of the paper step by step: Adam on any energy, by autograd (section 3.4)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Refinement:
         self._bounds = [(tensors[name], *size_bounds(name, device)) for name in SIZES if name in free]
 
     def step(self) -> None:
-        """One iteration: evaluate, remember the best, move."""
+        """Take one iteration: evaluate, keep the best, move."""
         total = self._evaluate()
         self.history.append(total.detach())
         self._adam.zero_grad(set_to_none=True)
@@ -60,7 +60,7 @@ class Refinement:
                 sizes.clamp_(low, high)
 
     def run(self, on_iteration: Callable[[int], None] | None = None) -> Refined:
-        """All iterations that are left, and a last look at where they end."""
+        """Take all iterations that are left, and evaluate the last state."""
         for iteration in range(len(self.history), self._iterations):
             self.step()
             if on_iteration is not None:
@@ -73,7 +73,7 @@ class Refinement:
         return Refined(best.parameters, best.energy, best.terms, history)
 
     def _evaluate(self) -> torch.Tensor:
-        """The energy, shape (B,); the best state of each body is remembered."""
+        """Evaluate the energy, shape (B,), and keep the best state of each body."""
         terms = self.energy(self.bodies)
         total = torch.stack(list(terms.values())).sum(0)
         now = total.detach()
