@@ -60,7 +60,7 @@ def pytest_sessionfinish(session):
 
 @dataclass(frozen=True)
 class Mutant:
-    """A fault.
+    """Fault: one line of one file, replaced, and the tests that must notice.
 
     Attributes:
         file: Where, from the project's folder.
@@ -104,7 +104,7 @@ class Outcome:
 
 
 def read_mutants(path: Path = LIST) -> list[Mutant]:
-    """The list, in its order.
+    """Read the mutants, in the order of the list.
 
     Raises:
         ValueError: If an entry lacks something, or has what no mutant has.

@@ -85,7 +85,7 @@ def find_crossing(
         if (here < 0.0) == (low_gap < 0.0):
             low = share
             low_gap = here
-            high_gap *= 0.5  # Illinois: or one end would stay where it is
+            high_gap *= 0.5  # the Illinois method: else one end may never move
         else:
             high = share
             high_gap = here
@@ -108,7 +108,7 @@ def outline_end(s: Silhouette, x: float, y: float, axis: int, side: float):
     root = wp.sqrt(wp.max(line_root(s, x, y, axis), 0.0))
     if axis == 0:
         return s.mean[0] + (side * root - row_lean(s, y - s.mean[1])) / along_row(s)
-    upward = wp.sign(s.factor[2])  # of a picture that the camera mirrors, the other way
+    upward = wp.sign(s.factor[2])  # negative if the camera mirrors the picture
     return s.mean[1] + (side * upward * root - s.factor[1] * (x - s.mean[0])) / s.factor[2]
 
 

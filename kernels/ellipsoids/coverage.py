@@ -42,7 +42,7 @@ def push_coverage(
     width = scene.parts.shape[2]
     if s.low[0] < float(width) and s.low[1] < float(height) and s.high[0] > 0.0 and s.high[1] > 0.0:
         view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
-        # Half of the shares are outlines and half creases; an only share is both.
+        # Half of the shares take the outline and half the creases; a single share takes both.
         shares = forces.values.shape[2]
         outlines = wp.max(shares // 2, 1)
         creases = wp.max(shares - outlines, 1)

@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False})
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
 _NOWHERE = wp.constant(1.0e30)  # gap where one of the two ellipsoids does not cover the point
-_RIM = wp.constant(1.0e-3)  # the smallest root, as a share of the largest, that a slope is taken at
+_RIM = wp.constant(1.0e-3)  # smallest ``root_at`` at which a slope is taken, as a share of ``bulge``
 
 
 @wp.func
@@ -71,12 +71,12 @@ def push_crease(
     other_middle = middle_at(other, x, y)
     root = root_at(s, x, y)
     other_root = root_at(other, x, y)
-    # A root is steep where it is small. Both fronts are equally near, so the larger one tells the smaller.
+    # A small root is inaccurate. Both fronts are equally near, so the smaller root follows from the larger.
     if root * other.bulge < other_root * s.bulge:
         root = other_middle + other_root - middle
     else:
         other_root = middle + root - other_middle
-    # At the outline itself slopes are infinite and forces are not.
+    # At the outline slopes are infinite, but forces stay finite.
     root = wp.max(root, _RIM * s.bulge)
     other_root = wp.max(other_root, _RIM * other.bulge)
     slope = slope_at(s, x, y, root)
@@ -121,7 +121,7 @@ def push_chord(
             end = 0.5 * (low + high)
     shares = chord_shares(view, start, end, s.label, other.label, gradient)
     if shares[0] != 0.0 or shares[1] != 0.0:
-        # Loaded where it is used: creases are few, and it would take registers all the way.
+        # Loaded only here: creases are few, and it would occupy registers everywhere else.
         e = load_ellipsoid(scene, view)
         shares *= wp.length(end - start)
         side = int(0)
@@ -183,7 +183,7 @@ def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
     for _ in range(_NEWTON_STEPS):
         x = place[0]
         y = place[1]
-        # Both are 0 there, and smooth.
+        # ``radicand`` and ``excess`` are smooth, and 0 at the point.
         radicand = radicand_at(s, x, y)
         over = middle_at(s, x, y) - middle_at(other, x, y)
         excess = radicand_at(other, x, y) - over * over
@@ -229,7 +229,7 @@ def walk_cell(
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
     s = view.silhouettes[view.k]
     other = view.silhouettes[j]
-    # The last four places where fronts cross, all around the cell.
+    # The last four crossings of the fronts around the cell.
     first = wp.vec2()
     second = wp.vec2()
     third = wp.vec2()
@@ -313,9 +313,8 @@ def walk_creases(
     creases = scene.creases[view.b, view.k]
     for word in range(creases.shape[0]):
         bits = creases[word]
-        # Cells between pixel centres are looked at ``lanes`` at a time, and such groups are counted as one line over
-        # all boxes. The cells with a crease wait, one a thread, until all threads have one: looking is quick, working
-        # is not.
+        # Cells between pixel centres are tested ``lanes`` at a time; these groups are numbered over all boxes. Cells
+        # that may have a crease wait, one a thread, until all threads have one: the test is cheap, the work is not.
         group = int(share)
         begin = int(0)
         end = int(0)
@@ -335,7 +334,7 @@ def walk_creases(
                 bits &= bits - wp.uint32(1)
                 box_low = wp.max(s.low, view.silhouettes[j].low)
                 box_high = wp.min(s.high, view.silhouettes[j].high)
-                # Cells that hold a place where both are, clamped in float against overflow. The first begins half a
+                # Cells that both ellipsoids may cover, clamped in float against overflow. The first begins half a
                 # pixel before the picture.
                 left = int(wp.floor(wp.clamp(box_low[0] - 0.5, -1.0, float(view.width))))
                 right = int(wp.floor(wp.clamp(box_high[0] - 0.5, -2.0, float(view.width - 1))))
@@ -353,7 +352,7 @@ def walk_creases(
             if looking and n < box:
                 found = fronts_may_meet(s, view.silhouettes[j], wp.vec2(float(column + 1), float(row + 1)), 0.5)
             group += shares
-            # To the threads behind those that have one already; what is left over waits.
+            # Hand the found cells to the threads that have none yet; the rest waits.
             finders = ballot(found)
             total = waiting + wp.bit_count(finders)
             if total > waiting:

@@ -71,7 +71,7 @@ def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool
     last_row = view.height - 1
     here = find_shown(view, words, in_words, wp.min(row, last_row), quad)
     for i in range(_QUAD):
-        # Past the picture's border as at it: a pixel does not differ from itself.
+        # Beyond the picture its last pixels repeat, so that there is no border.
         at = wp.min(row + i, last_row)
         below = find_shown(view, words, in_words, wp.min(at + 1, last_row), quad)
         if row + i <= last_row:
@@ -121,7 +121,7 @@ def push_crease_crossing(
     if length2 == 0.0:
         return sums
     amount = excess * across / length2
-    # A surface that moves takes its nearness along: at a fixed place that changes it by the slope times the way back.
+    # A surface that moves by d changes the nearness at a fixed place by -slope . d.
     return push_picture(sums, lever, x, y, front_at(s, x, y), -amount * slope, amount)
 
 
@@ -167,12 +167,12 @@ def push_border(
     way = wp.where(axis == 0, wp.vec2(1.0, 0.0), wp.vec2(0.0, 1.0))
     side = float(1.0)
     if seen != view.k + 1:
-        # Seen from its own pixel, which is the second.
+        # The ellipsoid's own pixel is the second: start from there.
         side = -1.0
         start += way
         way = -way
         other_part = seen
-    # Distances from its own pixel's centre to the other's, from 0 to 1.
+    # Distances from its own pixel's centre, 0, to the other's, 1.
     place = distance_to_end(s, start, axis, side, side)
     behind = int(0)  # label across the border
     meet = bool(False)  # a crease
@@ -234,13 +234,12 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
     lever.centre = scene.centres[w.b, w.k]
     lever.camera = scene.camera[w.b]
     lever.perspective = scene.perspective
-    # The pixels that the ellipsoid may show at, and those before them, in squares of 4 by 4.
+    # Squares of 4 by 4 pixels that hold the ellipsoid's pixels and the neighbours before them.
     first_quad = wp.max(left - 1, 0) // _QUAD
     first_row = wp.max(top - 1, 0)
     across = right // _QUAD - first_quad + 1
     squares = across * ((bottom - first_row) // _QUAD + 1)
-    # Each thread looks at a square, then the borders that all of them found are dealt out: looking is quick, pushing is
-    # not.
+    # Each thread searches a square, then all threads share the borders found: the search is cheap, the forces are not.
     for turn in range((squares + w.count - 1) // w.count):
         square = turn * w.count + w.number
         borders = wp.uint32(0)
@@ -259,7 +258,7 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
                 row = first_row + _QUAD * (origin // across) + place[0]
                 column = _QUAD * (first_quad + origin % across) + place[1]
                 sums = push_border(sums, view, lever, s, row, column, place[2], gradient)
-    # From the way from the centre to the point of the unit sphere.
+    # The lever becomes the point of the unit sphere.
     e = load_ellipsoid(scene, view)
     for i in range(3):
         arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])

@@ -243,7 +243,7 @@ def spread_forces(
     axes: wp.array2d[wp.mat33],  # (B, P)
     semi_axes: wp.array2d[wp.vec3],  # (B, P)
     forces: Forces,
-    lanes: int,  # of a warp, of which each adds some of the shares
+    lanes: int,  # threads of a warp, each of which adds some of the shares
     grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
     grad_semi_axes: wp.array2d[wp.vec3],  # (B, P)  OUTPUT

@@ -15,7 +15,7 @@ from .silhouette import Silhouette, inside_at, middle_at
 
 wp.set_module_options({"enable_backward": False})
 
-_MAX_STEPS = wp.constant(float(2**22))  # of an outline: with more, float32 would hardly tell their angles apart
+_MAX_STEPS = wp.constant(float(2**22))  # of an outline; float32 could hardly distinguish the angles of more
 _NO_BORDER = wp.constant(-1)  # instead of a label
 
 
@@ -151,12 +151,12 @@ def walk_outline(
     circle = outline_circle(e, perspective)
     rim = rim_of(e, circle)
     half = 0.5 * (s.high - s.low)
-    # The root mean square of the radii bounds the perimeter from above. One of millions of pixels gets longer steps.
+    # The root mean square of the radii bounds the perimeter from above; one of millions of pixels gets longer steps.
     count = int(wp.min(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
     turns = (count + shares * lanes - 1) // (shares * lanes)
     step = 2.0 * wp.pi / float(turns * shares * lanes)
     n = share * turns * lanes
-    # Of the place where a thread's step ends.
+    # End of a thread's step, and the label behind it.
     place = turn_to(float(n) * step)
     behind = look_behind(view, s, image_of(rim, place, perspective))
     # Step of this thread within which the label behind changes, and the labels before and after.
@@ -181,8 +181,8 @@ def walk_outline(
             changes = start_behind != behind
             if not changes:
                 sums = push_outline(sums, view, rim, s, start, place, behind, perspective, gradient)
-        # Changes are few, and to find their places takes long: all threads do so at once, when one meets its second or
-        # nothing is left to walk.
+        # Changes are few and bisection is slow: all threads do it at once, when one meets its second change or after
+        # the last step.
         if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
             if changing >= 0:
                 low = float(changing) * step
@@ -194,7 +194,7 @@ def walk_outline(
                         low = angle
                     else:
                         high = angle
-                # Mostly one of the two pieces is no border.
+                # Usually one of the two pieces is no border.
                 turn_place = turn_to(0.5 * (low + high))
                 piece = int(wp.where(before_change == _NO_BORDER, 1, 0))
                 pieces = int(wp.where(after_change == _NO_BORDER, 1, 2))

@@ -13,15 +13,15 @@ from .silhouette import Silhouette, along_row, inside_at, middle_at, row_lean, r
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA a warp draws a tile of the picture strip by strip. Its threads draw four neighbouring pixels of a row each.
-# Few long warps cost least, but few bodies need many.
+# Fewer, longer warps cost least, but small batches need many to fill the GPU.
 _QUAD = wp.constant(4)
 _STRIP_WIDTH = wp.constant(16)
 _STRIP_ROWS = wp.constant(8)
 _QUADS = wp.constant(4)  # a row of a strip
 _BLOCK = 128
-_MAX_STRIPS = 8  # a bit for each and each of the 8 ellipsoids of a thread: 64
+_MAX_STRIPS = 8  # 64 bits hold one for each strip and each of a thread's 8 ellipsoids
 _WARPS_TO_FILL = 4096  # of 132 multiprocessors
-_SLACK = wp.constant(1.0e-5)  # relative; of bounds in float32
+_SLACK = wp.constant(1.0e-5)  # relative margin of bounds in float32
 
 
 @wp.func
@@ -54,7 +54,7 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
     """False if an outline surely misses a rectangle of pixels."""
     if not (s.low[0] < right and s.high[0] > left and s.low[1] < bottom and s.high[1] > top):
         return False
-    # Within these rows the outline goes farthest right where it does at all, or at the row next to there.
+    # Within these rows the outline is farthest right in the row nearest to that of its rightmost point.
     half = s.high[0] - s.mean[0]
     tilt = s.factor[1] / s.factor[2] * half
     dy = wp.clamp(-tilt, top - s.mean[1], bottom - s.mean[1])
@@ -65,7 +65,7 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
         return False
     dy = wp.clamp(tilt, top - s.mean[1], bottom - s.mean[1])
     root = wp.max(row_root(s, dy), 0.0)
-    # A root that overflowed is no reason to leave anything out, so the test must not be the other way round.
+    # ``not ... >``, for a root that overflowed must not leave anything out.
     return not s.mean[0] - (wp.sqrt(root) + row_lean(s, dy)) / along - slack > right
 
 

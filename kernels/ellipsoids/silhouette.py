@@ -19,9 +19,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-_FEW = 32  # threads a block: a launch has few, and more blocks share more of the GPU
+_FEW = 32  # threads a block of small launches: more blocks use more of the GPU
 _FAR = wp.constant(1.0e30)  # [px] an empty bounding box's bounds
-_THIN = wp.constant(1.0e15)  # [1/px] of which squares are float32
+_THIN = wp.constant(1.0e15)  # [1/px] whose square float32 can hold
 
 
 @wp.struct
@@ -37,7 +37,7 @@ class Silhouette:
     nearness: float
     farthest: float  # nearness of the farthest and of the closest point of the front surface
     closest: float
-    label: int  # what it shows, 1 to 254; 255 hides what is behind and means nothing; 0: not drawn
+    label: int  # 1 to 254; 255 hides what is behind and has no map; 0: not drawn
 
 
 @wp.func

@@ -16,15 +16,14 @@ from .triangles import ImageArrays, MeshArrays, first_pixel
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-# On CUDA, threads a block and blocks a multiprocessor: it takes some spilled registers to have enough threads that wait
-# for memory at once.
+# On CUDA, threads a block and blocks a multiprocessor: some registers spill, but the memory's latency is hidden.
 _PUSH_EDGES_BOUNDS = (256, 3)
 
 # Threads on CUDA for one body: about one for each way of each scan line that a silhouette crosses, in a picture of
 # 256 x 256.
 _LINE_THREADS = 4096
 
-_COUNT_STRIDE = 16  # counters of two bodies share no line of memory, or their atomics would queue
+_COUNT_STRIDE = 16  # counters of two bodies lie in different cache lines, or their atomics would queue
 
 
 @wp.func

@@ -34,7 +34,7 @@ MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in e
 
 _PIXEL_THREADS = 1024  # on CUDA for one body: about one for each hidden pixel in a picture of 256 x 256
 
-_COUNT_STRIDE = 32  # counters of two bodies share no line of memory
+_COUNT_STRIDE = 32  # counters of two bodies lie in different cache lines
 
 
 @wp.kernel

@@ -28,8 +28,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 
-# Keys are read in tiles, so that those without a face cost next to nothing. On CUDA a warp has a row of tiles, a thread
-# a column of each, and it waits for a column's rows together.
+# Keys are read in tiles, so that tiles without a face cost next to nothing. On CUDA a warp has a row of tiles, a thread
+# a column of each, whose rows it loads together.
 TILE_ROWS = wp.constant(4)
 TILE_COLUMNS = wp.constant(32)
 
@@ -50,7 +50,7 @@ _MIN_ROW_LANE_BITS = 1
 _MAX_ROW_LANE_BITS = 4
 _THREADS_TO_FILL = 1 << 17
 
-# On CUDA, threads a block and blocks a multiprocessor: it takes enough threads that wait for memory at once.
+# On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
 _DRAW_FACES_BOUNDS = (256, 5)
 _COMPARE_LABELS_BOUNDS = (256, 4)
 
@@ -207,7 +207,7 @@ def compare_labels(
             wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], _IGNORED)
         # all four count from a border of the picture, so that zero is empty
         reach = wp.vec4i(height - top, wp.min(top + BLOCK, height), width - left, wp.min(left + BLOCK, width))
-        # pair of labels by pair, all threads the same one
+        # one pair of labels after another, the same for all threads
         pair = first_pair(shown, expected, wrong)
         waiting = ballot(pair != wp.uint32(0))
         while waiting != wp.uint32(0):

@@ -26,7 +26,7 @@ def carry(problem: Problem, state: State, b: int, bone: int):
     for k in range(num_parts):
         wrench = state.wrenches[b, k]
         torque = wrench.torque + wp.cross(state.ellipsoids.centres[b, k] - pivot, wrench.force)
-        # Selected, not skipped: on CUDA the next parts are read meanwhile.
+        # Selects, not branches, so that CUDA loads the next parts meanwhile.
         load.force += wp.where(has_bit(subtree, k), wrench.force, wp.vec3(0.0))
         load.torque += wp.where(has_bit(subtree, k), torque, wp.vec3(0.0))
     state.loads[b, bone] = load
@@ -53,7 +53,7 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
     for part in range(state.wrenches.shape[1]):
         if problem.skeleton.bones[part].shape[0] == i:
             wrench = state.wrenches[b, part]
-            # A longer bone carries along what hangs on it, and its own centre half as far.
+            # A longer bone moves its subtree by as much, and its own centre by half.
             carried = state.loads[b, part].force - 0.5 * wrench.force
             length += wp.dot(carried, column(state.ellipsoids.axes[b, part], 0)) + 0.5 * wrench.semi_axes[0]
     state.gradient.lengths[b, i] = length

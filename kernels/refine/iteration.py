@@ -88,7 +88,7 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     b = thread // lanes
     lane = thread - b * lanes
     num_parts = state.wrenches.shape[1]
-    # Threads that have nothing else to do yet bring the prior's matrices into the cache.
+    # Idle threads bring the prior's matrices into the cache.
     matrices = problem.mixture.precisions
     size = matrices.shape[0] * matrices.shape[1] * matrices.shape[2]
     for i in range(_LINE * first_task(lane, 4), size, _LINE * lanes):

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..ellipsoids.forces import Forces
 
-# One module for all kernels: each of its own would cost seconds when compiled first.
+# One module for all kernels, for the compilation of each more costs seconds.
 MODULE = wp.get_module("warp_partdr.refine")
 wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
 

@@ -94,7 +94,7 @@ def _heights(name: str, points: np.ndarray, confidence: np.ndarray) -> np.ndarra
 
 
 def _upper_quartile(values: np.ndarray) -> np.ndarray:
-    """Upper quartile of each row (N, K) without its -inf, by the rule of ``numpy.quantile``, which can't leave them out."""
+    """Upper quartile of each row (N, K), -inf left out, by the interpolation of ``numpy.quantile``."""
     values = np.sort(values, axis=1)
     count = (values > -np.inf).sum(axis=1)
     place = 0.75 * (count - 1)
