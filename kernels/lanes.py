@@ -44,7 +44,7 @@ def sum_lanes(value: float) -> float:  # type: ignore[empty-body]
 #endif
     return value;
 """)
-def count_up(value: int) -> int:  # type: ignore[empty-body]
+def prefix_sum(value: int) -> int:  # type: ignore[empty-body]
     """Inclusive prefix sum over the threads."""
     ...
 
@@ -56,7 +56,7 @@ def count_up(value: int) -> int:  # type: ignore[empty-body]
     return value;
 #endif
 """)
-def tell(value: wp.uint32, lane: int) -> wp.uint32:
+def shuffle(value: wp.uint32, lane: int) -> wp.uint32:
     """Value of the thread ``lane``."""
     ...
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes import ballot, lowest_bit, nth_bit, tell
+from ..lanes import ballot, lowest_bit, nth_bit, shuffle
 from .borders import chord_shares, find_crossing, front_at, front_gap, radicand_at, radicand_slope, root_at, slope_at
 from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_nearness_force, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
@@ -357,8 +357,8 @@ def walk_creases(
             total = waiting + wp.bit_count(finders)
             if total > waiting:
                 finder = nth_bit(finders, lane - waiting)
-                next_row = int(tell(wp.uint32(row), finder))
-                next_column = int(tell(wp.uint32(column), finder))
+                next_row = int(shuffle(wp.uint32(row), finder))
+                next_column = int(shuffle(wp.uint32(column), finder))
                 if lane >= waiting:
                     its_row = next_row
                     its_column = next_column
@@ -376,8 +376,8 @@ def walk_creases(
                 total -= lanes
                 if total > 0:
                     finder = nth_bit(finders, wp.bit_count(finders) - total + lane)
-                    its_row = int(tell(wp.uint32(row), finder))
-                    its_column = int(tell(wp.uint32(column), finder))
+                    its_row = int(shuffle(wp.uint32(row), finder))
+                    its_column = int(shuffle(wp.uint32(column), finder))
                     its_other = j
             waiting = wp.max(total, 0)
     return sums

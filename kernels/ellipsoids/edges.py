@@ -23,7 +23,7 @@ from ..labels import (
     unequal_bytes,
     words_of,
 )
-from ..lanes import count_up, nth_bit, tell
+from ..lanes import nth_bit, prefix_sum, shuffle
 from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
 from .forces import (
     BLOCK,
@@ -213,7 +213,7 @@ def find_lane(found: int, number: int, lanes: int):
     lane = int(0)
     step = lanes // 2
     while step > 0:
-        if int(tell(wp.uint32(found), lane + step - 1)) <= number:
+        if int(shuffle(wp.uint32(found), lane + step - 1)) <= number:
             lane += step
         step = step // 2
     return lane
@@ -246,13 +246,13 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
         if square < squares:
             row = first_row + _QUAD * (square // across)
             borders = find_borders(view, words, in_words, row, first_quad + square % across)
-        found = count_up(wp.bit_count(borders))
-        total = int(tell(wp.uint32(found), lanes - 1))
+        found = prefix_sum(wp.bit_count(borders))
+        total = int(shuffle(wp.uint32(found), lanes - 1))
         for first in range(0, total, lanes):
             finder = find_lane(found, first + w.lane, lanes)
-            theirs = tell(borders, finder)
-            before = int(tell(wp.uint32(found), finder)) - wp.bit_count(theirs)
-            origin = int(tell(wp.uint32(square), finder))
+            theirs = shuffle(borders, finder)
+            before = int(shuffle(wp.uint32(found), finder)) - wp.bit_count(theirs)
+            origin = int(shuffle(wp.uint32(square), finder))
             if first + w.lane < total:
                 place = place_of(nth_bit(theirs, first + w.lane - before))
                 row = first_row + _QUAD * (origin // across) + place[0]

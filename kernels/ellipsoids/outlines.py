@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from ..lanes import ballot, lowest_bit, tell
+from ..lanes import ballot, lowest_bit, shuffle
 from .borders import chord_shares
 from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_image_force, from_unit, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at
@@ -126,9 +126,9 @@ def push_outline(
 
 
 @wp.func
-def tell_next(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
+def previous_lane(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
     """Value of the thread before this one; for the first, the value the last thread had before."""
-    return tell(wp.where(lane == lanes - 1, last, value), wp.where(lane == 0, lanes, lane) - 1)
+    return shuffle(wp.where(lane == lanes - 1, last, value), wp.where(lane == 0, lanes, lane) - 1)
 
 
 @wp.func
@@ -172,10 +172,10 @@ def walk_outline(
             end_behind = look_behind(view, s, image_of(rim, end, perspective))
             start = wp.vec3(
                 1.0,
-                wp.cast(tell_next(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
-                wp.cast(tell_next(wp.cast(end[2], wp.uint32), wp.cast(place[2], wp.uint32), lane, lanes), float),
+                wp.cast(previous_lane(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
+                wp.cast(previous_lane(wp.cast(end[2], wp.uint32), wp.cast(place[2], wp.uint32), lane, lanes), float),
             )
-            start_behind = int(tell_next(wp.uint32(end_behind), wp.uint32(behind), lane, lanes))
+            start_behind = int(previous_lane(wp.uint32(end_behind), wp.uint32(behind), lane, lanes))
             place = end
             behind = end_behind
             changes = start_behind != behind

@@ -6,7 +6,7 @@ from typing import Any, Self
 import warp as wp
 
 from ..labels import EACH_BYTE, are_words, flat, map_weight, unequal_bytes, words_of
-from ..lanes import LANES, ballot, lowest_bit, tell
+from ..lanes import LANES, ballot, lowest_bit, shuffle
 from .triangles import (
     BACKGROUND,
     ImageArrays,
@@ -211,7 +211,7 @@ def compare_labels(
         pair = first_pair(shown, expected, wrong)
         waiting = ballot(pair != wp.uint32(0))
         while waiting != wp.uint32(0):
-            pair = tell(pair, lowest_bit(waiting))
+            pair = shuffle(pair, lowest_bit(waiting))
             shown_label = pair & wp.uint32(255)
             target_label = pair >> wp.uint32(8)
             count = int(0)

@@ -14,7 +14,7 @@ _DOWN = wp.constant(wp.vec3(0.0, 1.0, 0.0))  # camera frame
 
 
 @wp.func
-def carry(problem: Problem, state: State, b: int, bone: int):
+def sum_subtree(problem: Problem, state: State, b: int, bone: int):
     """Sum the forces on all that a bone moves."""
     num_parts = state.wrenches.shape[1]
     pivot = wp.vec3(0.0)

@@ -8,7 +8,7 @@ import warp as wp
 
 from ..lanes import LANES
 from .costs import add_drawn, cost_rules, pull_landmark, sum_forces
-from .gradient import carry, gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness
+from .gradient import gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness, sum_subtree
 from .pose import place_part, turn_body, turn_part
 from .prior import share_component, slope_component, sum_exponent
 from .state import MODULE, Drawn, Problem, State
@@ -108,7 +108,7 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     wait_for_block()
 
     for bone in range(lane, num_parts + 1, lanes):
-        carry(problem, state, b, bone)
+        sum_subtree(problem, state, b, bone)
     for i in range(first_task(lane, 1), state.bodies.thicknesses.shape[1], lanes):
         gather_thickness(problem, state, b, i)
     if first_task(lane, 2) == 0:
