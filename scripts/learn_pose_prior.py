@@ -302,7 +302,6 @@ def report(prior: PosePrior, console: Console, learned: mocap.Clip, held_out: mo
 
 
 def main() -> None:
-    """Learn, save, report."""
     default = Path(__file__).parents[1] / "warp_partdr" / "assets" / "pose_prior.npz"
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("mocap", type=Path, help="folder with cmu_expmap.npz, cmu_asfamc/, deepmimic/ (any of them)")

@@ -120,7 +120,6 @@ def draw_arm(vertices: torch.Tensor, level: int, size: int, samples: int = 3) ->
 
 
 def main() -> None:
-    """Draw and write them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(__file__).resolve().parents[1] / "docs" / "images"
     parser.add_argument("--out", type=Path, default=default, help="folder (default: docs/images)")

@@ -1,7 +1,4 @@
-"""Front surfaces and outlines at points of the picture, their crossings, and the cost of moving a border.
-
-A front's nearness is linear plus a root: the root is ``root_at``, its square ``radicand_at``.
-"""
+"""Front surfaces and outlines at points of the picture, their crossings, and the cost of moving a border."""
 
 from typing import Any
 
@@ -19,7 +16,7 @@ _ROOT_STEPS = wp.constant(4)  # of false position
 
 @wp.func
 def root_at(s: Silhouette, x: float, y: float):
-    """Nearness of the front surface less that of the outline's plane; 0 outside."""
+    """Nearness of the front surface less that of the outline's plane, a square root; 0 outside."""
     return s.bulge * wp.sqrt(wp.max(inside_at(s, x, y), 0.0))
 
 

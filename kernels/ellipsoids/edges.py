@@ -63,10 +63,7 @@ def find_shown(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, 
 
 @wp.func
 def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
-    """Bits of 4 by 4 pixels, set where only one of a pixel and its neighbour to the right or below shows the ellipsoid.
-
-    ``place_of`` gives the place of a bit.
-    """
+    """Set of the borders of 4 by 4 pixels with their neighbours to the right and below; ``place_of`` locates a bit."""
     borders = wp.uint32(0)
     last_row = view.height - 1
     here = find_shown(view, words, in_words, wp.min(row, last_row), quad)
@@ -85,7 +82,7 @@ def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool
 
 @wp.func
 def place_of(bit: int):
-    """Row and column among 4 by 4 pixels, and 0 for the neighbour to the right, 1 for the one below."""
+    """Row and column of a border among 4 by 4 pixels, and 0 for the neighbour to the right, 1 for the one below."""
     down = 7 - bit % 8
     return wp.vec3i(down // 2, bit // 8, down % 2)
 

@@ -124,7 +124,6 @@ def unproject(e: Ellipsoid, x: float, y: float, nearness: float, perspective: bo
 
 @wp.func
 def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
-    """Add a force in the camera frame."""
     sums.force += force
     sums.moment += wp.outer(force, unit)
     return sums

@@ -114,7 +114,6 @@ def make_edge(a: wp.vec3, b: wp.vec3):
 
 @wp.func
 def make_edges(t: Triangle):
-    """Make the three edges of a face."""
     e = Edges()
     e.bc = make_edge(t.b, t.c)
     e.ca = make_edge(t.c, t.a)

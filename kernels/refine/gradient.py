@@ -34,7 +34,6 @@ def sum_subtree(problem: Problem, state: State, b: int, bone: int):
 
 @wp.func
 def gather_rotation(problem: Problem, state: State, b: int, k: int):
-    """Gradient of the rotation of part k."""
     if not has_bit(problem.skeleton.locked, k):
         # The global rotation is axes * rest_axes^T.
         torque = wp.transpose(state.ellipsoids.axes[b, k]) * state.loads[b, k].torque
@@ -61,7 +60,6 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
 
 @wp.func
 def gather_thickness(problem: Problem, state: State, b: int, i: int):
-    """Gradient of thickness i."""
     thickness = state.gradient.thicknesses[b, i]
     for part in range(state.wrenches.shape[1]):
         shape = problem.skeleton.bones[part].shape
@@ -74,7 +72,6 @@ def gather_thickness(problem: Problem, state: State, b: int, i: int):
 
 @wp.func
 def gather_orientation(problem: Problem, state: State, b: int):
-    """Gradient of the root's rotation."""
     root = state.wrenches.shape[1]
     torque = state.loads[b, root].torque
     orientation = state.orientations[b]
@@ -90,7 +87,6 @@ def gather_orientation(problem: Problem, state: State, b: int):
 
 @wp.func
 def gather_camera(state: State, b: int):
-    """Gradient of the camera's scale and shift."""
     camera = wp.vec3(0.0)
     for k in range(state.wrenches.shape[1]):
         camera += state.wrenches[b, k].camera

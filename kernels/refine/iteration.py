@@ -23,9 +23,7 @@ _LINE = wp.constant(32)  # floats in a line of the cache
     __syncthreads();
 #endif
 """)
-def wait_for_block():
-    """Wait until all threads of the block are here."""
-    ...
+def wait_for_block(): ...
 
 
 @wp.func_native("""

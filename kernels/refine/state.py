@@ -228,11 +228,9 @@ class State:
 
 @wp.func
 def has_bit(mask: int, bit: int):
-    """True if a bit of a set is set."""
     return (mask >> bit) & 1 == 1
 
 
 @wp.func
 def column(m: wp.mat33, index: int):
-    """A column of a matrix."""
     return wp.vec3(m[0, index], m[1, index], m[2, index])

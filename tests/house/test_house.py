@@ -58,8 +58,8 @@ LONG_SIGNATURES = {
     "kernels/registration.py::vertex_costs": 13,
 }
 # Public names that stand twice.
-DEFINED_TWICE: set[str] = set()
-MOST_QUESTIONS = 141  # docstrings that begin so; 2 % is what is wanted
+DEFINED_TWICE: set[str] = set("".split())
+MOST_QUESTIONS = 0  # docstrings that begin so; 2 % is what is wanted
 QUESTIONS = r"(What|Which|How|Whether|Where|Whose)\b"
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")

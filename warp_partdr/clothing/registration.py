@@ -172,7 +172,7 @@ def register(
     free = sorted({0, *model.part_joints})
     turns = like.new_zeros(len(shape), len(free), 3)
     loss = _Loss(model, posed, options)
-    tailor = _Tailor(model, posed, options, loss.parts, loss.areas, shape, start)
+    measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)
 
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
     shares = (1.0, 0.2, 0.05)
@@ -188,12 +188,12 @@ def register(
     for iteration in range(iterations):
         searching = iteration % search_every == 0
         if searching:
-            tailor.grow(shape.detach())
-        detailed = model.pose(shape, turned(), translation, stretches=tailor.stretches)
+            measures.grow(shape.detach())
+        detailed = model.pose(shape, turned(), translation, stretches=measures.stretches)
         if searching:
             loss.search(detailed.vertices.detach())
         adam.zero_grad()
-        terms = {**loss(detailed, shape, turns), "measures": tailor(shape)}
+        terms = {**loss(detailed, shape, turns), "measures": measures(shape)}
         torch.stack(list(terms.values())).sum().backward()
         adam.step()
         falling.step()
@@ -201,17 +201,17 @@ def register(
             progress("registration", iteration + 1, iterations)
     with torch.no_grad():
         rotations = turned()
-        detailed = model.pose(shape, rotations, translation, stretches=tailor.stretches)
+        detailed = model.pose(shape, rotations, translation, stretches=measures.stretches)
         loss.search(detailed.vertices)
-        losses = {**loss(detailed, shape, turns), "measures": tailor(shape)}
-        unexplained = tailor.differences(shape) - tailor.logs
+        losses = {**loss(detailed, shape, turns), "measures": measures(shape)}
+        unexplained = measures.differences(shape) - measures.logs
     return Registered(
         model,
         shape.detach(),
         rotations,
         translation.detach(),
-        tailor.stretches,
-        tailor.logs.exp(),
+        measures.stretches,
+        measures.logs.exp(),
         unexplained,
         detailed,
         losses,
@@ -295,12 +295,12 @@ class _Loss:
         }
 
 
-class _Tailor:
-    """Growth of parts to lengths and thicknesses of EllipBody that no shape of the model has.
+class _MeasureLoss:
+    """Loss of lengths and thicknesses against EllipBody's, and growth of parts where no shape of the model has them.
 
-    A measure whose logarithm is off by r adds log(1 + r² / d²) to the loss, d being the spread over natural people: a
-    Cauchy distribution, so that the shape follows small differences and is not drawn far by large ones. What such a
-    robust fit gives up of r, which is r³ / (r² + d²), is growth.
+    A measure whose logarithm is off by r adds log(1 + r² / d²), d being the spread over natural people: a Cauchy
+    distribution, so that large differences do not draw the shape far. The residual that such a robust fit gives up,
+    r³ / (r² + d²), is growth.
     """
 
     def __init__(

@@ -1,7 +1,4 @@
-"""Errors instead of wrong values for derivatives that kernels lack: second ones of images, and ``torch.func``'s.
-
-Without these, autograd would take a kernel's gradient for a constant, and say nothing.
-"""
+"""Errors for derivatives that kernels lack: second ones, and ``torch.func``'s, which autograd would take for 0."""
 
 from __future__ import annotations
 
