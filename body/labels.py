@@ -1,13 +1,13 @@
 """Label sets: groups of the 20 ellipsoids for the label ids of a data set or network.
 
-A ``LabelSet`` has groups 1 to G, each a union of ellipsoids, and says of every source id (the numbers in a data set's
-or a network's label images) whether it is one of the groups, background, or to be ignored. Three kinds of image meet:
+A ``LabelSet`` has groups 1 to G, each a union of ellipsoids, and maps every source id (the numbers in a data set's or a
+network's label images) to one of the groups, background, or ignore. There are three kinds of image:
 
 * **source ids**: what the user brings, such as 14 for LIP's "Left-arm";
 * **group ids**: uint8, 0 = background, 1 to G = groups, 255 = ignore, which neither attracts nor repels;
 * **part labels**: what the body renders: uint8, 0 = background, k = ellipsoid ``PART_NAMES[k - 1]``.
 
-Three rules settle the rest:
+Three rules:
 
 * Source id 255 is ignored, as in most data sets, unless the set gives it a meaning.
 * A group without source ids is no pixel's target, but is wrong on background: the torso under LIP's clothes.
@@ -230,7 +230,7 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
             "ids": {"0": "background", "1": "head", "2": "left_arm", "7": "ignore"}
         }
 
-    ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` says for every number that may occur in
+    ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` gives for every number that may occur in
     the label images which group it is; several numbers may be one group. ``name`` may be missing. A list ``left_out``
     names parts that are not drawn, such as hands and feet that nobody labelled.
 

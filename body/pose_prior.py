@@ -1,7 +1,7 @@
 """Pose prior: a Gaussian mixture and soft joint limits learned from motion capture.
 
-2D keypoints and part labels can't tell a bone that points toward the camera from one that points away; this prior
-can, as far as anything can. ``scripts/learn_pose_prior.py`` learns ``assets/pose_prior.npz`` from CMU's motion capture
+2D keypoints and part labels can't distinguish a bone that points toward the camera from one that points away; the
+prior prefers the likelier. ``scripts/learn_pose_prior.py`` learns ``assets/pose_prior.npz`` from CMU's motion capture
 (mocap.cs.cmu.edu, created with funding from NSF EIA-0196217) and DeepMimic's clips.
 """
 

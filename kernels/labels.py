@@ -1,7 +1,7 @@
 """Gradient of a loss with respect to part maps: dense, or found from a target label image.
 
-A label target holds what K float maps would in 1/80 of the bytes: L_seg and its gradient at a pixel follow from two
-labels, the one shown and the target's.
+A label target takes 1/80 of the bytes of K float maps: L_seg and its gradient at a pixel follow from two labels, the
+one shown and the target's.
 """
 
 from typing import Any

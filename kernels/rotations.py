@@ -1,7 +1,7 @@
 """Device functions on rotations: axis-angle and 6D numbers to matrices, and torques back to gradients of those numbers.
 
 A change of a rotation matrix is ``[w]x R`` for a small rotation w. The gradient of anything with respect to w is the
-torque of its forces, so one torque says all that nine adjoints of matrix entries would.
+torque of its forces, so one torque replaces nine adjoints of matrix entries.
 """
 
 import warp as wp

@@ -2,7 +2,7 @@
 
 ``coverage`` integrates along outlines and creases; here each pair of neighbouring pixels with different ellipsoids
 gives one sample of the border between them. A row and a column that cross a border share it by the squares of its
-normal's components, so that every piece of border counts once. The two ellipsoids tell the kind of border, and its
+normal's components, so that every piece of border counts once. The two ellipsoids give the kind of border, and its
 place follows in closed form (an outline) or from a few steps of false position (a crease). Parts too thin to cover a
 pixel's centre have no gradient. Every thread adds in a fixed order.
 """

@@ -1,7 +1,7 @@
 """Gradients as forces F = dL/dX on surface points X = c + A diag(a) u of an ellipsoid (u on the unit sphere).
 
-Whatever moves an ellipsoid moves its surface points, so two sums say all that a loss tells about it: force = sum F and
-moment = sum F u^T. Hence dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
+Two sums over the forces give the gradients of all parameters, force = sum F and moment = sum F u^T:
+dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
 """
 
 from collections.abc import Sequence

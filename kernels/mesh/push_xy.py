@@ -116,7 +116,7 @@ def reach_out(
     """Sum of the outer pixels' gradients, each over its distance, that pulls an edge outward."""
     pull = float(0.0)
     while left > 0:
-        # both loads before anything hangs on them, so that they wait together
+        # both loads before their first use, so that their latencies overlap
         shown = int(picture[at])
         value = pixel_gradient(asked, at, label, False)
         if shown == label:

@@ -75,7 +75,7 @@ def draw_hidden_faces(
         columns = pixel_columns(e, y, width)
         for column in range(wp.max(columns[0], wrong[2]), wp.min(columns[1], wrong[3]) + 1):
             at = row * width + column
-            # both loads before anything hangs on them, so that they wait together
+            # both loads before their first use, so that their latencies overlap
             shown = int(picture[at])
             target_label = target_label_at(gradient, b, at)
             if shown != 0 and shown != label and target_label == label:

@@ -158,7 +158,7 @@ def resolve_keys(
             waiting &= waiting - wp.uint32(1)
             for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
                 top = tile_row * TILE_ROWS * width + column
-                # all loads of a tile's column first, so that they wait together
+                # all loads of a tile's column first, so that their latencies overlap
                 found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
                 for k in range(TILE_ROWS):
                     if k < rows:

@@ -1,6 +1,6 @@
 """Costs of each part: keypoints, rules and the renderer's share, and the forces that follow.
 
-Whatever pulls on a part ends as a force, a torque about its centre and a gradient of its semi-axes.
+The forces on a part are summed to a force, a torque about its centre and a gradient of its semi-axes.
 """
 
 import warp as wp

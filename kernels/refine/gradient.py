@@ -1,7 +1,7 @@
 """Gradient of every parameter from the forces on the parts.
 
-A bone turns all that hangs on it, so the gradient of its rotation is the torque of its subtree about its start. A
-body's root counts as one more bone, which turns the whole body.
+The gradient of a bone's rotation is the torque of its subtree about the bone's start. A body's root counts as one more
+bone, which turns the whole body.
 """
 
 import warp as wp

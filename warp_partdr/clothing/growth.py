@@ -34,7 +34,7 @@ THICKNESS_RATIOS: dict[str, tuple[float, float]] = {
     "hand width": (3.674, 0.032),
     "hand thickness": (3.344, 0.043),
 }
-# Hidden in the trunk, so that silhouettes hardly say how thick they are, and stretches hardly change the skin.
+# Hidden in the trunk, so that silhouettes hardly show their thickness, and stretches hardly change the skin.
 UNGROWN: tuple[str, ...] = ("pelvis height", "shoulder thickness")
 # Bones between joints are the same on both sides; what an estimated shape leaves.
 _LENGTH_SPREAD = 0.015

@@ -1,7 +1,7 @@
 """Body models from files that users bring: SMPL, SMPL-H and SMPL-X as ``.npz`` or ``.safetensors``.
 
-A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and what an archive says it
-holds is checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
+A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and an archive's sizes are
+checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def pose_from_ellipbody(
     Args:
         model: On the device and of the dtype of ``posed``.
         posed: EllipBodies.
-        shape: Shape values of the model, (B, S); bones' directions at rest hang on them a little. Default 0.
+        shape: Shape values of the model, (B, S), on which bones' directions at rest depend a little. Default 0.
 
     Returns:
         Local rotations, shape (B, J, 3, 3), and position of the root joint [m], shape (B, 3), for ``model.pose``.

@@ -47,7 +47,7 @@ def fit_body(
 ) -> FitResult:
     """Fit EllipBody to one person.
 
-    What contradicts itself is mended where it is clear, and told in ``warnings``: left and right that differ between
+    Clear contradictions of the input are mended, and reported in ``warnings``: left and right that differ between
     labels and keypoints are exchanged in the one that seems wrong, and blobs of labels far from any bone are ignored.
 
     Args:

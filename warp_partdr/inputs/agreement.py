@@ -1,4 +1,4 @@
-"""Agreement of one person's part labels and keypoints, told along the bones between confident keypoints."""
+"""Agreement of one person's part labels and keypoints, measured along the bones between confident keypoints."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def bone_ends(part: int) -> tuple[str, str]:
 
 
 def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> dict[str, Agreement]:
-    """Compare arms and legs, as far as keypoints show them and the label set tells their sides apart.
+    """Compare arms and legs that have keypoints and whose sides the label set distinguishes.
 
     Args:
         groups: Group ids with only this person's in them (``select_person``), shape (H, W).

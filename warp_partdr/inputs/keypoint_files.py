@@ -56,7 +56,7 @@ def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list
 
     Args:
         path: The file.
-        keypoint_format: Name of the format, where the file does not say it or says it wrongly.
+        keypoint_format: Name of the format, if the file's is missing or wrong.
 
     Raises:
         InputError: If the file can't be read or understood, or nobody in it has usable keypoints.

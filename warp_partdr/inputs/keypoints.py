@@ -12,7 +12,7 @@ from ..body.skeletons import Skeleton, skeleton
 from ..errors import InputError, check_each, check_type, check_whole
 
 LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
-MIN_CONFIDENCE = 0.3  # Below it, a keypoint says little about where the person is.
+MIN_CONFIDENCE = 0.3  # Below it, a keypoint's position is unreliable.
 
 _FIELDS = ("points", "confidence")
 
@@ -73,8 +73,8 @@ def confident(confidence: np.ndarray) -> np.ndarray:
 def person_height(keypoints: Keypoints2D) -> float:
     """Height of the person standing upright in the picture [px], from the lengths of trunk, thighs and shins.
 
-    A bone seen at an angle looks shorter than it is, so the upper quartile of what the bones say counts, and a bent or
-    cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
+    A bone seen at an angle looks shorter than it is, so the upper quartile of the bones' estimates counts, and a bent
+    or cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
     """
     return float(_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
 

@@ -1,7 +1,7 @@
-"""Limbs that part labels miss though confident keypoints see them: there, background is turned into "ignore".
+"""Limbs that part labels miss though confident keypoints show them: background there becomes "ignore".
 
-Networks lose limbs that are dark, blurred or behind something. Taken at its word, background where an arm is makes a
-fit hide the arm: thin, or pointing along the line of sight. Where labels contradict keypoints, keypoints decide.
+Networks miss limbs that are dark, blurred or behind something. Background where an arm is would make a fit hide the
+arm: thin, or pointing along the line of sight. Where labels contradict keypoints, keypoints decide.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .person import lower_near
 
 _LIMBS = ("upper_arm", "forearm", "upper_leg", "lower_leg")
 _MISSING = 1 / 3  # share of a bone on background from which on its limb is missing
-_SAMPLES = 64  # points along a bone to tell that share from
+_SAMPLES = 64  # points along a bone
 _MARGIN = 0.01  # of the person's height: about how far keypoints are off
 
 

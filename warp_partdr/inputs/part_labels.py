@@ -24,7 +24,7 @@ from ..files.json_files import read_json
 if TYPE_CHECKING:
     from PIL import Image
 
-# [px], of a photo or label image: 134 megapixels, with room in memory for what is made of them.
+# [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
 LARGEST_PICTURE = 2**27
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.

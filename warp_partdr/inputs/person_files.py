@@ -46,8 +46,8 @@ def read_person(
         photo: The picture.
         parts: Its part labels.
         labels: Meaning of their ids, as ``read_labelled_parts`` takes it.
-        keypoint_format: Of the keypoints, if the file does not say.
-        index: Of the person among those with keypoints; None takes the largest.
+        keypoint_format: Format of the keypoints, if the file does not name it.
+        index: Index of the person among those with keypoints; None takes the largest.
 
     Raises:
         InputError: If a file can't be read, or they don't fit each other.

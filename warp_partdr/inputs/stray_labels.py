@@ -1,7 +1,6 @@
-"""Labels that no bone explains: a stranger's pixels, or a thing's, under a part's label but far from that part.
+"""Stray labels, a stranger's or a thing's pixels far from the part whose label they have: they become "ignore".
 
-Taken at their word they pull limbs away, and F1 of the foreground hides it. Confident keypoints say where each part may
-be, so what lies far from there is turned into "ignore".
+They would pull limbs away, and F1 of the foreground hides it. Confident keypoints bound where each part may be.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ _CONFIRMED = 0.25  # pixels about a part's bones for each one far away; with few
 def ignore_stray_labels(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> tuple[np.ndarray, set[str]]:
     """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255, ignore.
 
-    A blob goes as far as it hangs together, up to the part's flesh. A label whose part has no confident keypoints
-    stays, and so does one that is mostly elsewhere than its keypoints.
+    A whole connected blob is turned, up to the part's flesh. A label whose part has no confident keypoints stays, and
+    so does one that is mostly elsewhere than its keypoints.
 
     Args:
         groups: Group ids with only this person's in them (``select_person``), shape (H, W), uint8.

@@ -1,7 +1,7 @@
-"""L_seg of a batch and its gradient, found together: launched one by one, or for small batches as a captured graph.
+"""L_seg of a batch with its gradient: launched kernel by kernel, or for small batches as a captured graph.
 
-A small batch is done before Python has launched its kernels. So these are captured once, in buffers that are kept, and
-a call copies what is given into the buffers, replays, and copies what was found.
+For a small batch, launching takes longer than computing. So the launches are captured once, in fixed buffers, and a
+call copies its arguments into them, replays, and copies the results.
 """
 
 from __future__ import annotations

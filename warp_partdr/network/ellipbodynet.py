@@ -1,7 +1,7 @@
 """EllipBodyNet: from a picture to EllipBody, its camera, 2D keypoints and part segmentation (paper, section 3.4).
 
 The backbone is any of ``transformers.AutoBackbone`` whose last feature map is (B, C, h, w). The regressor sees that map
-pooled, the keypoints that the heat maps say, and the segmentation's probabilities, pooled.
+pooled, the heat maps' keypoints, and the segmentation's probabilities, pooled.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The heads beside EllipBodyNet's regressor: keypoints as heat maps, and part segmentation (paper, section 3.4).
+"""Heads beside EllipBodyNet's regressor: keypoints as heat maps, and part segmentation (paper, section 3.4).
 
 Both are three deconvolutions and a 1x1 convolution (Xiao et al., 2018: simple baselines), eight times finer than the
 backbone's last feature map: 64x64 for a picture of 256x256.

@@ -1,7 +1,7 @@
 """Label network: a body from part labels and keypoints, no colour, by a small convolutional encoder and a regressor.
 
-What it sees doesn't hang on who made it: a pixel is the share that each of the 20 parts may have in its label, of any
-label set, or background, or unknown; keypoints are those of ``LANDMARKS``, as far as they were found.
+Its input is independent of the label set and the keypoint format: a pixel holds the share of each of the 20 parts in
+its label, of background and of unknown; keypoints are those of ``LANDMARKS`` that were found.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class LabelNetwork(nn.Module):
         """Bodies.
 
         Args:
-            shares: What the labels say (``label_shares``, ``map_shares``), shape (B, 22, S, S).
+            shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S).
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
         """
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)

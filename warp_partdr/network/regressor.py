@@ -1,8 +1,8 @@
-"""The regressor that all networks end with: from features to EllipBody and its camera (paper, section 3.4).
+"""Regressor at the end of all networks: from features to EllipBody and its camera (paper, section 3.4).
 
-A multilayer perceptron of residual blocks sees the features and the last estimate, and adds to that what is missing;
-so it goes on from the mean body a few times (iterated error feedback, as HMR does). Rotations are two columns made
-orthonormal by Gram-Schmidt; sizes are factors of the mean body's.
+A multilayer perceptron of residual blocks takes the features and the last estimate and returns a correction of it, a
+few times from the mean body on (iterative error feedback, as in HMR). Rotations are two columns made orthonormal by
+Gram-Schmidt; sizes are factors of the mean body's.
 """
 
 from __future__ import annotations
