@@ -15,7 +15,7 @@ from scenes.bodies import QUICK_REGISTRATION, ellipbodies
 from warp_partdr.body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.growth import MEASURES, UNGROWN, Growth
-from warp_partdr.clothing.registration import Registered, RegistrationWeights, _Tailor, register
+from warp_partdr.clothing.registration import Registered, RegistrationWeights, _MeasureLoss, register
 from warp_partdr.clothing.surfaces import skin_vertices, vertex_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "demos"))
@@ -93,7 +93,7 @@ def test_growth_is_what_a_robust_fit_gives_up(registered: Registered, device: st
     model, shape = registered.model, registered.shape
     parts, areas = vertex_parts(model)
     posed = ellipbodies(device, longer={"lower leg": 1.02}, thicker={"head thickness": 1.3, "foot width": 0.8})
-    tailor = _Tailor(model, posed, replace(QUICK_REGISTRATION, growth=True), parts, areas, shape, None)
+    tailor = _MeasureLoss(model, posed, replace(QUICK_REGISTRATION, growth=True), parts, areas, shape, None)
     for _ in range(12):
         tailor.grow(shape)
     body = Growth(model, parts, areas, shape)
