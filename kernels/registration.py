@@ -11,6 +11,16 @@ wp.set_module_options({"enable_backward": False})
 DEEP = wp.constant(0.02)  # share of the way from an ellipsoid's centre to its surface
 
 
+@wp.struct
+class PartArrays:
+    """Posed ellipsoids of all bodies, one after another."""
+
+    centres: wp.array[wp.vec3]  # (B P,) [m]
+    axes: wp.array[wp.mat33]  # (B P,) columns
+    semi_axes: wp.array[wp.vec3]  # (B P,) [m]
+    count: int  # P
+
+
 @wp.func
 def radius(point: wp.vec3, centre: wp.vec3, axes: wp.mat33, semi_axes: wp.vec3) -> float:
     """The paper's e: 1 on the ellipsoid's surface, less inside."""
@@ -37,19 +47,16 @@ def find_skin(
 @wp.kernel
 def cover_samples(
     samples: wp.array[wp.vec3],  # (B P N,) on the surfaces [m]
-    centres: wp.array[wp.vec3],  # (B P,) [m]
-    axes: wp.array[wp.mat33],  # (B P,) columns
-    semi_axes: wp.array[wp.vec3],  # (B P,) [m]
-    num_parts: int,
+    posed: PartArrays,
     num_samples: int,  # N
     seen: wp.array[float],  # (B P N,) 0 where another ellipsoid covers the sample, else 1  OUTPUT
 ):
     i = wp.tid()
     own = i // num_samples
-    first = own // num_parts * num_parts
+    first = own // posed.count * posed.count
     outside = float(1.0)
-    for k in range(first, first + num_parts):
-        if k != own and radius(samples[i], centres[k], axes[k], semi_axes[k]) < 1.0:
+    for k in range(first, first + posed.count):
+        if k != own and radius(samples[i], posed.centres[k], posed.axes[k], posed.semi_axes[k]) < 1.0:
             outside = 0.0
     seen[i] = outside
 
@@ -97,10 +104,7 @@ def vertex_costs(
     vertices: wp.array[wp.vec3],  # (B V,) [m]
     parts: wp.array[int],  # (V,) part 0 to 19 of each vertex
     areas: wp.array[float],  # (V,) weight of each vertex
-    centres: wp.array[wp.vec3],  # (B P,) [m]
-    axes: wp.array[wp.mat33],  # (B P,) columns
-    semi_axes: wp.array[wp.vec3],  # (B P,) [m]
-    num_parts: int,
+    posed: PartArrays,
     band: float,  # share of its bone's length, from the middle, where a vertex is drawn to its own ellipsoid
     scale: float,  # [m] distance from which on it is drawn ever less
     fit: wp.array[float],  # (B V,) [m²]  OUTPUT
@@ -115,18 +119,19 @@ def vertex_costs(
     v = i - body * num_vertices
     point = vertices[i]
     area = areas[v]
-    first = body * num_parts
+    first = body * posed.count
     fit_cost, inside_cost = float(0.0), float(0.0)
     fit_slope, inside_slope = wp.vec3(), wp.vec3()
-    for k in range(first, first + num_parts):
-        offset = point - centres[k]
-        size = semi_axes[k]
+    for k in range(first, first + posed.count):
+        offset = point - posed.centres[k]
+        size = posed.semi_axes[k]
+        axes = posed.axes[k]
         own = k - first == parts[v]
         if own or wp.length_sq(offset) < wp.max(size) * wp.max(size):
-            unit = wp.cw_div(wp.transpose(axes[k]) * offset, size)
+            unit = wp.cw_div(wp.transpose(axes) * offset, size)
             e = wp.length(unit)
             # Of e; at the centre it has no direction, and any will do.
-            towards = axes[k] * wp.cw_div(unit, size) / wp.max(e, 1.0e-6)
+            towards = axes * wp.cw_div(unit, size) / wp.max(e, 1.0e-6)
             if e < 1.0:
                 inside_cost += (1.0 - e) * (1.0 - e)
                 inside_slope -= towards * (2.0 * (1.0 - e))
@@ -138,7 +143,7 @@ def vertex_costs(
                 fit_cost += distance * distance * share
                 # The steepness has a slope as well. Near the centre, where a vertex hardly comes, the sum has no bound.
                 deep = wp.max(e, DEEP)
-                bend = axes[k] * wp.cw_div(wp.cw_div(unit, size), wp.cw_mul(size, size))
+                bend = axes * wp.cw_div(wp.cw_div(unit, size), wp.cw_mul(size, size))
                 slope = (towards * (2.0 * e - 1.0) - bend * ((e - 1.0) / (deep * steep * steep))) / deep
                 fit_slope += slope * (2.0 * distance * share * share / steep)
     fit[i] = area * fit_cost

@@ -69,7 +69,7 @@ def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
         wp.launch(
             kernels.cover_samples,
             dim=seen.numel(),
-            inputs=[_vectors(samples), *_ellipsoids(posed), NUM_PARTS, len(sphere)],
+            inputs=[_vectors(samples), _part_arrays(posed), len(sphere)],
             outputs=[_flat(seen)],
         )
     weights = seen * areas.flatten(1)
@@ -159,8 +159,7 @@ class _VertexCosts(torch.autograd.Function):
                     _vectors(vertices),
                     warp_array(parts),
                     warp_array(areas),
-                    *_ellipsoids(posed),
-                    NUM_PARTS,
+                    _part_arrays(posed),
                     BAND,
                     scale,
                 ],
@@ -184,8 +183,11 @@ def _flat(tensor: torch.Tensor) -> wp.array:
     return warp_array(tensor.view(-1))
 
 
-def _ellipsoids(posed: Posed) -> list[wp.array]:
-    return [_vectors(posed.centres), warp_array(posed.axes.view(-1, 3, 3), wp.mat33), _vectors(posed.semi_axes)]
+def _part_arrays(posed: Posed) -> kernels.PartArrays:
+    arrays = kernels.PartArrays()
+    arrays.centres, arrays.semi_axes = _vectors(posed.centres), _vectors(posed.semi_axes)
+    arrays.axes, arrays.count = warp_array(posed.axes.view(-1, 3, 3), wp.mat33), NUM_PARTS
+    return arrays
 
 
 vertex_costs = _VertexCosts.apply
