@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import torch
@@ -24,7 +24,7 @@ from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.plot import loss_curve
 
 BONES = ("upper_arm", "forearm", "upper_leg")
-MIRROR = (("left", 1.0), ("right", -1.0))  # the same number lifts a left limb and a right one
+SIGN = {"left": 1.0, "right": -1.0}  # the same number lifts a left limb and a right one
 LOWEST, HIGHEST = torch.tensor([-1.2, -0.9, 0.0]).repeat(2), torch.tensor([0.9, 0.9, 0.5]).repeat(2)  # [rad]
 SHOWN = 5  # people in the picture
 
@@ -32,15 +32,10 @@ SHOWN = 5  # people in the picture
 def bodies(angles: torch.Tensor) -> BodyParameters:
     """Mean bodies whose limbs are turned in the picture's plane by ``angles`` (B, 6) [rad]."""
     start = BodyParameters.mean(len(angles))
-    columns = dict(zip([(side, bone) for side, _ in MIRROR for bone in BONES], angles.unbind(1), strict=True))
-    sign = dict(MIRROR)
-    zero = torch.zeros(len(angles))
-    about_z = [
-        sign[side] * columns[side, bone] if (side, bone) in columns else zero
-        for side, _, bone in (name.partition("_") for name in PART_NAMES)
-    ]
-    turns = torch.stack(about_z, dim=1)
-    return replace(start, rotations=torch.stack([torch.zeros_like(turns), torch.zeros_like(turns), turns], dim=-1))
+    rotations = torch.zeros_like(start.rotations)
+    for column, (side, bone) in enumerate(product(SIGN, BONES)):
+        rotations[:, PART_NAMES.index(f"{side}_{bone}"), 2] = SIGN[side] * angles[:, column]
+    return replace(start, rotations=rotations)
 
 
 def draw(angles: torch.Tensor, size: int) -> torch.Tensor:

@@ -12,6 +12,7 @@ from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh
 
 IMAGE_SIZE = (64, 80)  # (H, W)
+CAMERA = ScreenCamera(perspective=False)
 NEAR_DEPTH, FAR_DEPTH = 2.0, 2.2  # [m] of the triangle in front and of the one behind, at the start and in the target
 
 ITERATIONS = 200
@@ -63,7 +64,6 @@ PARTS = Supervision(
     parts=True,
     depth_weight=1.0,
 )
-SUPERVISIONS = (FULL, PARTS_WITHOUT_DEPTH, PARTS)
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,11 @@ def place(shapes: np.ndarray, centres: np.ndarray, depths: tuple[float, float]) 
     return np.concatenate([shapes + centres[:, None], depth], axis=2).reshape(6, 3).astype(np.float32)
 
 
-def _scenes(starts: list[np.ndarray], goals: list[np.ndarray], device: torch.device | str) -> Scenes:
+def _scenes(pairs: list[np.ndarray], device: torch.device | str) -> Scenes:
+    """From starts and goals, shape (2, 6, 3) each."""
     mesh = triangles_mesh(device)
-    start, goal = (torch.from_numpy(np.stack(vertices)).to(device) for vertices in (starts, goals))
-    return Scenes(mesh, start, goal, draw_mesh(goal, mesh, ScreenCamera(perspective=False), IMAGE_SIZE).labels)
+    start, goal = torch.from_numpy(np.stack(pairs, axis=1)).to(device)
+    return Scenes(mesh, start, goal, draw_mesh(goal, mesh, CAMERA, IMAGE_SIZE).labels)
 
 
 def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
@@ -132,24 +133,22 @@ def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
     shapes = np.array([[(-15, 11), (14, 9), (1, -20)]] * 2, dtype=float)
     goal = place(shapes, np.array([(31, 30), (44, 36)]), (FAR_DEPTH, NEAR_DEPTH))
     start = place(shapes, np.array([(54, 28), (39, 42)]), (NEAR_DEPTH, FAR_DEPTH))
-    return _scenes([start], [goal], device)
+    return _scenes([np.stack([start, goal])], device)
 
 
-def random_scenes(count: int, seed: int, *, alike: bool, device: torch.device | str = "cpu") -> Scenes:
+def random_scenes(count: int, *, alike: bool, device: torch.device | str = "cpu") -> Scenes:
     """Scenes whose target shows 30 to 80 % of A and whose start shows 20 to 95 % of B.
 
     Args:
         count: S.
-        seed: Of the random numbers.
         alike: Both triangles have one shape and each starts near the other's place (within 6 px along either axis);
             otherwise shapes differ and each triangle starts anywhere.
         device: Where the scenes go.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     height, width = IMAGE_SIZE
-    starts: list[np.ndarray] = []
-    goals: list[np.ndarray] = []
-    while len(starts) < count:
+    pairs: list[np.ndarray] = []
+    while len(pairs) < count:
         angles, radii = np.sort(rng.uniform(0, 2 * np.pi, (2, 3)), axis=1), rng.uniform(10, 18, (2, 3))
         shapes = radii[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=2)
         shapes -= shapes.mean(axis=1, keepdims=True)
@@ -160,22 +159,18 @@ def random_scenes(count: int, seed: int, *, alike: bool, device: torch.device | 
             start_centres = centres[::-1] + rng.uniform(-6, 6, (2, 2))
         goal = place(shapes, centres, (FAR_DEPTH, NEAR_DEPTH))
         start = place(shapes, start_centres, (NEAR_DEPTH, FAR_DEPTH))
-        if _is_fair(start, goal, device):
-            starts.append(start)
-            goals.append(goal)
-    return _scenes(starts, goals, device)
+        if _is_fair(pair := np.stack([start, goal]), device):
+            pairs.append(pair)
+    return _scenes(pairs, device)
 
 
-def _is_fair(start: np.ndarray, goal: np.ndarray, device: torch.device | str) -> bool:
+def _is_fair(pair: np.ndarray, device: torch.device | str) -> bool:
     """True if nothing is a sliver or out of the picture, and the triangles overlap as ``random_scenes`` says."""
-    both = np.stack([start, goal])
-    edges = np.diff(both.reshape(4, 3, 3)[..., :2], axis=1)
-    areas = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
-    if areas.min() < 150 or both[..., :2].min() < 0 or (both[..., :2] > IMAGE_SIZE[::-1]).any():
+    areas = np.abs(np.linalg.det(np.diff(pair.reshape(4, 3, 3)[..., :2], axis=1))) / 2
+    if areas.min() < 150 or pair[..., :2].min() < 0 or (pair[..., :2] > IMAGE_SIZE[::-1]).any():
         return False
-    vertices = torch.from_numpy(both).to(device)
-    camera = ScreenCamera(perspective=False)
-    labels = draw_mesh(vertices, triangles_mesh(device), camera, IMAGE_SIZE).labels.cpu().numpy()
+    vertices = torch.from_numpy(pair).to(device)
+    labels = draw_mesh(vertices, triangles_mesh(device), CAMERA, IMAGE_SIZE).labels.cpu().numpy()
     shown_b, shown_a = (labels[0] == 2).sum() / areas[1], (labels[1] == 1).sum() / areas[2]
     return bool(0.2 < shown_b < 0.95 and 0.3 < shown_a < 0.8)
 
@@ -194,7 +189,6 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     if not supervision.parts:
         mesh, target = mesh.relabel({1: 1, 2: 1}), target.clamp(max=1)
     count, device = len(scenes.start), scenes.start.device
-    camera = ScreenCamera(perspective=False)
     shift = torch.zeros(count, 2, 1, 2, device=device, requires_grad=True)  # [px]
     advance = torch.zeros(count, 2, 1, 1, device=device, requires_grad=True)  # [m]
     # Adam divides each coordinate's gradient by its own size, so neither lambda nor the loss's scale has to be chosen.
@@ -209,8 +203,9 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     course = [vertices().detach()]
     for iteration in range(ITERATIONS):
         is_first = iteration == 0  # the target stays, so one look at its labels is enough
-        options = {"depth_weight": supervision.depth_weight, "validate": is_first}
-        loss, _ = mesh_label_loss(vertices(), mesh, camera, target, **options)
+        loss, _ = mesh_label_loss(
+            vertices(), mesh, CAMERA, target, depth_weight=supervision.depth_weight, validate=is_first
+        )
         optimizer.zero_grad()
         loss.sum().backward()
         optimizer.step()
@@ -221,7 +216,7 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
 
 def judge(scenes: Scenes, vertices: torch.Tensor) -> Outcome:
     """Compare vertices of shape (S, 6, 3) with the goal."""
-    labels = draw_mesh(vertices, scenes.mesh, ScreenCamera(perspective=False), IMAGE_SIZE).labels
+    labels = draw_mesh(vertices, scenes.mesh, CAMERA, IMAGE_SIZE).labels
 
     def iou(have: torch.Tensor, want: torch.Tensor) -> torch.Tensor:
         return (have & want).sum((1, 2)) / (have | want).sum((1, 2))

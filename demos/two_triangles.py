@@ -13,9 +13,11 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from PIL import Image
 from triangle_scenes import (
     FULL,
     IMAGE_SIZE,
@@ -31,22 +33,11 @@ from triangle_scenes import (
     random_scenes,
 )
 
-from warp_partdr.cameras import WeakPerspective
-from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.render.part_mesh import PartMesh
-
-Font = ImageFont.ImageFont | ImageFont.FreeTypeFont
-
 SHOWN = (0, 5, 15, 40, ITERATIONS)  # iterations
-SCALE = 3  # of a panel to the optimised picture
-FINE = 3  # further, while drawing
-PAPER, INK, FAINT = (255, 255, 255), (25, 25, 25), (95, 95, 95)
-GROUND = (242, 242, 238)
+INK, FAINT, GROUND, GRAY = "#191919", "#5f5f5f", "#f2f2ee", "#7d7d7d"
 # Red and blue that differ in any colour vision (P. Tol's "vibrant"); letters, words and dashes say the same again.
-COLOURS = np.array([GROUND, (204, 51, 17), (0, 119, 187)], dtype=np.uint8)
-ONE_COLOUR = np.array([GROUND, (125, 125, 125), (125, 125, 125)], dtype=np.uint8)
-GOOD, BAD = (0, 125, 80), (190, 0, 40)
-MARGIN, GAP, HEAD, SIDE, CAPTION, FOOT = 20, 12, 84, 208, 92, 40  # [px]
+COLOURS = ("#cc3311", "#0077bb")
+GOOD, BAD = "#007d50", "#be0028"
 TITLE = f"Two rigid triangles, three supervisions: the same start, Adam and {ITERATIONS} iterations"
 LEGEND = (
     "White line: edge in sight.   White dashes: edge behind the other triangle.   Black dots: edges of the target.   "
@@ -54,82 +45,32 @@ LEGEND = (
 )
 
 
-def panel(scenes: Scenes, vertices: torch.Tensor) -> Image.Image:
-    """One state (6, 3) as the renderer shows it; hidden edges are dashed and the goal's outlines dotted."""
-    picture, labels = _render(scenes.mesh, vertices, COLOURS)
-    draw = ImageDraw.Draw(picture)
-    for triangle in _corners(scenes.goal[0]):
-        _outline(draw, triangle, INK, width=FINE, period=(2, 5))
-    corners = _corners(vertices)
-    for part, triangle in enumerate(corners, start=1):
-        _outline(draw, triangle, PAPER, width=2 * FINE, hidden=(labels != part) & (labels > 0))
-    font = ImageFont.load_default(18 * FINE)
-    for triangle, other, letter in ((corners[0], corners[1], "A"), (corners[1], corners[0], "B")):
-        draw.text(_middle(triangle, other, picture.size), letter, PAPER, font, anchor="mm")
-    return _reduce(picture)
+def draw_state(axes: Axes, vertices: torch.Tensor, goal: torch.Tensor) -> None:
+    """Draw (6, 3) vertices, the nearer triangle over the farther: its hidden edges dashed, the goal's edges dotted."""
+    corners, goals = (points[:, :2].cpu().reshape(2, 3, 2) for points in (vertices, goal))
+    far, near = (0, 1) if vertices[0, 2] > vertices[3, 2] else (1, 0)
+    for k in (far, near):
+        axes.add_patch(Polygon(corners[k], facecolor=COLOURS[k], edgecolor="white", linewidth=1.5))
+    for triangle in goals:
+        axes.add_patch(Polygon(triangle, fill=False, edgecolor=INK, linestyle=(0, (1, 2)), linewidth=0.8))
+    axes.add_patch(Polygon(corners[far], fill=False, edgecolor="white", linestyle=(0, (3, 2)), linewidth=1.5))
+    for triangle, other, letter in zip(corners, corners.flip(0), "AB", strict=True):
+        middle, distances = triangle.mean(0), (triangle - other.mean(0)).norm(dim=1)
+        x, y = torch.lerp(middle, triangle[distances.argmax()], 0.35).tolist()  # where the other hides least
+        axes.text(x, y, letter, color="white", ha="center", va="center")
 
 
-def silhouette_panel(scenes: Scenes) -> Image.Image:
-    """The goal as the full silhouette tells it."""
-    return _reduce(_render(scenes.mesh, scenes.goal[0], ONE_COLOUR)[0])
+def draw_silhouette(axes: Axes, _: torch.Tensor, goal: torch.Tensor) -> None:
+    """Draw what the full silhouette tells of the goal (6, 3)."""
+    for triangle in goal[:, :2].cpu().reshape(2, 3, 2):
+        axes.add_patch(Polygon(triangle, facecolor=GRAY))
 
 
-def _render(mesh: PartMesh, vertices: torch.Tensor, colours: np.ndarray) -> tuple[Image.Image, np.ndarray]:
-    size = (IMAGE_SIZE[0] * SCALE * FINE, IMAGE_SIZE[1] * SCALE * FINE)
-    camera = WeakPerspective(torch.full((1,), float(SCALE * FINE)), torch.zeros(1, 2)).to(vertices.device)
-    labels = draw_mesh(vertices[None], mesh, camera, size).labels[0].cpu().numpy()
-    return Image.fromarray(colours[labels]), labels
-
-
-def _reduce(picture: Image.Image) -> Image.Image:
-    return picture.resize((picture.width // FINE, picture.height // FINE), Image.Resampling.LANCZOS)
-
-
-def _corners(vertices: torch.Tensor) -> np.ndarray:
-    """Corners of A and B in the enlarged picture, shape (2, 3, 2) [px]."""
-    return vertices[:, :2].cpu().numpy().reshape(2, 3, 2) * (SCALE * FINE)
-
-
-def _middle(triangle: np.ndarray, other: np.ndarray, size: tuple[int, int]) -> tuple[float, float]:
-    """The place for a triangle's letter: deep inside what it does not share with the other, if there is any."""
-    masks = []
-    for corners in (triangle, other):
-        mask = Image.new("1", (size[0] // FINE, size[1] // FINE))
-        ImageDraw.Draw(mask).polygon([tuple(corner / FINE) for corner in corners], fill=1)
-        masks.append(np.array(mask))
-    alone = masks[0] & ~masks[1]
-    inside = alone if alone.sum() > 200 else masks[0]
-    while inside.any():
-        rows, columns = np.nonzero(inside)
-        shrunk = inside.copy()
-        for axis in (0, 1):
-            for step in (-1, 1):
-                shrunk &= np.roll(inside, step, axis)
-        inside = shrunk
-    return columns.mean() * FINE, rows.mean() * FINE
-
-
-def _outline(
-    draw: ImageDraw.ImageDraw,
-    triangle: np.ndarray,
-    colour: tuple[int, int, int],
-    width: int,
-    period: tuple[int, int] = (4, 8),
-    hidden: np.ndarray | None = None,
-) -> None:
-    """Draw edges in short steps, the first of each ``period`` only; with ``hidden`` (H, W), all where it is false."""
-    centre = triangle.mean(0)
-    for start, end in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
-        steps = int(np.linalg.norm(end - start) / FINE)
-        points = start + np.linspace(0, 1, steps + 1)[:, None] * (end - start)
-        for k in range(steps):
-            is_drawn = k % period[1] < period[0]
-            if hidden is not None:
-                column, row = points[k] + (centre - points[k]) * 0.05  # just inside the edge
-                row, column = np.clip((row, column), 0, np.array(hidden.shape) - 1).astype(int)
-                is_drawn = is_drawn or not hidden[row, column]
-            if is_drawn:
-                draw.line([*points[k], *points[k + 1]], colour, width)
+def make_panel(axes: Axes, caption: str, colour: str, *, framed: bool) -> None:
+    """Lay out axes for one picture, whose y goes down, with a caption below and perhaps a frame."""
+    axes.set(xlim=(0, IMAGE_SIZE[1]), ylim=(IMAGE_SIZE[0], 0), aspect="equal", xticks=[], yticks=[], facecolor=GROUND)
+    axes.set_xlabel(caption, color=colour if framed else INK)
+    axes.spines[:].set(visible=framed, color=colour, linewidth=3)
 
 
 def verdict(outcome: Outcome) -> tuple[str, str]:
@@ -139,53 +80,30 @@ def verdict(outcome: Outcome) -> tuple[str, str]:
     return "reached" if outcome.reached else "stalled", f"{places}, {order}"
 
 
-def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Image.Image:
+def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Figure:
     """A row for each supervision, a column for each of ``SHOWN``, the target last; one scene."""
-    width, height = IMAGE_SIZE[1] * SCALE, IMAGE_SIZE[0] * SCALE
-    lefts = [MARGIN + SIDE + k * (width + GAP) for k in range(len(SHOWN) + 1)]
-    lefts[-1] += 2 * GAP
-    tops = [MARGIN + HEAD + k * (height + CAPTION) for k in range(len(courses))]
-    picture = Image.new("RGB", (lefts[-1] + width + MARGIN, tops[-1] + height + CAPTION + FOOT), PAPER)
-    draw = ImageDraw.Draw(picture)
-    title, head, text = (ImageFont.load_default(size) for size in (26, 22, 18))
-
-    def caption(left: int, line: int, words: str, colour: tuple[int, int, int], font: Font) -> None:
-        draw.text((left + width / 2, top + height + 24 + 24 * line), words, colour, font, anchor="ms")
-
-    def box(left: int, colour: tuple[int, int, int]) -> None:
-        draw.rectangle((left - 5, top - 5, left + width + 4, top + height + 4), None, colour, 5)
-
-    draw.text((MARGIN, MARGIN), TITLE, INK, title)
-    draw.text((MARGIN + SIDE, picture.height - FOOT), LEGEND, FAINT, text)
+    figure = Figure(figsize=(16, 8.4), layout="constrained")
+    figure.suptitle(TITLE, x=0.01, ha="left", size=16)
+    figure.supxlabel(LEGEND, color=FAINT, size=11)
+    rows = figure.subplots(len(courses), len(SHOWN) + 2)
     heads = ["start", *(f"iteration {k}" for k in SHOWN[1:-1]), f"end ({SHOWN[-1]})", "target"]
-    for left, words in zip(lefts, heads, strict=True):
-        draw.text((left + width / 2, MARGIN + HEAD - 14), words, INK, head, anchor="ms")
-    for top, (supervision, course) in zip(tops, courses.items(), strict=True):
-        draw.multiline_text((MARGIN, top), supervision.title, INK, head, spacing=6)
-        draw.multiline_text((MARGIN, top + 72), supervision.note, FAINT, text, spacing=6)
-        for left, k in zip(lefts, SHOWN, strict=False):
+    for axes, head in zip(rows[0, 1:], heads, strict=True):
+        axes.set_title(head)
+    for (words, *panels, target), (supervision, course) in zip(rows, courses.items(), strict=True):
+        words.set_axis_off()
+        words.text(0, 0.65, supervision.title, size=13)
+        words.text(0, 0.6, supervision.note, color=FAINT, va="top")
+        for axes, k in zip(panels, SHOWN, strict=True):
             outcome = judge(scenes, course[k])
-            picture.paste(panel(scenes, course[k, 0]), (left, top))
+            is_end = k == SHOWN[-1]
+            said = "\n".join(verdict(outcome)) if is_end else f"{'B' if outcome.in_order else 'A'} in front"
             overlaps = f"IoU {float(outcome.iou):.2f}, outline {float(outcome.silhouette_iou):.2f}"
-            if k < SHOWN[-1]:
-                caption(left, 0, f"{'B' if outcome.in_order else 'A'} in front", INK, text)
-                caption(left, 1, overlaps, INK, text)
-                continue
-            word, reason = verdict(outcome)
-            colour = GOOD if outcome.reached else BAD
-            box(left, colour)
-            caption(left, 0, word, colour, head)
-            caption(left, 1, reason, colour, text)
-            caption(left, 2, overlaps, colour, text)
-        goal = panel(scenes, scenes.goal[0]) if supervision.parts else silhouette_panel(scenes)
-        picture.paste(goal, (lefts[-1], top))
-        box(lefts[-1], GOOD)
-        caption(lefts[-1], 0, "what the loss sees:", INK, text)
-        caption(lefts[-1], 1, "two labels" if supervision.parts else "one label", INK, text)
-    return picture
-
-
-# --- command line --------------------------------------------------------------------------------------------------
+            make_panel(axes, f"{said}\n{overlaps}", GOOD if outcome.reached else BAD, framed=is_end)
+            draw_state(axes, course[k, 0], scenes.goal[0])
+        labels, draw = ("two labels", draw_state) if supervision.parts else ("one label", draw_silhouette)
+        make_panel(target, f"what the loss sees:\n{labels}", GOOD, framed=True)
+        draw(target, scenes.goal[0], scenes.goal[0])
+    return figure
 
 
 def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) -> str:
@@ -195,7 +113,7 @@ def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) 
         "|---|---|---:|---:|---:|",
     ]
     for kind, alike in (("alike, exchanged", True), ("different, anywhere", False)):
-        scenes = random_scenes(count, 0, alike=alike, device=device)
+        scenes = random_scenes(count, alike=alike, device=device)
         for supervision in supervisions:
             outcome = judge(scenes, optimize(scenes, supervision)[-1])
             sums = [int(yes.sum()) for yes in (outcome.in_place, outcome.in_order, outcome.reached)]
@@ -207,12 +125,8 @@ def main() -> None:
     """Draw the fixed scene; count random ones if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/two_triangles.png"), help="PNG; default: %(default)s")
-    parser.add_argument(
-        "--scenes", type=int, default=0, metavar="N", help="also count over N random scenes of each kind"
-    )
-    parser.add_argument(
-        "--depth-weight", type=float, default=1.0, metavar="LAMBDA", help="eq. 12; default: %(default)s"
-    )
+    parser.add_argument("--scenes", type=int, default=0, metavar="N", help="also count N random scenes of each kind")
+    parser.add_argument("--depth-weight", type=float, default=1, metavar="LAMBDA", help="eq. 12; default: %(default)s")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
     arguments = parser.parse_args()
     if arguments.scenes < 0:
@@ -223,7 +137,8 @@ def main() -> None:
     scenes = fixed_scene(arguments.device)
     courses = {supervision: optimize(scenes, supervision) for supervision in supervisions}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    draw_picture(scenes, courses).quantize(255).save(arguments.out, optimize=True)
+    draw_picture(scenes, courses).savefig(arguments.out, dpi=110)
+    Image.open(arguments.out).convert("RGB").quantize(255).save(arguments.out, optimize=True)
     for supervision, course in courses.items():
         print(f"{supervision.name}: {': '.join(verdict(judge(scenes, course[-1])))}")
     print(f"Picture: {arguments.out}")

@@ -82,7 +82,7 @@ def test_parts_reach_place_and_order(device):
 @pytest.mark.parametrize("alike", [True, False], ids=["alike", "different"])
 def test_random_scenes_reach_their_target_by_parts_only(device, alike):
     """Measured on a CPU: by parts 20 (alike) and 18 of 20, by the full silhouette 0 and 0; in place 4 and 16."""
-    scenes = random_scenes(COUNT, 0, alike=alike, device=device)
+    scenes = random_scenes(COUNT, alike=alike, device=device)
     start = judge(scenes, scenes.start)
     assert not start.reached.any()
     parts = judge(scenes, optimize(scenes, PARTS)[-1])
