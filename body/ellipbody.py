@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import warp as wp
 
-from ..errors import LARGEST, check_whole
+from ..errors import check_whole
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from .icosphere import icosphere
@@ -148,32 +148,29 @@ class EllipBody(WarpArrays):
         Raises:
             ValueError: If a shape differs, a value is not finite or beyond 1e12, or a rotation is none.
         """
+        import torch  # only where bodies come from outside: the rest of this module needs Warp alone
+
+        from ..interop.checks import check_numbers
+
         if dtype not in _PRECISIONS:
             raise ValueError(f"dtype: {dtype}; expected warp.float32 or warp.float64")
         vec, mat = _PRECISIONS[dtype]
         batch = len(np.atleast_1d(global_orient))
         given = {
-            "global_orient": (global_orient, (batch, 3, 3), mat),
-            "translation": (translation, (batch, 3), vec),
-            "rotations": (rotations, (batch, NUM_PARTS, 3, 3), mat),
-            "lengths": (lengths, (batch, len(LENGTH_NAMES)), dtype),
-            "thicknesses": (thicknesses, (batch, len(THICKNESS_NAMES)), dtype),
+            "global_orient": (np.asarray(global_orient), (batch, 3, 3), mat),
+            "translation": (np.asarray(translation), (batch, 3), vec),
+            "rotations": (np.asarray(rotations), (batch, NUM_PARTS, 3, 3), mat),
+            "lengths": (np.asarray(lengths), (batch, len(LENGTH_NAMES)), dtype),
+            "thicknesses": (np.asarray(thicknesses), (batch, len(THICKNESS_NAMES)), dtype),
         }
-        arrays = {}
-        for name, (value, shape, warp_type) in given.items():
-            value = np.asarray(value)
+        for name, (value, shape, _) in given.items():
             if value.shape != shape:
                 raise ValueError(f"{name}: shape {value.shape}; expected {shape}")
             if value.dtype.kind not in "fiu":
                 raise ValueError(f"{name}: {value.dtype}; expected numbers")
-            if not np.isfinite(value).all():
-                raise ValueError(f"{name}: holds NaN or infinity; expected finite numbers")
-            if value.size and np.abs(value).max() > LARGEST:
-                raise ValueError(f"{name}: holds {np.abs(value).max():g}; expected numbers up to {LARGEST:g}")
-            if name in ("global_orient", "rotations") and (fault := _rotation_fault(value)):
-                raise ValueError(f"{name}: {fault}")
-            arrays[name] = wp.array(np.ascontiguousarray(value), dtype=warp_type, device=device)
-        return cls(**arrays)
+        numbers = {name: torch.from_numpy(value.astype(np.float64)) for name, (value, _, _) in given.items()}
+        check_numbers(numbers, rotations=("global_orient", "rotations"))
+        return cls(**{name: wp.array(value, dtype=kind, device=device) for name, (value, _, kind) in given.items()})
 
     @property
     def batch_size(self) -> int:
@@ -225,11 +222,3 @@ class EllipBody(WarpArrays):
                 kind = THICKNESS_NAMES[thickness].split()[-1]
                 measured[f"{name} {kind}"] = float(thicknesses[thickness])
         return measured
-
-
-def _rotation_fault(matrices: np.ndarray) -> str | None:
-    import torch  # only where bodies come from outside: the rest of this module needs Warp alone
-
-    from ..interop.checks import rotation_fault
-
-    return rotation_fault(torch.from_numpy(matrices.astype(np.float64)))

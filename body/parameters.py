@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 
@@ -65,13 +65,15 @@ class BodyParameters(Movable):
         batch_size = check_whole("batch_size", batch_size, 0)
         constants = template()
         facing = torch.tensor([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], device=device)
+        lengths, thicknesses = (
+            torch.tensor(values, dtype=torch.float32, device=device).repeat(batch_size, 1)
+            for values in (constants.mean_lengths, constants.mean_thicknesses)
+        )
         return cls(
             orientation=facing.repeat(batch_size, 1),
             rotations=torch.zeros(batch_size, NUM_PARTS, 3, device=device),
-            lengths=torch.tensor(constants.mean_lengths, dtype=torch.float32, device=device).repeat(batch_size, 1),
-            thicknesses=torch.tensor(constants.mean_thicknesses, dtype=torch.float32, device=device).repeat(
-                batch_size, 1
-            ),
+            lengths=lengths,
+            thicknesses=thicknesses,
             log_scale=torch.zeros(batch_size, device=device),
             shift=torch.zeros(batch_size, 2, device=device),
         )
@@ -108,34 +110,33 @@ class BodyParameters(Movable):
 
     def select(self, index: torch.Tensor) -> BodyParameters:
         """Select some of the bodies."""
-        return replace(self, **{field.name: getattr(self, field.name)[index] for field in fields(self)})
+        return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
 
     def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
         """Detached copies that collect gradients, but for the frozen ones."""
         copies = {name: tensor.detach().clone() for name, tensor in self.tensors().items()}
-        return replace(self, **{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
+        return BodyParameters(**{name: copy.requires_grad_(name not in frozen) for name, copy in copies.items()})
 
-    @classmethod
-    def free(cls, frozen: Collection[str]) -> tuple[str, ...]:
+    @staticmethod
+    def free(frozen: Collection[str]) -> tuple[str, ...]:
         """Names of the parameters that are not frozen.
 
         Raises:
             ValueError: If ``frozen`` names something else, or all of them.
         """
-        names = tuple(field.name for field in fields(cls))
-        if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in names]):
-            raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {names}")
-        if not (free := tuple(name for name in names if name not in frozen)):
+        if isinstance(frozen, str) or (unknown := [name for name in frozen if name not in ROW]):
+            raise ValueError(f"frozen: {frozen if isinstance(frozen, str) else unknown}; expected some of {tuple(ROW)}")
+        if not (free := tuple(name for name in ROW if name not in frozen)):
             raise ValueError("frozen: all parameters; expected at least one to be free")
         return free
 
     def detach(self) -> BodyParameters:
         """Detached copy, sharing memory."""
-        return replace(self, **{field.name: getattr(self, field.name).detach() for field in fields(self)})
+        return BodyParameters(**{name: tensor.detach() for name, tensor in self.tensors().items()})
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Tensors by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in ROW}
 
 
 def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:

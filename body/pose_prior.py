@@ -16,6 +16,7 @@ import torch
 
 from ..errors import InputError
 from ..files.array_files import read_npz
+from .landmarks import mirror_order
 from .template import LOCKED_PARTS, NUM_PARTS, PART_NAMES
 
 # The features: rotation vectors of these parts in this order, then the up direction in the pelvis' frame.
@@ -25,21 +26,18 @@ NUM_FEATURES = 3 * len(FREE_PARTS) + 3
 
 def mirror_features() -> tuple[np.ndarray, np.ndarray]:
     """Order and sign, shape (57,) each, that mirror a pose: ``mirrored = features[:, order] * sign``."""
-    twins = [FREE_PARTS.index(PART_NAMES.index(_twin(PART_NAMES[part]))) for part in FREE_PARTS]
-    order = np.append((3 * np.array(twins)[:, None] + np.arange(3)).ravel(), NUM_FEATURES - 3 + np.arange(3))
+    twins = mirror_order([PART_NAMES[part] for part in FREE_PARTS])
+    order = np.append((3 * twins[:, None] + np.arange(3)).ravel(), NUM_FEATURES - 3 + np.arange(3))
     # A reflection in x turns a rotation vector (a, b, c) into (a, -b, -c), and a direction (a, b, c) into (-a, b, c).
     sign = np.append(np.tile([1.0, -1.0, -1.0], len(FREE_PARTS)), [-1.0, 1.0, 1.0])
     return order, sign
 
 
 def up_direction(global_orient: torch.Tensor) -> torch.Tensor:
-    """Direction of up in the pelvis's frame, if the camera is level.
+    """Direction of up in the pelvis's frame, if the camera is level, shape (B, 3).
 
     Args:
         global_orient: Rotation of the pelvis in the camera frame (y down), shape (B, 3, 3).
-
-    Returns:
-        Unit vectors in the body frame, shape (B, 3).
     """
     return -global_orient[..., 1, :]
 
@@ -81,7 +79,6 @@ class PosePrior(torch.nn.Module):
         """
         super().__init__()
         data = _read(resources.files("warp_partdr").joinpath("assets/pose_prior.npz") if path is None else Path(path))
-
         order, sign = mirror_features()
         means, whitening = data["means"], data["whitening"]
         # W m(x - mu) = (W with its columns mirrored) (x - m(mu)): the twin of a component needs no storage.
@@ -96,14 +93,14 @@ class PosePrior(torch.nn.Module):
         top = exponents.max(1, keepdims=True)
         log_weights -= (top[:, 0] + np.log(np.exp(exponents - top).sum(1))).max()
 
-        self._buffer("_whitening", whitening.reshape(-1, NUM_FEATURES))
-        self._buffer("_whitened_means", np.einsum("kij,kj->ki", whitening, means))
-        self._buffer("_log_weights", log_weights)
-        for name in ("mean_pose", "mean_up", "exemplars", "exemplar_ups", "lower_limits", "upper_limits"):
-            self._buffer(name, data[name])
-
-    def _buffer(self, name: str, values: np.ndarray) -> None:
-        self.register_buffer(name, torch.tensor(values, dtype=torch.float32))
+        buffers = {
+            "_whitening": whitening.reshape(-1, NUM_FEATURES),
+            "_whitened_means": np.einsum("kij,kj->ki", whitening, means),
+            "_log_weights": log_weights,
+        }
+        names = ("mean_pose", "mean_up", "exemplars", "exemplar_ups", "lower_limits", "upper_limits")
+        for name, values in (buffers | {name: data[name] for name in names}).items():
+            self.register_buffer(name, torch.tensor(values, dtype=torch.float32))
 
     def forward(self, rotation_vectors: torch.Tensor, up: torch.Tensor) -> torch.Tensor:
         """Negative log-likelihood of poses; 0 is about the best there is, each nat above is e times less likely.
@@ -133,8 +130,6 @@ class PosePrior(torch.nn.Module):
 
     def joint_limits(self, rotation_vectors: torch.Tensor) -> torch.Tensor:
         """Squared excess of joint angles over the range of motion capture, summed over components.
-
-        Knees bend only backward and elbows only forward.
 
         Args:
             rotation_vectors: Local rotations as axis times angle [rad], shape (B, 20, 3).
@@ -192,9 +187,3 @@ def _read(path: Path | Traversable) -> dict[str, np.ndarray]:
         if not np.isfinite(data[key]).all():
             raise InputError(f"{path}: {key} is not finite; expected {description}")
     return data
-
-
-def _twin(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name.removeprefix("left_")
-    return "left_" + name.removeprefix("right_") if name.startswith("right_") else name

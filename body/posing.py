@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -45,12 +45,9 @@ class Posed(Movable):
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""
-        place = (
-            plain_posing.place_vertices_by_torch
-            if _in_torch(self.centres, self.axes, self.semi_axes)
-            else _Vertices.apply
-        )
-        return place(self.centres, self.axes, self.semi_axes, subdivisions).flatten(1, 2)
+        ellipsoids = self.centres, self.axes, self.semi_axes
+        place = plain_posing.place_vertices_by_torch if _in_torch(*ellipsoids) else _Vertices.apply
+        return place(*ellipsoids, subdivisions).flatten(1, 2)
 
 
 class LandmarkGather:
@@ -131,8 +128,8 @@ def _differentiable(*adjoints: torch.Tensor) -> bool:
     return torch.is_grad_enabled() or is_transformed(*adjoints)
 
 
-def _from_torch(tensor: torch.Tensor, kind: type) -> wp.array:
-    return warp_array(contiguous(tensor), kind)
+def _from_torch(tensors: Iterable[torch.Tensor], kinds: Iterable[type]) -> list[wp.array]:
+    return [warp_array(contiguous(tensor), kind) for tensor, kind in zip(tensors, kinds, strict=True)]
 
 
 class _Bones(torch.autograd.Function):
@@ -146,14 +143,11 @@ class _Bones(torch.autograd.Function):
         centres, semi_axes = lengths.new_empty(2, batch, NUM_PARTS, 3)
         with on_torch_stream(lengths.device) as device:
             tree = bone_tree(device, scalar)
-            inputs = [_from_torch(p, t) for p, t in zip(parameters, (mat, vec, mat, scalar, scalar), strict=True)]
-            outputs = [
-                _from_torch(t, k)
-                for t, k in ((joints, vec), (rotations, mat), (centres, vec), (axes, mat), (semi_axes, vec))
-            ]
-            kinematics.launch_pose(tree, inputs, *outputs)
+            inputs = _from_torch(parameters, (mat, vec, mat, scalar, scalar))
+            posed = joints, rotations, centres, axes, semi_axes
+            kinematics.launch_pose(tree, inputs, *_from_torch(posed, (vec, mat, vec, mat, vec)))
         ctx.save_for_backward(*parameters, rotations)
-        return joints, rotations, centres, axes, semi_axes
+        return posed
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
@@ -163,11 +157,7 @@ class _Bones(torch.autograd.Function):
         global_orient, _, local_rotations, lengths, _ = parameters
         scalar, vec, mat = _WARP_TYPES[lengths.dtype]
         # The kernel gathers into the first two, which autograd may share with others: copies.
-        adjoints = (
-            adjoints[0].clone(memory_format=torch.contiguous_format),
-            adjoints[1].clone(memory_format=torch.contiguous_format),
-            *adjoints[2:],
-        )
+        gathered = (adjoint.clone(memory_format=torch.contiguous_format) for adjoint in adjoints[:2])
         gradients = (
             torch.zeros_like(global_orient, memory_format=torch.contiguous_format),
             lengths.new_empty(lengths.shape[0], 3),
@@ -176,14 +166,10 @@ class _Bones(torch.autograd.Function):
             lengths.new_zeros(lengths.shape[0], len(THICKNESS_NAMES)),
         )
         with on_torch_stream(lengths.device) as device:
-            tree = bone_tree(device, scalar)
-            saved = [
-                _from_torch(t, k)
-                for t, k in ((global_orient, mat), (local_rotations, mat), (lengths, scalar), (rotations, mat))
-            ]
-            sent = [_from_torch(t, k) for t, k in zip(adjoints, (vec, mat, vec, mat, vec), strict=True)]
-            outputs = [_from_torch(t, k) for t, k in zip(gradients, (mat, vec, mat, scalar, scalar), strict=True)]
-            kinematics.launch_pose_adjoint(tree, saved, sent, outputs)
+            saved = _from_torch((global_orient, local_rotations, lengths, rotations), (mat, mat, scalar, mat))
+            sent = _from_torch((*gathered, *adjoints[2:]), (vec, mat, vec, mat, vec))
+            outputs = _from_torch(gradients, (mat, vec, mat, scalar, scalar))
+            kinematics.launch_pose_adjoint(bone_tree(device, scalar), saved, sent, outputs)
         return gradients
 
 
@@ -196,8 +182,7 @@ class _Vertices(torch.autograd.Function):
         with on_torch_stream(centres.device) as device:
             tree = bone_tree(device, scalar, subdivisions)
             vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
-            inputs = (_from_torch(centres, vec), _from_torch(axes, mat), _from_torch(semi_axes, vec))
-            kinematics.launch_vertices(tree, *inputs, _from_torch(vertices, vec))
+            kinematics.launch_vertices(tree, *_from_torch((centres, axes, semi_axes, vertices), (vec, mat, vec, vec)))
         ctx.save_for_backward(centres, axes, semi_axes)
         ctx.subdivisions = subdivisions
         return vertices
@@ -209,15 +194,9 @@ class _Vertices(torch.autograd.Function):
             place = partial(plain_posing.place_vertices_by_torch, subdivisions=ctx.subdivisions)
             return *torch.func.vjp(place, centres, axes, semi_axes)[1](adj_vertices), None
         scalar, vec, mat = _WARP_TYPES[axes.dtype]
-        gradients = (
-            axes.new_empty(semi_axes.shape),
-            axes.new_empty(axes.shape),
-            axes.new_empty(semi_axes.shape),
-        )
+        gradients = tuple(axes.new_empty(each.shape) for each in (semi_axes, axes, semi_axes))
         with on_torch_stream(axes.device) as device:
             tree = bone_tree(device, scalar, ctx.subdivisions)
-            outputs = [_from_torch(t, k) for t, k in zip(gradients, (vec, mat, vec), strict=True)]
-            kinematics.launch_vertices_adjoint(
-                tree, _from_torch(axes, mat), _from_torch(semi_axes, vec), _from_torch(adj_vertices, vec), outputs
-            )
+            saved = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
+            kinematics.launch_vertices_adjoint(tree, *saved, _from_torch(gradients, (vec, mat, vec)))
         return *gradients, None

@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .landmarks import LANDMARKS, mirror_name
+from .landmarks import LANDMARKS, mirror_order
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Skeleton:
     @cached_property
     def mirror(self) -> np.ndarray:
         """Joint that each joint becomes in a mirrored picture, shape (J,), int64."""
-        return np.array([self.landmarks.index(mirror_name(name)) for name in self.landmarks], dtype=np.int64)
+        return mirror_order(self.landmarks)
 
     def __len__(self) -> int:
         """J, the number of joints."""

@@ -16,115 +16,49 @@ from importlib import resources
 
 import numpy as np
 
-PART_NAMES: tuple[str, ...] = (
-    "left_hip",
-    "right_hip",
-    "abdomen",
-    "chest",
-    "neck",
-    "left_shoulder",
-    "right_shoulder",
-    "head",
-    "left_upper_leg",
-    "right_upper_leg",
-    "left_lower_leg",
-    "right_lower_leg",
-    "left_foot",
-    "right_foot",
-    "left_upper_arm",
-    "right_upper_arm",
-    "left_forearm",
-    "right_forearm",
-    "left_hand",
-    "right_hand",
+# Of each part: its name, the joints where its bone starts and ends, its length, first and second thickness (table 1).
+_PARTS = (
+    ("left_hip", "pelvis", "left_hip", "hip", "torso depth", "pelvis height"),
+    ("right_hip", "pelvis", "right_hip", "hip", "torso depth", "pelvis height"),
+    ("abdomen", "pelvis", "spine", "abdomen", "torso depth", "abdomen width"),
+    ("chest", "spine", "neck", "chest", "torso depth", "chest width"),
+    ("neck", "neck", "head", "neck", "neck thickness", "neck thickness"),
+    ("left_shoulder", "neck", "left_shoulder", "shoulder", "shoulder thickness", "shoulder thickness"),
+    ("right_shoulder", "neck", "right_shoulder", "shoulder", "shoulder thickness", "shoulder thickness"),
+    ("head", "head", "head_top", "head", "head thickness", "head thickness"),
+    ("left_upper_leg", "left_hip", "left_knee", "upper leg", "upper leg thickness", "upper leg thickness"),
+    ("right_upper_leg", "right_hip", "right_knee", "upper leg", "upper leg thickness", "upper leg thickness"),
+    ("left_lower_leg", "left_knee", "left_ankle", "lower leg", "lower leg thickness", "lower leg thickness"),
+    ("right_lower_leg", "right_knee", "right_ankle", "lower leg", "lower leg thickness", "lower leg thickness"),
+    ("left_foot", "left_ankle", "left_toe", "foot", "foot width", "foot height"),
+    ("right_foot", "right_ankle", "right_toe", "foot", "foot width", "foot height"),
+    ("left_upper_arm", "left_shoulder", "left_elbow", "upper arm", "upper arm thickness", "upper arm thickness"),
+    ("right_upper_arm", "right_shoulder", "right_elbow", "upper arm", "upper arm thickness", "upper arm thickness"),
+    ("left_forearm", "left_elbow", "left_wrist", "forearm", "forearm thickness", "forearm thickness"),
+    ("right_forearm", "right_elbow", "right_wrist", "forearm", "forearm thickness", "forearm thickness"),
+    ("left_hand", "left_wrist", "left_fingertip", "hand", "hand width", "hand thickness"),
+    ("right_hand", "right_wrist", "right_fingertip", "hand", "hand width", "hand thickness"),
 )
+
+PART_NAMES: tuple[str, ...] = tuple(row[0] for row in _PARTS)
 NUM_PARTS = len(PART_NAMES)
 
 MEAN_STATURE = 1.63  # [m], of the mean adult of mean_body.json
 
 # Joint 0 is the root; joint k + 1 is the end of bone k. A bone starts where its parent ends.
-JOINT_NAMES: tuple[str, ...] = (
-    "pelvis",
-    "left_hip",
-    "right_hip",
-    "spine",
-    "neck",
-    "head",
-    "left_shoulder",
-    "right_shoulder",
-    "head_top",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-    "left_toe",
-    "right_toe",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_fingertip",
-    "right_fingertip",
-)
+JOINT_NAMES: tuple[str, ...] = ("pelvis", *(row[2] for row in _PARTS))
 NUM_JOINTS = len(JOINT_NAMES)
 
 # Parent bone of each bone; -1 is the root.
-PARENTS: tuple[int, ...] = (-1, -1, -1, 2, 3, 3, 3, 4, 0, 1, 8, 9, 10, 11, 5, 6, 14, 15, 16, 17)
+PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(row[1]) - 1 for row in _PARTS)
 
-LENGTH_NAMES: tuple[str, ...] = (
-    "hip",
-    "abdomen",
-    "chest",
-    "neck",
-    "shoulder",
-    "head",
-    "upper leg",
-    "lower leg",
-    "foot",
-    "upper arm",
-    "forearm",
-    "hand",
-)
-THICKNESS_NAMES: tuple[str, ...] = (
-    "torso depth",
-    "pelvis height",
-    "abdomen width",
-    "chest width",
-    "neck thickness",
-    "shoulder thickness",
-    "head thickness",
-    "upper leg thickness",
-    "lower leg thickness",
-    "foot width",
-    "foot height",
-    "upper arm thickness",
-    "forearm thickness",
-    "hand width",
-    "hand thickness",
-)
+LENGTH_NAMES: tuple[str, ...] = tuple(dict.fromkeys(row[3] for row in _PARTS))
+THICKNESS_NAMES: tuple[str, ...] = tuple(dict.fromkeys(name for row in _PARTS for name in row[4:]))
 
-# Per part: (length, first thickness, second thickness), indices into the two tuples above (paper, table 1).
-SHAPE_INDICES: tuple[tuple[int, int, int], ...] = (
-    (0, 0, 1),
-    (0, 0, 1),
-    (1, 0, 2),
-    (2, 0, 3),
-    (3, 4, 4),
-    (4, 5, 5),
-    (4, 5, 5),
-    (5, 6, 6),
-    (6, 7, 7),
-    (6, 7, 7),
-    (7, 8, 8),
-    (7, 8, 8),
-    (8, 9, 10),
-    (8, 9, 10),
-    (9, 11, 11),
-    (9, 11, 11),
-    (10, 12, 12),
-    (10, 12, 12),
-    (11, 13, 14),
-    (11, 13, 14),
+# Per part: (length, first thickness, second thickness), indices into the two tuples above.
+SHAPE_INDICES: tuple[tuple[int, int, int], ...] = tuple(
+    (LENGTH_NAMES.index(length), THICKNESS_NAMES.index(first), THICKNESS_NAMES.index(second))
+    for *_, length, first, second in _PARTS
 )
 
 # Body direction that the first thickness axis of a part follows in the rest pose, as near as the bone allows:
