@@ -198,5 +198,5 @@ class _Vertices(torch.autograd.Function):
         with on_torch_stream(axes.device) as device:
             tree = bone_tree(device, scalar, ctx.subdivisions)
             saved = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
-            kinematics.launch_vertices_adjoint(tree, *saved, _from_torch(gradients, (vec, mat, vec)))
+            kinematics.launch_vertices_adjoint(tree, *saved, gradients=_from_torch(gradients, (vec, mat, vec)))
         return *gradients, None

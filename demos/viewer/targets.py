@@ -17,7 +17,7 @@ from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_
 from ..body.skeletons import skeleton
 from ..errors import InputError
 from ..inputs.observation import LABEL_SIZE, Observation, observe, resize_nearest
-from ..inputs.person_files import PersonInputs
+from ..inputs.person import PersonInputs
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
 from ..refinement.steps import SIZES

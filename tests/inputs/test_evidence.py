@@ -19,12 +19,12 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.agreement import Agreement, compare_sides, disagreement
 from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
+from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.inputs.part_labels import PartLabels, read_parts
 from warp_partdr.inputs.person import select_person
-from warp_partdr.inputs.stray_labels import ignore_stray_labels
 from warp_partdr.results.save import compared_labels, draw_overlay, score_labels
 
 CDCL = label_set("cdcl14")

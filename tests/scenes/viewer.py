@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from scenes.files import EXAMPLE
+from warp_partdr.cli.options import PersonFiles
 from warp_partdr.clothing.registration import RegistrationOptions
-from warp_partdr.inputs.person_files import read_person
 from warp_partdr.viewer.controls import Clothing
 from warp_partdr.viewer.settings import Settings
 from warp_partdr.viewer.state import DemoState
@@ -31,7 +31,7 @@ def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
 
 
 def read_target(photo: Path, **labels: Any) -> Target:
-    return person_target(read_person(EXAMPLE / "keypoints.json", photo=photo, **labels))
+    return person_target(PersonFiles(EXAMPLE / "keypoints.json", **labels).read(photo))
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from .register import MODEL_HELP, clothe, describe_scores, read_model
 
 if TYPE_CHECKING:
     from ..fit.options import FitOptions
-    from ..inputs.person_files import PersonInputs
+    from ..inputs.person import PersonInputs
 
 NO_MODEL = "none"
 

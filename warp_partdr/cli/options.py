@@ -6,15 +6,16 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
-
-if TYPE_CHECKING:
-    from ..inputs.person_files import PersonInputs
+from ..inputs.keypoint_files import read_keypoints
+from ..inputs.keypoints import choose_person
+from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
+from ..inputs.person import PersonInputs, check_inside
 
 DeviceOption = Annotated[
     str, typer.Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")
@@ -94,18 +95,17 @@ class PersonFiles:
         Raises:
             InputError: If a file can't be read, or they don't fit each other.
         """
-        from ..inputs.person_files import read_person
-
         if self.keypoints is None:
             raise InputError("--keypoints: missing; expected the person's 2D keypoints, FILE.json")
-        return read_person(
-            self.keypoints,
-            photo=photo,
-            parts=self.parts,
-            labels=self.labels,
-            keypoint_format=self.keypoint_format,
-            index=self.person,
-        )
+        picture = None if photo is None else read_photo(photo)
+        parts = read_labelled_parts(self.parts, self.labels)
+        groups = None if parts is None else parts.groups
+        sizes = [None if seen is None else seen.shape[:2] for seen in (picture, groups)]
+        check_sizes(photo=sizes[0], parts=sizes[1])
+        people = read_keypoints(self.keypoints, self.keypoint_format)
+        chosen = choose_person(people, groups, self.person)
+        check_inside(chosen, sizes[0] or sizes[1])
+        return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
 
 
 def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:

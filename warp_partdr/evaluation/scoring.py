@@ -16,8 +16,8 @@ import torch
 from .. import metrics
 from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
 from ..cameras import Perspective, WeakPerspective
+from ..inputs.ignored_labels import ignore_missing_limbs
 from ..inputs.keypoints import person_height
-from ..inputs.missing_labels import ignore_missing_limbs
 from ..inputs.sample import Sample
 
 _GROUPS = "lsp6"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +38,7 @@ _CORNERS = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
 Segment = tuple[np.ndarray, np.ndarray, float]  # two ends [px], and a radius as a share of the person's height
 
 
-@dataclass(frozen=True)
-class Agreement:
+class Agreement(NamedTuple):
     """Counts of samples along the bones of one pair of limbs.
 
     Attributes:
@@ -58,15 +58,25 @@ class Agreement:
         return sided >= _FEWEST and self.mirrored >= _SWAPPED * sided
 
 
-def confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
+def limb_bones(keypoints: Keypoints2D) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Part, start and end [px] of each limb's bone between two confident keypoints."""
+    points = _confident_points(keypoints)
+    for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
+        if name.partition("_")[2] not in _ENDS and (ends := _bone_ends(name, points)):
+            yield name, *ends
+
+
+def _confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
     """Positions [px] of the confident keypoints by landmark."""
     landmarks = keypoints.format.landmarks
     return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
 
-def bone_ends(part: int) -> tuple[str, str]:
-    """Names of the joints at the ends of a part's bone."""
-    return JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
+def _bone_ends(name: str, points: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Start and end of a part's bone; None if a keypoint is missing."""
+    part = PART_NAMES.index(name)
+    start, end = JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
+    return (points[start], points[end]) if start in points and end in points else None
 
 
 def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> dict[str, Agreement]:
@@ -77,22 +87,16 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
         keypoints: The person's.
         labels: What the group ids mean.
     """
-    points = confident_points(keypoints)
-    found = {}
-    for limb, kinds in LIMBS.items():
-        counts = np.zeros(3, dtype=int)
-        for name in (f"{side}_{kind}" for side in ("left", "right") for kind in kinds if kind not in _ENDS):
-            part, opposite = PART_NAMES.index(name), PART_NAMES.index(mirror_name(name))
-            own, mirrored = (int(labels.part_groups[1 + each]) for each in (part, opposite))
-            start, end = bone_ends(part)
-            if own in (BACKGROUND, mirrored) or start not in points or end not in points:
-                continue
-            shown = labels_along(groups, points[start], points[end], samples=_SAMPLES, margin=_JOINT)
-            other = ~np.isin(shown, (own, mirrored, BACKGROUND, IGNORE))
-            counts += [(shown == own).sum(), (shown == mirrored).sum(), other.sum()]
-        if counts.any():
-            found[limb] = Agreement(*counts.tolist())
-    return found
+    counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
+    for name, start, end in limb_bones(keypoints):
+        own, mirrored = (int(labels.part_groups[1 + PART_NAMES.index(each)]) for each in (name, mirror_name(name)))
+        if own in (BACKGROUND, mirrored):
+            continue
+        shown = labels_along(groups, start, end, samples=_SAMPLES, margin=_JOINT)
+        other = ~np.isin(shown, (own, mirrored, BACKGROUND, IGNORE))
+        limb = next(limb for limb, kinds in LIMBS.items() if name.partition("_")[2] in kinds)
+        counts[limb] += [(shown == own).sum(), (shown == mirrored).sum(), other.sum()]
+    return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
 
 
 def disagreement(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> float:
@@ -144,31 +148,26 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
 
 def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:
     """Segments near which a part may be; empty if its keypoints are missing."""
-    side = next((prefix for prefix in ("left_", "right_") if part.startswith(prefix)), "")
-    kind = part.removeprefix(side)
+    kind = part.removeprefix("left_").removeprefix("right_")
+    side = part.removesuffix(kind)
     if kind in ("hip", "abdomen", "chest", "shoulder"):
         if points.keys() >= set(_CORNERS):
-            for i, start in enumerate(_CORNERS):
-                for end in _CORNERS[i + 1 :]:
-                    yield points[start], points[end], _TRUNK
+            for start, end in combinations(_CORNERS, 2):
+                yield points[start], points[end], _TRUNK
     elif kind in ("head", "neck"):
-        for name in _FACE:
-            if name in points:
-                yield points[name], points[name], _HEAD
+        for name in points.keys() & set(_FACE):
+            yield points[name], points[name], _HEAD
     elif kind in _ENDS:
         joint, length = _ENDS[kind]
         if side + joint in points:
             yield points[side + joint], points[side + joint], length
     else:
-        index = PART_NAMES.index(part)
-        start, end = bone_ends(index)
-        if start in points and end in points:
-            thickness = float(template().mean_thicknesses[SHAPE_INDICES[index][1]])
-            yield points[start], points[end], thickness / (2 * MEAN_STATURE)
+        if ends := _bone_ends(part, points):
+            thickness = float(template().mean_thicknesses[SHAPE_INDICES[PART_NAMES.index(part)][1]])
+            yield *ends, thickness / (2 * MEAN_STATURE)
 
 
-@dataclass(frozen=True)
-class Beyond:
+class Beyond(NamedTuple):
     """Distances of a group's pixels from its bones and their flesh.
 
     Attributes:
@@ -203,7 +202,7 @@ def distances_beyond(
         stride: Takes every so many-th row and column.
         only: The one group to look at; None: all.
     """
-    height, points = person_height(keypoints), confident_points(keypoints)
+    height, points = person_height(keypoints), _confident_points(keypoints)
     thin = groups[::stride, ::stride]
     rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
     shown = thin[rows, columns]
@@ -213,13 +212,8 @@ def distances_beyond(
         mine = np.flatnonzero(shown == group)
         if mine.size and segments is not None:
             x, y = columns[mine] + 0.5, rows[mine] + 0.5
-            yield Beyond(group, name, rows[mine], columns[mine], _beyond(x, y, segments, height))
-
-
-def _beyond(x: np.ndarray, y: np.ndarray, segments: list[Segment], height: float) -> np.ndarray:
-    """Distances of places [px] beyond the nearest segment's radius, as a share of the person's height [px]."""
-    nearest = np.full(x.shape, np.inf)
-    for (x0, y0), (x1, y1), radius in segments:
-        distance = np.sqrt(squared_distances(x - x0, y - y0, x1 - x0, y1 - y0))
-        np.minimum(nearest, distance / height - radius, out=nearest)
-    return nearest
+            nearest = np.full(x.shape, np.inf)
+            for (x0, y0), (x1, y1), radius in segments:
+                distance = np.sqrt(squared_distances(x - x0, y - y0, x1 - x0, y1 - y0))
+                np.minimum(nearest, distance / height - radius, out=nearest)
+            yield Beyond(group, name, rows[mine], columns[mine], nearest)

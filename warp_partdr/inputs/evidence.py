@@ -13,10 +13,10 @@ from ..body.landmarks import mirror_name
 from ..cameras import Crop
 from ..errors import InputError, check_each, check_type
 from .agreement import LIMBS, compare_sides, disagreement
+from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
 from .person import Box, crop_keypoints, crop_nearest, reach_box, select_person
-from .stray_labels import ignore_stray_labels
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px

@@ -12,8 +12,8 @@ from ..body.labels import IGNORE, LabelSet
 from ..cameras import Crop
 from ..interop.movable import Movable
 from .evidence import Evidence, weigh_evidence
+from .ignored_labels import ignore_missing_limbs
 from .keypoints import Keypoints2D
-from .missing_labels import ignore_missing_limbs
 from .part_labels import PartLabels
 from .person import crop_nearest, person_crop
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE
 from ..errors import InputError
 from .keypoints import Keypoints2D, person_height
+from .part_labels import PartLabels
 
 Box = tuple[float, float, float, float]
 
@@ -28,6 +30,23 @@ _BEYOND = 2.0
 _LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
 
 _LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
+
+
+@dataclass(frozen=True)
+class PersonInputs:
+    """Arguments of ``fit_body`` for one person, and the picture.
+
+    Attributes:
+        keypoints: The person's.
+        others: Other people's in the picture.
+        parts: The picture's part labels; None without.
+        photo: RGB, shape (H, W, 3), uint8; None without.
+    """
+
+    keypoints: Keypoints2D
+    others: tuple[Keypoints2D, ...] = ()
+    parts: PartLabels | None = None
+    photo: np.ndarray | None = None
 
 
 def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
@@ -209,19 +228,6 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
     x0, y0 = np.floor(low - grow).astype(int).tolist()
     x1, y1 = np.ceil(high + grow).astype(int).tolist()
     return x0, y0, x1, y1
-
-
-def crop_size(box: Box, longest: int) -> tuple[Box, tuple[int, int]]:
-    """Size of a crop whose longer side has ``longest`` pixels, and the box grown so that its pixels are square.
-
-    Returns:
-        The box, about the same centre and exactly in the ratio of the size, and the size (H, W).
-    """
-    x0, y0, x1, y1 = box
-    pixel = max(x1 - x0, y1 - y0) / longest
-    width, height = (max(math.ceil((side / pixel) - 1e-6), 1) for side in (x1 - x0, y1 - y0))
-    u, v, w, h = (x0 + x1) / 2, (y0 + y1) / 2, width * pixel / 2, height * pixel / 2
-    return (u - w, v - h, u + w, v + h), (height, width)
 
 
 def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: float = IGNORE) -> np.ndarray:

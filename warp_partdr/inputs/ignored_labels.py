@@ -1,0 +1,85 @@
+"""Labels that keypoints contradict: stray blobs, and background where a limb is, become "ignore".
+
+Networks miss limbs that are dark, blurred or behind something. Background where an arm is would make a fit hide the
+arm: thin, or pointing along the line of sight. Stray labels, a stranger's or a thing's pixels far from the part whose
+label they have, would pull limbs away, and F1 of the foreground hides it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
+from .agreement import coarse, distances_beyond, labels_along, limb_bones
+from .keypoints import Keypoints2D, person_height
+from .person import connected, lower_near
+
+_FAR = 0.1  # of the person's height, beyond a part's bones and flesh: nothing of it reaches there, clothes included
+_LEAST = 0.01  # of the person's pixels: less does no harm
+_CONFIRMED = 0.25  # pixels about a part's bones for each one far away; with fewer, its keypoints are in doubt
+
+_MISSING = 1 / 3  # share of a bone on background from which on its limb is missing
+_SAMPLES = 64  # points along a bone
+_MARGIN = 0.01  # of the person's height: about how far keypoints are off
+
+
+def ignore_stray_labels(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> tuple[np.ndarray, set[str]]:
+    """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255, ignore.
+
+    A whole connected blob is turned, up to the part's flesh. A label whose part has no confident keypoints stays, and
+    so does one that is mostly elsewhere than its keypoints.
+
+    Args:
+        groups: Group ids with only this person's in them (``select_person``), shape (H, W), uint8.
+        keypoints: The person's.
+        labels: What the group ids mean.
+
+    Returns:
+        Group ids of shape (H, W), uint8, and the names of the groups that had stray pixels.
+    """
+    cleaned, names = groups.copy(), set()
+    stride = coarse(groups)
+    thin = groups[::stride, ::stride]
+    least = max(_LEAST * np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE)), 1.0)
+    for glance in distances_beyond(groups, keypoints, labels, stride=stride):
+        far = np.count_nonzero(glance.distances > _FAR)
+        if far < least or np.count_nonzero(glance.distances <= 0.0) < _CONFIRMED * far:
+            continue
+        for each in distances_beyond(groups, keypoints, labels, only=glance.group):
+            blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
+            blob[each.rows, each.columns] = each.distances > 0.0
+            seeds[each.rows, each.columns] = each.distances > _FAR
+            cleaned[connected(blob, seeds)] = IGNORE
+        names.add(glance.name)
+    return cleaned, names
+
+
+def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarray:
+    """Turn background into 255, ignore, along the limbs that the labels miss.
+
+    A limb is missing if at least a third of the bone between its two confident keypoints lies on background; beyond the
+    picture none does. What is then ignored is as wide as the limb of a mean adult of the person's height, and a little
+    wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
+    background changes, so a limb behind another part is not missing.
+
+    Args:
+        groups: Group ids with only this person's in them (``select_person``), shape (H, W).
+        keypoints: The person's.
+
+    Returns:
+        Group ids of shape (H, W), uint8.
+    """
+    mean, height = template(), person_height(keypoints)
+    near = np.zeros(groups.shape, dtype=bool)
+    for name, start, end in limb_bones(keypoints):
+        shown = labels_along(groups, start, end, samples=_SAMPLES)
+        if np.count_nonzero(shown == BACKGROUND) / _SAMPLES < _MISSING:
+            continue
+        length, thickness, _ = SHAPE_INDICES[PART_NAMES.index(name)]
+        if name.endswith("forearm"):
+            hand = SHAPE_INDICES[PART_NAMES.index(name.replace("forearm", "hand"))][0]
+            end = end + (end - start) * (mean.mean_lengths[hand] / mean.mean_lengths[length])
+        half = mean.mean_thicknesses[thickness] / (2 * MEAN_STATURE) + _MARGIN
+        lower_near(near, np.concatenate([start, end]), half * height)
+    return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)
