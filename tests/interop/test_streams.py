@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import pytest
 import torch
@@ -20,6 +21,8 @@ from warp_partdr.interop.streams import capture_graph, on_torch_stream
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import draw_ellipsoids
+
+WAIT = 1_000_000  # [cycles] of a GPU, about half a millisecond
 
 
 def test_a_capture_waits_for_launches_and_launches_for_it():
@@ -114,7 +117,10 @@ def test_others_may_use_the_default_stream_during_a_capture(device):
 
 
 def test_two_threads_capture_at_once_again_and_again(device):
-    """torch hands its few streams out again: captures must not meet on one, nor others' launches spoil them."""
+    """torch hands its few streams out again: captures must not meet on one, nor others' launches spoil them.
+
+    What a thread launches waits there a while, so that on another one's stream it would be read too early.
+    """
     if device == "cpu":
         pytest.skip("the CPU has no streams")
     keypoints, parts = seen_by(walker(device))
@@ -122,9 +128,35 @@ def test_two_threads_capture_at_once_again_and_again(device):
     energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=device)
     want = refine(start, energy, iterations=2).energy
 
+    def found_late():
+        torch.cuda._sleep(WAIT)
+        return refine(start, energy, iterations=2).energy
+
     def capture(_):
         with torch.cuda.stream(torch.cuda.Stream()):
-            return all(torch.equal(refine(start, energy, iterations=2).energy, want) for _ in range(40))
+            return [torch.equal(found_late(), want) for _ in range(40)]
 
     with ThreadPoolExecutor(2) as pool:
-        assert all(pool.map(capture, range(2)))
+        assert all(map(all, pool.map(capture, range(2))))
+
+
+def test_two_threads_launch_each_on_its_own_stream(device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    body = BodyParameters.mean(1, device=device)
+    moved = replace(body, shift=body.shift + 0.2)
+    bodies = [body, moved]
+    want = [draw_ellipsoids(b.posed(), b.camera(64), (64, 64)).labels for b in bodies]
+    torch.cuda.synchronize()
+
+    def draw(which):
+        right = []
+        with torch.cuda.stream(torch.cuda.Stream()):
+            for _ in range(100):
+                torch.cuda._sleep(WAIT)
+                have = draw_ellipsoids(bodies[which].posed(), bodies[which].camera(64), (64, 64)).labels
+                right.append(torch.equal(have, want[which]))
+        return right
+
+    with ThreadPoolExecutor(2) as pool:
+        assert all(map(all, pool.map(draw, range(2))))

@@ -43,11 +43,11 @@ def skin_vertices(model: DetailedModel) -> torch.Tensor:
     vertices = model.rest_vertices.contiguous()
     directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
     skin = torch.empty_like(vertices[:, 0])
-    with on_torch_stream(vertices.device):
+    with on_torch_stream(vertices.device) as device:
         faces = warp_array(model.faces.flatten().contiguous())
         mesh = wp.Mesh(points=_vectors(vertices), indices=faces)
         inputs = [mesh.id, _vectors(vertices), _vectors(directions), _RAY_START]
-        wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)])
+        wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)], device=device)
     return skin
 
 
@@ -65,12 +65,13 @@ def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
     # The area that a patch of the sphere becomes.
     areas = posed.semi_axes.prod(-1)[..., None] * (sphere / posed.semi_axes[:, :, None]).norm(dim=-1)
     seen = torch.empty(samples.shape[:2], dtype=like.dtype, device=like.device)
-    with on_torch_stream(like.device):
+    with on_torch_stream(like.device) as device:
         wp.launch(
             kernels.cover_samples,
             dim=seen.numel(),
             inputs=[_vectors(samples), _part_arrays(posed), len(sphere)],
             outputs=[_flat(seen)],
+            device=device,
         )
     weights = seen * areas.flatten(1)
     return samples, weights / weights.sum(1, keepdim=True).clamp(min=1e-12)
@@ -105,7 +106,7 @@ class PartCells:
         origins = (self.origins - middle).contiguous()
         found = torch.empty(samples.shape[:2], dtype=torch.int32, device=samples.device)
         places = torch.empty_like(samples)
-        with on_torch_stream(vertices.device):
+        with on_torch_stream(vertices.device) as device:
             if not samples.numel():
                 return self.corners[found.long()], places, found
             wp.launch(
@@ -120,6 +121,7 @@ class PartCells:
                     NUM_PARTS,
                 ],
                 outputs=[_vectors(self.points)],
+                device=device,
             )
             if self.mesh is None:
                 self.mesh = wp.Mesh(points=_vectors(self.points), indices=warp_array(self.faces))
@@ -138,6 +140,7 @@ class PartCells:
                     reach,
                 ],
                 outputs=[_flat(found), _vectors(places)],
+                device=device,
             )
         return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
 
@@ -151,7 +154,7 @@ class _VertexCosts(torch.autograd.Function):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
         gradients = vertices.new_empty(2, *vertices.shape)
-        with on_torch_stream(vertices.device):
+        with on_torch_stream(vertices.device) as device:
             wp.launch(
                 kernels.vertex_costs,
                 dim=fit.numel(),
@@ -164,6 +167,7 @@ class _VertexCosts(torch.autograd.Function):
                     scale,
                 ],
                 outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
+                device=device,
             )
         ctx.save_for_backward(vertices, gradients)
         return fit.sum(-1), penetration.sum(-1)

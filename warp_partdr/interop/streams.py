@@ -97,7 +97,9 @@ def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
 
 @contextmanager
 def on_torch_stream(device: torch.device) -> Iterator[str]:
-    """Launch on torch's current stream of ``device``; yields the Warp device's alias.
+    """Launch on torch's current stream of ``device``; yields the Warp device's alias, which launches have to name.
+
+    On CUDA one thread at a time: call nothing inside that may wait for another one.
 
     Raises:
         ValueError: If Warp has no such device.
@@ -109,17 +111,20 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
         yield where
 
 
+# Warp's current stream and device are the process's, torch's the thread's: without turns, a thread would launch on
+# another one's stream, and read its results before they are there.
+_one_stream = threading.RLock()
+
+
 @contextmanager
 def _on_stream(device: torch.device) -> Iterator[str]:
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
-        # Where there is a GPU, it is Warp's default device, and a launch there reads the CPU's pointers.
-        with wp.ScopedDevice(warp_device):
-            yield warp_device.alias
+        yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
     side = torch_stream != torch.cuda.default_stream(device)
-    with _torch_memory(warp_device) if side else nullcontext():
+    with _one_stream, _torch_memory(warp_device) if side else nullcontext():
         if wp.get_stream(warp_device).cuda_stream == torch_stream.cuda_stream:
             with wp.ScopedDevice(warp_device):
                 yield warp_device.alias
@@ -148,21 +153,18 @@ class _TorchMemory:
         torch.cuda.caching_allocator_delete(ptr)
 
 
-_memory_lock = threading.Lock()
 _memory_users: Counter[str] = Counter()
 
 
 @contextmanager
 def _torch_memory(device: wp.Device) -> Iterator[None]:
-    """Make Warp allocate from torch; a device has one allocator for all threads, so the last to leave resets it."""
-    with _memory_lock:
-        _memory_users[device.alias] += 1
-        if _memory_users[device.alias] == 1:
-            wp.set_device_allocator(device, _TorchMemory(device.ordinal))
+    """Make Warp allocate from torch; the last to leave resets it, where calls of a thread are nested."""
+    _memory_users[device.alias] += 1
+    if _memory_users[device.alias] == 1:
+        wp.set_device_allocator(device, _TorchMemory(device.ordinal))
     try:
         yield
     finally:
-        with _memory_lock:
-            _memory_users[device.alias] -= 1
-            if _memory_users[device.alias] == 0:
-                wp.set_device_allocator(device, None)
+        _memory_users[device.alias] -= 1
+        if _memory_users[device.alias] == 0:
+            wp.set_device_allocator(device, None)

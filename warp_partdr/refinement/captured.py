@@ -211,6 +211,11 @@ class CapturedRefinement:
             self._renderer.launch()
         launch_step(self._problem, self._state, self._drawn)
 
+    def _replay(self, graph: wp.Graph, times: int = 1) -> None:
+        with on_torch_stream(self._device):
+            for _ in range(times):
+                wp.capture_launch(graph)
+
     def _rewind(self) -> None:
         """Start again from the parameters as they are."""
         launch_start(self._problem, self._state)
@@ -234,12 +239,14 @@ class CapturedRefinement:
             ]
             torch.cat(rows, dim=1, out=self._parameters)
         if batch > 0:
-            with on_torch_stream(self._device):
-                wp.capture_launch(self._rewind_graph)
-                for step in range(len(self._rates)):
-                    wp.capture_launch(self._graph)
-                    if on_iteration is not None and step + 1 < len(self._rates):
-                        on_iteration(step + 1)
+            self._replay(self._rewind_graph)
+            if on_iteration is None:
+                self._replay(self._graph, len(self._rates))
+            else:
+                for step in range(1, len(self._rates)):
+                    self._replay(self._graph)
+                    on_iteration(step)
+                self._replay(self._graph)
         terms = self._best_terms.clone()
         return Refined(
             BodyParameters(**{name: tensor.clone() for name, tensor in _split(self._best).items()}),
