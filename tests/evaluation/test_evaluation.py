@@ -376,6 +376,8 @@ def test_parts_beat_keypoints_on_a_real_photo(shared, tmp_path):
         ("h36m none.npz", ["none.npz", "No such file", "vision.imar.ro"]),
         ("3dpw .", ["pickles", "3dpw_test.npz"]),
         ("lsp .", ["joints.mat", "lsp_dataset"]),
+        ("partbench --method magic", ["--method", "magic", "Anny's mesh"]),
+        ("partbench --jobs 0", ["--jobs", "1 or more"]),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, monkeypatch, capfd, arguments, errors):

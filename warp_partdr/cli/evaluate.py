@@ -1,24 +1,26 @@
-"""The command ``partdr evaluate``: fit the people of a data set and say how well that went."""
+"""The command ``partdr evaluate``: fit the people of a data set, or of PartBench, and say how well that went."""
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import InputError
 from .options import DeviceOption, LabelsOption, grouped
-from .partbench import run_partbench
 
 if TYPE_CHECKING:
     from ..body.labels import LabelSet
+    from ..evaluation.evaluate import Method, Report
     from ..inputs.sample import Sample
+
+QUICK_LEVELS = ("clean", "realistic")
+PEOPLE, QUICK_PEOPLE = 20, 6  # for ten minutes and for one on two cores
 
 evaluate = typer.Typer(
     help="How good fits are on a data set: parts, keypoints, 3D joints, with 95 % intervals; see docs/evaluation.md.",
@@ -115,11 +117,97 @@ def pw3d(
     _evaluate(read_pw3d(path, pictures=pictures, keypoints=keypoints), options)
 
 
+def partbench(
+    quick: Annotated[
+        bool, typer.Option("--quick", help=f"{QUICK_PEOPLE} people, two levels, EllipBody alone: a minute.")
+    ] = False,
+    people: Annotated[
+        int | None,
+        typer.Option(help=f"The first N of the 200 people; default {PEOPLE}.", metavar="N", show_default=False),
+    ] = None,
+    level: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--level",
+            "--levels",
+            help="clean, mild, realistic or hard; may be given again. Default: all.",
+            metavar="NAME",
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Fits at a time, a process each; default: one a core.", metavar="N", show_default=False),
+    ] = None,
+    device: DeviceOption = "cpu",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="For partbench.html, with the worst fits drawn, and .json.", metavar="FOLDER", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """PartBench: synthetic people with the whole truth known; nothing to download.
+
+    Ten minutes on two cores; --quick one.
+    """
+    _check_counts(jobs=jobs)
+    from ..evaluation.partbench.methods import METHODS, QUICK
+    from ..evaluation.partbench.report import compare_methods, write_report
+    from ..evaluation.partbench.samples import partbench_samples
+    from ..results.result_sets import check_folder
+    from ..synthetic.noise import LEVELS
+
+    if out is not None:
+        check_folder(out)
+    methods = _choose(METHODS, method or (QUICK if quick else METHODS))
+    levels = level or (QUICK_LEVELS if quick else tuple(LEVELS))
+    where = _one_thread(device)
+    processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
+    samples = partbench_samples(people or (QUICK_PEOPLE if quick else PEOPLE), levels)
+    report, figures = _fit(samples, methods, processes, where)
+    for finding in compare_methods(report):
+        typer.echo(finding)
+    if out is not None:
+        page, data = out / "partbench.html", out / "partbench.json"
+        _save(figures, data)
+        write_report(page, report, samples, methods, figures["about"], device=where)
+        typer.echo(f"{page} shows the worst fits, {data} holds each fit's figures")
+
+
 evaluate.command("folder")(grouped(folder))
 evaluate.command("h36m")(grouped(h36m))
 evaluate.command("lsp")(grouped(lsp))
 evaluate.command("3dpw")(grouped(pw3d))
-evaluate.command("partbench")(run_partbench)
+evaluate.command("partbench")(partbench)
+
+
+def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
+    _check_counts(limit=options.limit, jobs=options.jobs)
+    people = list(islice(samples, options.limit))
+    if not people:
+        raise InputError("the data set: nobody in it; expected at least one person")
+
+    from ..evaluation.evaluate import METHODS
+    from ..results.result_sets import check_folder
+
+    labelled = any(sample.parts is not None for sample in people)
+    methods = _choose(METHODS, options.methods or (METHODS if labelled else ["keypoints only"]))
+    if options.out is not None:
+        if options.out.is_dir():
+            raise InputError(f"--out: {options.out}: a folder; expected a file")
+        check_folder(options.out.parent)
+    figures = _fit(people, methods, options.jobs, _one_thread(options.device))[1]
+    if all(sample.joints is None and sample.target is None for sample in people):
+        typer.echo("Neither labels nor 3D joints are known: only keypoints are compared.", err=True)
+    if options.out is not None:
+        _save(figures, options.out)
+        typer.echo(f"{options.out} holds the same figures, and each fit's")
 
 
 def _label_set(name: str | None) -> LabelSet | None:
@@ -128,49 +216,51 @@ def _label_set(name: str | None) -> LabelSet | None:
     return None if name is None else read_label_set(name)
 
 
-def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
-    limit, jobs, names, out = options.limit, options.jobs, options.methods, options.out
-    for option, number in (("--limit", limit), ("--jobs", jobs)):
+def _check_counts(**options: int | None) -> None:
+    for name, number in options.items():
         if number is not None and number < 1:
-            raise InputError(f"{option}: {number}; expected 1 or more")
-    people = list(islice(samples, limit))
-    if not people:
-        raise InputError("the data set: nobody in it; expected at least one person")
+            raise InputError(f"--{name}: {number}; expected 1 or more")
 
+
+def _choose(methods: Mapping[str, Method], names: Collection[str]) -> dict[str, Method]:
+    """Some of the methods, in their order."""
+    if unknown := sorted(set(names) - methods.keys()):
+        raise InputError(f"--method: {', '.join(unknown)}; expected {'; '.join(methods)}")
+    return {name: method for name, method in methods.items() if name in names}
+
+
+def _one_thread(device: str) -> str:
+    """Keep this process and those to come to one core each; returns the device to fit on."""
+    from ..evaluation.evaluate import one_thread
+    from ..interop.devices import choose_device
+
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    one_thread()
+    return choose_device(device)
+
+
+def _fit(
+    people: Sequence[Sample], methods: Mapping[str, Method], jobs: int, device: str
+) -> tuple[Report, dict[str, Any]]:
+    """Fit everybody and print what came of it; returns all figures for a file, too."""
     from ..bench.machine import about
     from ..bench.report import wide_console
-    from ..evaluation.evaluate import METHODS, evaluate, one_thread, tables
-    from ..interop.devices import choose_device
-    from ..results.result_sets import check_folder
+    from ..evaluation.evaluate import evaluate, tables
     from .progress import FitProgress
 
-    if unknown := set(names or ()) - METHODS.keys():
-        raise InputError(f"--method: {', '.join(sorted(unknown))}; expected {', '.join(METHODS)}")
-    labelled = any(sample.parts is not None for sample in people)
-    methods = {
-        name: method
-        for name, method in METHODS.items()
-        if (name in names if names else labelled or name == "keypoints only")
-    }
-    if out is not None:
-        if out.is_dir():
-            raise InputError(f"--out: {out}: a folder; expected a file")
-        check_folder(out.parent)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes to come
-    one_thread()
-    where = choose_device(options.device)
     with FitProgress() as progress:
-        report = evaluate(people, methods, jobs=jobs, device=where, progress=progress)
-
+        report = evaluate(people, methods, jobs=jobs, device=device, progress=progress)
     console = wide_console()
     for table in tables(report):
         console.print(table)
-    if all(sample.joints is None and sample.target is None for sample in people):
-        typer.echo("Neither labels nor 3D joints are known: only keypoints are compared.", err=True)
     for failure in report.failures:
-        typer.echo(f"not fitted: {failure.sample}, {failure.method}: {failure.reason}", err=True)
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figures = {"about": {**about(where), "jobs": jobs}, **report.to_json()}
-        out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-        typer.echo(f"{out} holds the same figures, and each fit's")
+        who = f"{failure.source}: {failure.sample}"
+        typer.echo(f"not fitted: {who}, {failure.method}: {failure.reason}", err=True)
+    return report, {"about": {**about(device), "jobs": jobs}, **report.to_json()}
+
+
+def _save(figures: Mapping[str, Any], path: Path) -> None:
+    from ..bench.report import save_figures
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figures(figures, path)

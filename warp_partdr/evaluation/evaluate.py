@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from itertools import starmap
+from typing import Any
 
 import numpy as np
 import torch
+import warp as wp
+from rich.table import Table
+from rich.text import Text
 
 from ..body.labels import BACKGROUND, IGNORE, label_set
 from ..errors import InputError
@@ -23,10 +27,8 @@ from ..fit.options import FitOptions
 from ..inputs.part_labels import PartLabels
 from ..inputs.sample import Sample
 from ..interop.devices import without_driver_warning
+from ..kernels.launch import set_num_threads
 from .scoring import Score, score_fit, summarise
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 Visit = Callable[[Sample, str, Any], None]
 
@@ -53,7 +55,8 @@ class Method:
     Attributes:
         see: What of a sample's labels the fit gets to see.
         options: How it goes.
-        fit: Called as ``fit_body`` is, with keypoints, labels, others, options and device; returns a ``Fitted``.
+        fit: Called as ``fit_body`` is, with keypoints, labels, others, options and device; returns a ``FitResult``, or
+            what has its ``hypotheses``, ``camera``, ``landmarks`` and ``draw``.
         vertices: Of what ``fit`` returns, those of a mesh as ``Sample.vertices`` has it, in the camera frame, shape
             (V, 3) [m]; None if it has no such mesh.
     """
@@ -62,6 +65,11 @@ class Method:
     options: FitOptions = field(default_factory=FitOptions)
     fit: Callable[..., Any] = fit_body
     vertices: Callable[[Any], np.ndarray] | None = None
+
+    def fit_sample(self, sample: Sample, device: str) -> Any:
+        """Fit one person; returns what ``fit`` does."""
+        parts = None if sample.parts is None else self.see(sample.parts)
+        return self.fit(sample.keypoints, parts, others=sample.others, options=self.options, device=device)
 
 
 METHODS: dict[str, Method] = {
@@ -136,7 +144,26 @@ def evaluate(
     if jobs < 1:
         raise ValueError(f"jobs: {jobs}; expected 1 or more")
     tasks = [(sample, name, method, device, visit) for sample in samples for name, method in methods.items()]
-    outcomes = _in_turn(tasks, progress) if jobs == 1 else _side_by_side(tasks, jobs, progress)
+
+    def counted(finished: Iterable[Any]) -> Iterator[Any]:
+        for done, each in enumerate(finished, start=1):
+            yield each
+            if progress is not None:
+                progress("fits", done, len(tasks))
+
+    if jobs == 1:
+        outcomes = list(counted(starmap(_run, tasks)))
+    else:
+        spawn = multiprocessing.get_context("spawn")  # a fork would inherit Warp's and torch's threads half alive
+        with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=one_thread) as pool:
+            futures = [pool.submit(_run, *task) for task in tasks]
+            try:
+                for future in counted(as_completed(futures)):
+                    future.result()
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+        outcomes = [future.result() for future in futures]
     scores = tuple(outcome for outcome in outcomes if isinstance(outcome, Score))
     failures = tuple(outcome for outcome in outcomes if isinstance(outcome, Failure))
     if failures and not scores:
@@ -145,39 +172,8 @@ def evaluate(
     return Report(scores, failures)
 
 
-_Task = tuple[Sample, str, Method, str, Visit | None]
-
-
-def _in_turn(tasks: Sequence[_Task], progress: Progress | None) -> list[Score | Failure]:
-    outcomes = []
-    for done, task in enumerate(tasks, start=1):
-        outcomes.append(_run(*task))
-        if progress is not None:
-            progress("fits", done, len(tasks))
-    return outcomes
-
-
-def _side_by_side(tasks: Sequence[_Task], jobs: int, progress: Progress | None) -> list[Score | Failure]:
-    spawn = multiprocessing.get_context("spawn")  # A fork would inherit Warp's and torch's threads half alive.
-    with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=one_thread) as pool:
-        futures = [pool.submit(_run, *task) for task in tasks]
-        try:
-            for done, future in enumerate(as_completed(futures), start=1):
-                future.result()
-                if progress is not None:
-                    progress("fits", done, len(tasks))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [future.result() for future in futures]
-
-
 def one_thread() -> None:
     """Let this process compute on one core and keep Warp's notes to itself."""
-    import warp as wp
-
-    from ..kernels.launch import set_num_threads
-
     wp.config.log_level = wp.LOG_WARNING
     with without_driver_warning():
         wp.init()
@@ -189,14 +185,12 @@ _warm: set[tuple[str, str]] = set()  # (method, device) that this process has fi
 
 
 def _run(sample: Sample, name: str, method: Method, device: str, visit: Visit | None) -> Score | Failure:
-    parts = None if sample.parts is None else method.see(sample.parts)
-    arguments = {"others": sample.others, "options": method.options, "device": device}
     try:
         if (name, device) not in _warm:
-            method.fit(sample.keypoints, parts, **arguments)
+            method.fit_sample(sample, device)
             _warm.add((name, device))
         started = time.perf_counter()
-        result = method.fit(sample.keypoints, parts, **arguments)
+        result = method.fit_sample(sample, device)
         seconds = time.perf_counter() - started
     except InputError as error:
         return Failure(sample.source, sample.name, name, str(error))
@@ -218,12 +212,8 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
 }
 
 
-def tables(report: Report) -> list[Table]:
+def tables(report: Report) -> Iterator[Table]:
     """One table a source: a row a method, with 95 % intervals below the figures."""
-    from rich.table import Table
-    from rich.text import Text
-
-    made = []
     for source, rows in report.pooled().items():
         people = max(row["people"] for row in rows.values())
         title = Text(f"{source}: {people} {'person' if people == 1 else 'people'}", style="bold")
@@ -234,8 +224,7 @@ def tables(report: Report) -> list[Table]:
             table.add_column(Text(_COLUMNS[name][0]), justify="right", no_wrap=True)
         for method, row in rows.items():
             table.add_row(Text(method), *(_cell(row, name) for name in shown))
-        made.append(table)
-    return made
+        yield table
 
 
 def _cell(row: dict[str, Any], name: str) -> str:

@@ -8,46 +8,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 
 from .. import metrics
 from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
-from ..cameras import Perspective, WeakPerspective
+from ..fit.result import FitResult
 from ..inputs.ignored_labels import ignore_missing_limbs
 from ..inputs.keypoints import person_height
 from ..inputs.sample import Sample
 
 _GROUPS = "lsp6"
 _HIPS = ("left_hip", "right_hip")
-
-
-class Drawing(Protocol):
-    """A drawn body, as ``Fitted.draw`` returns it."""
-
-    @property
-    def labels(self) -> torch.Tensor:
-        """Part labels 0 to 20, shape (1, H, W), uint8."""
-
-
-class Fitted(Protocol):
-    """A fitted body: a ``FitResult``, or another one that does the same."""
-
-    @property
-    def hypotheses(self) -> int:
-        """Number of starts."""
-
-    @property
-    def camera(self) -> WeakPerspective | Perspective:
-        """The camera in pixels of the picture, B = 1."""
-
-    def landmarks(self, names: Sequence[str]) -> np.ndarray:
-        """Landmarks in the camera frame, shape (L, 3) [m]."""
-
-    def draw(self, image_size: tuple[int, int]) -> Drawing:
-        """The body in the picture."""
+_MEANS = (  # figure, field of ``Score``, and digits
+    ("mpjpe_mm", "mpjpe", 1),
+    ("pa_mpjpe_mm", "pa_mpjpe", 1),
+    ("pve_mm", "pve", 1),
+    ("seconds", "seconds", 2),
+    ("hypotheses", "hypotheses", 1),
+)
 
 
 @dataclass(frozen=True)
@@ -98,32 +79,22 @@ class Score:
     pve: float = math.nan
 
 
-def score_fit(sample: Sample, method: str, result: Fitted, seconds: float, vertices: np.ndarray | None = None) -> Score:
+def score_fit(
+    sample: Sample, method: str, result: FitResult, seconds: float, vertices: np.ndarray | None = None
+) -> Score:
     """Compare a result with what is known of the sample.
 
     Args:
         sample: The person.
-        method: Its name.
-        result: What it returned.
-        seconds: It took.
+        method: Name of the method.
+        result: Of ``Method.fit``.
+        seconds: Duration of the fit.
         vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
     """
     sure = sample.keypoints.confident
     landmarks = torch.from_numpy(result.landmarks(sample.keypoints.format.landmarks))[None]
     seen = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
     distances = np.linalg.norm(seen - sample.keypoints.points, axis=1)[sure]
-    mpjpe = pa_mpjpe = pve = math.nan
-    if sample.joints is not None:
-        names = sample.joint_names
-        hips = [names.index(name) for name in _HIPS]
-        joints, known = result.landmarks(names), np.isfinite(sample.joints).all(axis=1)
-        pa_mpjpe = 1000 * float(metrics.pa_mpjpe(joints, sample.joints, valid=known))
-        if known[hips].all():
-            mpjpe = 1000 * float(metrics.mpjpe(joints, sample.joints, centre_on=hips, valid=known))
-            if vertices is not None and sample.vertices is not None:
-                pelvis, true_pelvis = joints[hips].mean(0), sample.joints[hips].mean(0)
-                error = metrics.pve(vertices, sample.vertices, pelvis=pelvis, target_pelvis=true_pelvis)
-                pve = 1000 * float(error)
     return Score(
         source=sample.source,
         sample=sample.name,
@@ -132,10 +103,24 @@ def score_fit(sample: Sample, method: str, result: Fitted, seconds: float, verti
         seconds=seconds,
         hypotheses=result.hypotheses,
         pixels=_pixels(sample, result),
-        mpjpe=mpjpe,
-        pa_mpjpe=pa_mpjpe,
-        pve=pve,
+        **_joint_errors(sample, result, vertices),
     )
+
+
+def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None) -> dict[str, float]:
+    """Errors by their names in ``Score``, as far as the truth is known [mm]."""
+    if sample.joints is None:
+        return {}
+    names = sample.joint_names
+    hips = [names.index(name) for name in _HIPS]
+    joints, known = result.landmarks(names), np.isfinite(sample.joints).all(axis=1)
+    errors = {"pa_mpjpe": metrics.pa_mpjpe(joints, sample.joints, valid=known)}
+    if known[hips].all():
+        errors["mpjpe"] = metrics.mpjpe(joints, sample.joints, centre_on=hips, valid=known)
+        if vertices is not None and sample.vertices is not None:
+            pelvis, true_pelvis = joints[hips].mean(0), sample.joints[hips].mean(0)
+            errors["pve"] = metrics.pve(vertices, sample.vertices, pelvis=pelvis, target_pelvis=true_pelvis)
+    return {name: 1000 * float(error) for name, error in errors.items()}
 
 
 def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
@@ -153,19 +138,17 @@ def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.n
     return ("background", *coarse.group_names), table, table[labels.part_groups]
 
 
-def _pixels(sample: Sample, result: Fitted) -> Pixels | None:
+def _pixels(sample: Sample, result: FitResult) -> Pixels | None:
     if sample.parts is None or sample.target is None:
         return None
     classes, from_groups, from_parts = scoring_classes(sample.parts.label_set)
-    height, width = sample.target.shape
-    drawn = result.draw((height, width)).labels[0].cpu().numpy()
+    drawn = result.draw(sample.target.shape).labels[0].cpu().numpy()
     shown, count = from_parts[drawn], len(classes)
     target = from_groups[sample.target]
     undisputed = from_groups[ignore_missing_limbs(sample.target, sample.keypoints)]
     parts = metrics.confusion(shown, target, count)
-    if sample.mask is None:
-        foreground = metrics.foreground_counts(parts)
-    else:
+    foreground = metrics.foreground_counts(parts)
+    if sample.mask is not None:
         foreground = metrics.confusion(drawn != BACKGROUND, sample.mask, 2)
     return Pixels(
         classes=classes,
@@ -194,12 +177,13 @@ def summarise(scores: Sequence[Score]) -> dict[str, Any]:
         if len(values) > 1:
             intervals[name] = [round(limit, digits) for limit in metrics.bootstrap_sum(values, of_sum)]
 
-    pixels = [score.pixels for score in scores if score.pixels is not None]
-    if pixels:
+    def ratio(sums: np.ndarray) -> np.ndarray:
+        return sums[..., 0] / sums[..., 1]
+
+    if pixels := [score.pixels for score in scores if score.pixels is not None]:
         if len(classes := {picture.classes for picture in pixels}) > 1:
-            raise ValueError(
-                f"scores: parts of {' and '.join(map(', '.join, sorted(classes)))}; expected one label set"
-            )
+            found = " and ".join(map(", ".join, sorted(classes)))
+            raise ValueError(f"scores: parts of {found}; expected one label set")
         foreground, parts, filled, undisputed = (
             np.stack([getattr(picture, name) for picture in pixels])
             for name in ("foreground", "parts", "filled", "undisputed")
@@ -215,18 +199,12 @@ def summarise(scores: Sequence[Score]) -> dict[str, Any]:
             for name, value in zip(pixels[0].classes, metrics.f1_scores(parts.sum(0)), strict=True)
         }
     keypoints = np.array([[score.keypoints.sum(), len(score.keypoints)] for score in scores])
-    put("keypoint_distance", keypoints, lambda sums: sums[..., 0] / sums[..., 1], 5)
-    for name, column, digits in (
-        ("mpjpe_mm", "mpjpe", 1),
-        ("pa_mpjpe_mm", "pa_mpjpe", 1),
-        ("pve_mm", "pve", 1),
-        ("seconds", "seconds", 2),
-        ("hypotheses", "hypotheses", 1),
-    ):
+    put("keypoint_distance", keypoints, ratio, 5)
+    for name, column, digits in _MEANS:
         values = np.array([getattr(score, column) for score in scores], dtype=np.float64)
         known = values[np.isfinite(values)]
         if len(known):
-            put(name, np.stack([known, np.ones_like(known)], axis=1), lambda sums: sums[..., 0] / sums[..., 1], digits)
+            put(name, np.stack([known, np.ones_like(known)], axis=1), ratio, digits)
     if intervals:
         figures["interval_95"] = intervals
     return figures

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..body.skeletons import MPJPE_SKELETON, skeleton
-from ..cameras import Perspective, WeakPerspective
 from .keypoints import Keypoints2D
 from .part_labels import PartLabels
-from .person import Box
 
 
 @dataclass(frozen=True)
@@ -45,9 +43,7 @@ class Sample:
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
         smpl: The true body as SMPL's parameters.
-        camera: The true camera.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
-        box: Around the person, (x0, y0, x1, y1) [px].
     """
 
     source: str
@@ -61,6 +57,4 @@ class Sample:
     joint_names: tuple[str, ...] = skeleton(MPJPE_SKELETON).landmarks
     vertices: np.ndarray | None = None
     smpl: SmplFit | None = None
-    camera: WeakPerspective | Perspective | None = None
     picture: Path | np.ndarray | None = None
-    box: Box | None = None

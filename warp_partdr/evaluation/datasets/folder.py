@@ -14,8 +14,6 @@ from ...inputs.person import select_person
 from ...inputs.sample import Sample
 from .pictures import existing
 
-_PICTURES = (".jpg", ".jpeg", ".png")
-_PARTS = ".parts.png"
 _LAYOUT = "pictures N.jpg or N.png, each with N.keypoints.json and perhaps N.parts.png"
 
 
@@ -36,32 +34,28 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
     pictures = sorted(
         file
         for file in (folder.iterdir() if folder.is_dir() else ())
-        if file.suffix.lower() in _PICTURES and not file.name.endswith(_PARTS)
+        if file.suffix.lower() in (".jpg", ".jpeg", ".png") and not file.name.endswith(".parts.png")
     )
     if not pictures:
         raise InputError(f"{folder}: no pictures; expected a folder of {_LAYOUT}")
-    labelled = any(picture.with_suffix(_PARTS).is_file() for picture in pictures)
+    labelled = any(picture.with_suffix(".parts.png").is_file() for picture in pictures)
     if labelled and labels is None:
         labels = described_label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
     for picture in pictures:
         people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
-        parts = target = None
+        parts = None
         if labelled and labels is not None:
-            parts = read_parts(
-                existing(folder, f"{picture.stem}{_PARTS}", "part labels as of the other pictures"), labels
-            )
-            photo = read_photo(picture)
-            check_sizes(**{picture.name: photo.shape[:2], f"{picture.stem}{_PARTS}": parts.groups.shape})
+            file = existing(folder, f"{picture.stem}.parts.png", "part labels as of the other pictures")
+            parts = read_parts(file, labels)
+            check_sizes(**{picture.name: read_photo(picture).shape[:2], file.name: parts.groups.shape})
         chosen = choose_person(people, None if parts is None else parts.groups)
         others = tuple(other for other in people if other is not chosen)
-        if parts is not None:
-            target = select_person(parts.groups, chosen, others)
         yield Sample(
             source=folder.resolve().name,
             name=picture.stem,
             keypoints=chosen,
             others=others,
             parts=parts,
-            target=target,
+            target=None if parts is None else select_person(parts.groups, chosen, others),
             picture=picture,
         )

@@ -87,13 +87,12 @@ def _read_folder(folder: Path, parts: Path | None, labels: LabelSet, test_only: 
 
 def _read_joints(folder: Path) -> np.ndarray:
     """Positions [px], shape (N, 14, 2), float32, from (3, 14, N), or from (14, 3, N) as in LSP's extended set."""
-    plain, matlab = folder / "joints.npz", folder / "joints.mat"
-    if plain.is_file():
-        values = read_npz(plain, ("joints",), expected=_EXPECTED)["joints"]
-        where = plain
+    where = folder / "joints.npz"
+    if where.is_file():
+        values = read_npz(where, ("joints",), expected=_EXPECTED)["joints"]
     else:
-        values = _read_matlab(existing(folder, matlab.name, _EXPECTED))
-        where = matlab
+        where = existing(folder, "joints.mat", _EXPECTED)
+        values = _read_matlab(where)
     if values.ndim == 3 and values.shape[:2] == (_JOINTS, 3):
         values = values.swapaxes(0, 1)
     if values.ndim != 3 or values.shape[:2] != (3, _JOINTS) or values.dtype.kind not in "fiu":
@@ -107,9 +106,8 @@ def _read_matlab(path: Path) -> np.ndarray:
     try:
         from scipy.io import loadmat
     except ImportError as error:
-        raise InputError(
-            f"{path}: MATLAB files need SciPy; expected it (pip install warp-partdr[lsp]), or joints.npz"
-        ) from error
+        reason = "MATLAB files need SciPy; expected it (pip install warp-partdr[lsp]), or joints.npz"
+        raise InputError(f"{path}: {reason}") from error
     try:
         return np.asarray(loadmat(path, variable_names=["joints"])["joints"])
     except KeyError as error:

@@ -11,11 +11,7 @@ from ...inputs.part_labels import check_sizes, read_photo
 
 
 def existing(folder: Path, name: str, what: str) -> Path:
-    """A file that must be there.
-
-    Raises:
-        InputError: If it is not.
-    """
+    """A file that must be there; InputError if it is not."""
     path = folder / name
     if not path.is_file():
         raise InputError(f"{path}: No such file; expected {what}")

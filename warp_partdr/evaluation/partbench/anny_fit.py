@@ -63,8 +63,7 @@ class AnnyFit:
 
     def draw(self, image_size: tuple[int, int]) -> PartImage:
         """The body's 20 parts in the full picture."""
-        mesh = anny_mesh(self.camera.scale.device)
-        return draw_mesh(self.body.vertices, mesh, self.camera, image_size)
+        return draw_mesh(self.body.vertices, anny_mesh(self.camera.scale.device), self.camera, image_size)
 
 
 def fit_anny(
@@ -81,11 +80,12 @@ def fit_anny(
     Minimises L_proj and L_seg with the fit's weights, and squares that hold shape and pose back.
     """
     first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device)
-    seen, model = first.observation, anny(first.posed.joints.device)
+    seen, weights, model = first.observation, options.weights, anny(first.posed.joints.device)
     assert seen.labels is not None
     mesh = anny_mesh(model.faces.device).relabel(parts.label_set.part_groups)
     target = resize_nearest(seen.labels, _SIZE)[None]
     names = coco_landmarks(model, seen.landmarks)
+    expected = (seen.points + 1) * (REFERENCE_SIZE / 2)
 
     people = torch.tensor([[_START[name] for name in PHENOTYPE_ANCHORS]], device=model.faces.device)
     shape = anny_shape(people).detach().requires_grad_()
@@ -93,12 +93,8 @@ def fit_anny(
         rotations, translation = pose_from_ellipbody(model, first.posed, shape)
     joints = sorted({0, *model.part_joints})
     turns = torch.zeros(1, len(joints), 3, device=shape.device, requires_grad=True)
-    log_scale = first.parameters.log_scale.clone().requires_grad_()
-    shift = first.parameters.shift.clone().requires_grad_()
-    groups = [
-        {"params": [turns, log_scale, shift], "lr": _RATE},
-        {"params": [shape], "lr": _RATE * _SHAPE_RATE},
-    ]
+    log_scale, shift = (each.clone().requires_grad_() for each in (first.parameters.log_scale, first.parameters.shift))
+    groups = [{"params": [turns, log_scale, shift], "lr": _RATE}, {"params": [shape], "lr": _RATE * _SHAPE_RATE}]
     optimizer = torch.optim.Adam(groups)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: rate_share(step, _ITERATIONS))
 
@@ -113,19 +109,10 @@ def fit_anny(
     for _ in range(_ITERATIONS):
         body = pose()
         places = camera(REFERENCE_SIZE).project(model.landmarks(body, names))[..., :2]
-        expected = (seen.points + 1) * (REFERENCE_SIZE / 2)
         proj = ((places - expected).abs().sum(-1) * seen.confidence).sum()
-        seg = mesh_label_loss(
-            body.vertices,
-            mesh,
-            camera(_SIZE),
-            target,
-            depth_weight=depth_weight,
-            validate=False,
-        )[0].sum()
+        losses = mesh_label_loss(body.vertices, mesh, camera(_SIZE), target, depth_weight=depth_weight, validate=False)
         held = _SHAPE_WEIGHT * shape.square().sum() + _BEND_WEIGHT * turns[:, 1:].square().sum()
-        weights = options.weights
-        loss = weights.proj * proj + weights.seg * (REFERENCE_SIZE / _SIZE) ** 2 * seg + held
+        loss = weights.proj * proj + weights.seg * (REFERENCE_SIZE / _SIZE) ** 2 * losses[0].sum() + held
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

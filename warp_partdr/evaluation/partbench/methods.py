@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -11,10 +10,8 @@ import numpy as np
 
 from ...clothing.anny import anny
 from ...clothing.registration import RegistrationOptions, RegistrationWeights, register
-from ...errors import InputError
 from ...fit.options import FitOptions
 from ...fit.result import FitResult
-from ...render.renderers import Renderer
 from ..evaluate import METHODS as SUPERVISIONS
 from ..evaluate import Method
 from .anny_fit import fit_anny
@@ -30,33 +27,19 @@ def registered_vertices(result: FitResult) -> np.ndarray:
     return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
 
 
-def _without_depth(renderer: Renderer) -> Renderer:
-    return replace(renderer, depth_weight=0.0)
-
-
 _STARTS = {
     "network": Method(options=FitOptions(stages=(), search=())),
     "network, 50 iterations": Method(options=FitOptions.at("fast")),
     "search": Method(options=_SEARCH),
 }
+_MESH = Method(fit=fit_anny, vertices=attrgetter("vertices"))
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
-    "search, no z gradient": Method(options=_SEARCH.drawn_by(_without_depth), vertices=registered_vertices),
-    "parts, Anny's mesh": Method(fit=fit_anny, vertices=attrgetter("vertices")),
-    "parts, Anny's mesh, no z gradient": Method(
-        fit=partial(fit_anny, depth_weight=0.0), vertices=attrgetter("vertices")
+    "search, no z gradient": Method(
+        options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices
     ),
+    "parts, Anny's mesh": _MESH,
+    "parts, Anny's mesh, no z gradient": replace(_MESH, fit=partial(fit_anny, depth_weight=0.0)),
 }
 QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)
-
-
-def choose_methods(names: Sequence[str]) -> dict[str, Method]:
-    """Some of ``METHODS``, in its order.
-
-    Raises:
-        InputError: If a name is not there.
-    """
-    if unknown := [name for name in names if name not in METHODS]:
-        raise InputError(f"method: {', '.join(unknown)}; expected {'; '.join(METHODS)}")
-    return {name: method for name, method in METHODS.items() if name in names}

@@ -43,10 +43,9 @@ def make_sample(index: int, name: str) -> Sample:
     person, level = make_person(index), LEVELS[name]
     rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
     truth = LABELS.from_parts(person.parts)
-    groups, hidden = truth, person.hidden
-    others: tuple[Keypoints2D, ...] = ()
+    groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
     if rng.random() < level.stranger:
-        groups, hidden, others = _add_stranger(person, make_person((index + 1) % NUM_PEOPLE), rng)
+        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE), rng)
     if level.strength:
         groups = noisy_labels(groups, LABELS, rng, level.strength)
     groups = spoil_labels(groups, LABELS, person.height, level, rng)
@@ -56,11 +55,10 @@ def make_sample(index: int, name: str) -> Sample:
         name=f"{person.name}, {person.kind}",
         keypoints=_keypoints(spoil_keypoints(keypoints, COCO.landmarks, truth.shape, level, rng)),
         parts=PartLabels(LABELS, groups),
-        others=others,
+        others=(_keypoints(others),) if np.count_nonzero(others[:, 2]) > 1 else (),
         target=truth,
         joints=person.joints,
         vertices=person.vertices,
-        camera=person.camera,
     )
 
 
@@ -70,26 +68,21 @@ def _keypoints(values: np.ndarray) -> Keypoints2D:
 
 
 def _add_stranger(
-    person: Person, stranger: Person, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, tuple[Keypoints2D, ...]]:
-    """Group ids with somebody before the person's one side, which keypoints are hidden now, and the other's."""
-    groups = LABELS.from_parts(person.parts)
+    person: Person, truth: np.ndarray, stranger: Person, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Group ids with somebody before the person's one side, keypoints that are hidden now, and the other's, (17, 3)."""
     rows, columns = np.nonzero(stranger.parts)
-    mine = np.nonzero(person.parts.any(0))[0]
+    mine = np.nonzero(truth.any(0))[0]
     overlap = rng.uniform(*_OVERLAP) * np.ptp(mine)
-    shift = mine[0] + overlap - columns.max() if rng.random() < 0.5 else mine[-1] - overlap - columns.min()
-    moved = columns + round(shift)
-    height, width = groups.shape
-    inside = (rows < height) & (moved >= 0) & (moved < width)
-    rows, columns, moved = rows[inside], columns[inside], moved[inside]
-    before = np.zeros(groups.shape, dtype=bool)
-    before[rows, moved] = True
-    seen = groups.copy()
-    seen[rows, moved] = LABELS.from_parts(stranger.parts)[rows, columns]
-    u, v = (np.clip(person.keypoints[:, i].astype(int), 0, groups.shape[1 - i] - 1) for i in range(2))
-    points = stranger.keypoints + np.array([round(shift), 0.0])
-    beyond = ((points < 0) | (points > [width, height])).any(axis=1)
+    shift = round(mine[0] + overlap - columns.max() if rng.random() < 0.5 else mine[-1] - overlap - columns.min())
+    height, width = truth.shape
+    inside = (rows < height) & (columns + shift >= 0) & (columns + shift < width)
+    rows, columns = rows[inside], columns[inside]
+    seen, before = truth.copy(), np.zeros(truth.shape, dtype=bool)
+    seen[rows, columns + shift] = LABELS.from_parts(stranger.parts)[rows, columns]
+    before[rows, columns + shift] = True
+    u, v = np.clip(person.keypoints.astype(int), 0, [width - 1, height - 1]).T
+    points = stranger.keypoints + np.array([shift, 0.0])
+    found = ((points >= 0) & (points <= [width, height])).all(axis=1, keepdims=True)
     values = np.column_stack([points, np.where(stranger.hidden, HIDDEN_CONFIDENCE, 1.0)])
-    values[beyond] = 0.0
-    others = (_keypoints(values),) if (~beyond).sum() > 1 else ()
-    return seen, person.hidden | before[v, u], others
+    return seen, person.hidden | before[v, u], np.where(found, values, 0.0)
