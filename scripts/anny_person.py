@@ -1,4 +1,4 @@
-"""Anny people for our scripts: vertices, faces, part labels and joints in EllipBody's terms.
+"""Anny people for the scripts that make assets: vertices, faces, part labels and joints in EllipBody's terms.
 
 Anny (code Apache-2.0, assets CC0) has Z up, faces -Y and has +X on the person's left. Everything that leaves this
 file is in the body frame (x left, y up, z forward; metres).
@@ -6,7 +6,10 @@ file is in the body frame (x left, y up, z forward; metres).
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import anny
 import numpy as np
@@ -31,14 +34,9 @@ _SIDED_BONES: tuple[tuple[str, str], ...] = (
     ("finger", "hand"),
 )
 _MIDDLE_BONES: dict[str, str] = {
-    "spine05": "abdomen",
-    "spine04": "abdomen",
-    "spine03": "abdomen",
-    "spine02": "chest",
-    "spine01": "chest",
-    "neck01": "neck",
-    "neck02": "neck",
-    "neck03": "neck",
+    **dict.fromkeys(("spine05", "spine04", "spine03"), "abdomen"),
+    **dict.fromkeys(("spine02", "spine01"), "chest"),
+    **dict.fromkeys(("neck01", "neck02", "neck03"), "neck"),
     "head": "head",
 }
 # Joints that are heads of Anny bones; {} is the side.
@@ -50,6 +48,11 @@ _JOINT_BONES: dict[str, str] = {
     "{}_elbow": "lowerarm01.{}",
     "{}_wrist": "wrist.{}",
 }
+
+
+def write_json(path: Path, data: dict[str, object]) -> None:
+    """JSON with one line a number or point."""
+    path.write_text(re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m[0].split()), json.dumps(data, indent=1)) + "\n")
 
 
 def body_from_anny(points: np.ndarray) -> np.ndarray:
@@ -93,6 +96,11 @@ class Person:
             for joint, bone in _JOINT_BONES.items()
             for side in ("left", "right")
         }
+
+    def skin(self, *parts: str) -> np.ndarray:
+        """Vertices of parts, in order, each once [m], shape (N, 3)."""
+        chosen = np.isin(self.face_parts, [PART_NAMES.index(part) for part in parts])
+        return self.vertices[np.unique(self.faces[chosen])]
 
 
 class PersonFactory:

@@ -1,6 +1,6 @@
 """Measure Anny's default adult and write EllipBody's mean body, ``body/mean_body.json``.
 
-    python scripts/measure_mean_body.py [--pictures FOLDER]
+    python scripts/measure_mean_body.py
 
 The person is Anny with every phenotype value (gender, age, muscle, weight, height, proportions) at its neutral 0.5:
 an adult between the sexes, 1.625 m tall as Anny stands and 1.630 m when posed in EllipBody's rest pose (T-pose, palms
@@ -24,17 +24,17 @@ part there, the torso: skinning weights do not say where one ends.
 
 from __future__ import annotations
 
-import argparse
-import json
-import re
 from pathlib import Path
 
 import numpy as np
-from anny_person import Person, PersonFactory
+import torch
+from anny_person import Person, PersonFactory, write_json
 from PIL import Image, ImageDraw
 
+from warp_partdr.body.rotations import rotation_from_6d
 from warp_partdr.body.template import (
     _FIRST_THICKNESS_AXIS,
+    JOINT_NAMES,
     LENGTH_NAMES,
     PARENTS,
     PART_NAMES,
@@ -70,23 +70,16 @@ def rest_pose(factory: PersonFactory) -> Person:
         # Palm down: along the middle finger outward, from the little finger to the index forward.
         along = _fingertip(person, side) - person.bones[f"wrist.{letter}"]
         forward = person.bones[f"finger2-1.{letter}"] - person.bones[f"finger5-1.{letter}"]
-        turns[f"wrist.{letter}"] = _frame(outward, np.array([0.0, 0, 1])) @ _frame(along, forward).T
+        columns = np.stack([[*outward, 0.0, 0, 1], [*along, *forward]])
+        target, now = rotation_from_6d(torch.from_numpy(columns)).numpy()
+        turns[f"wrist.{letter}"] = target @ now.T
     return factory(turns)
-
-
-def _frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal axes as columns: along ``first``, then toward ``second``."""
-    x = first / np.linalg.norm(first)
-    y = second - (second @ x) * x
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def _fingertip(person: Person, side: str) -> np.ndarray:
     """Tip of the middle finger: the point of the hand farthest from the wrist."""
-    hand = person.vertices[person.faces[person.face_parts == PART_NAMES.index(f"{side}_hand")]].reshape(-1, 3)
-    middle = person.bones[f"finger3-3.{side[0].upper()}"]
-    wrist = person.bones[f"wrist.{side[0].upper()}"]
+    hand = person.skin(f"{side}_hand")
+    middle, wrist = (person.bones[f"{bone}.{side[0].upper()}"] for bone in ("finger3-3", "wrist"))
     near = hand[np.linalg.norm(hand - middle, axis=1) < 0.035]
     return near[((near - wrist) @ (middle - wrist)).argmax()]
 
@@ -95,7 +88,7 @@ def measure_joints(person: Person) -> dict[str, np.ndarray]:
     """EllipBody's 21 joints [m] of a person in the rest pose, symmetric between left and right."""
     joints = person.joints()
     for side in ("left", "right"):
-        foot = person.vertices[person.faces[person.face_parts == PART_NAMES.index(f"{side}_foot")]].reshape(-1, 3)
+        foot = person.skin(f"{side}_foot")
         joints[f"{side}_toe"] = foot[foot[:, 2].argmax()]
         joints[f"{side}_fingertip"] = _fingertip(person, side)
     mirror = np.array([-1.0, 1, 1])
@@ -103,7 +96,7 @@ def measure_joints(person: Person) -> dict[str, np.ndarray]:
         joints[f"left_{name}"] = (joints[f"left_{name}"] + mirror * joints[f"right_{name}"]) / 2
         joints[f"right_{name}"] = mirror * joints[f"left_{name}"]
 
-    torso = person.vertices[np.unique(person.faces[np.isin(person.face_parts, _indices(TORSO | {"neck", "head"}))])]
+    torso = person.skin(*TORSO, "neck", "head")
 
     def middle(height: float) -> np.ndarray:
         near = torso[(np.abs(torso[:, 1] - height) < 0.01) & (np.abs(torso[:, 0]) < 0.05), 2]
@@ -114,45 +107,16 @@ def measure_joints(person: Person) -> dict[str, np.ndarray]:
     joints["spine"] = middle(person.bones["spine02"][1])
     joints["neck"] = (joints["left_shoulder"] + joints["right_shoulder"]) / 2
     joints["head"] = person.bones["neck03"] * np.array([0.0, 1, 1])
-    head = person.vertices[np.unique(person.faces[person.face_parts == PART_NAMES.index("head")])]
+    head = person.skin("head")
     joints["head_top"] = head[head[:, 1].argmax()] * np.array([0.0, 1, 1])
     return joints
 
 
-def _indices(names: frozenset[str]) -> list[int]:
-    return [PART_NAMES.index(name) for name in PART_NAMES if name in names]
-
-
-BONE_ENDS: dict[str, str] = {
-    "abdomen": "spine",
-    "chest": "neck",
-    "neck": "head",
-    "head": "head_top",
-    "hip": "hip",
-    "shoulder": "shoulder",
-    "upper_leg": "knee",
-    "lower_leg": "ankle",
-    "foot": "toe",
-    "upper_arm": "elbow",
-    "forearm": "wrist",
-    "hand": "fingertip",
+# The parts whose silhouettes are compared: each of the 20 on its own, but the torso as one.
+PART_GROUPS = {
+    "torso": [k for k, name in enumerate(PART_NAMES) if name in TORSO],
+    **{name: [k] for k, name in enumerate(PART_NAMES) if name not in TORSO},
 }
-
-
-def bone_ends(joints: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Start and end [m] of each bone, shape (20, 3) each."""
-    ends = []
-    for name in PART_NAMES:
-        side, _, part = name.partition("_")
-        ends.append(joints[f"{side}_{BONE_ENDS[part]}" if part else BONE_ENDS[name]])
-    starts = [joints["pelvis"] if parent < 0 else ends[parent] for parent in PARENTS]
-    return np.array(starts), np.array(ends)
-
-
-def part_groups() -> dict[str, list[int]]:
-    """The parts whose silhouettes are compared: each of the 20 on its own, but the torso as one."""
-    groups = {name: [k] for k, name in enumerate(PART_NAMES) if name not in TORSO}
-    return {"torso": _indices(TORSO), **groups}
 
 
 class Silhouettes:
@@ -168,18 +132,17 @@ class Silhouettes:
         self.origin = (person.vertices.min(0) + person.vertices.max(0)) / 2
         self.size = int(2 * EXTENT / PIXEL)
         self.targets = {
-            (group, view): self._person_mask(person, parts, view)
-            for group, parts in part_groups().items()
+            (group, view): self.person_mask(person, parts, view)
+            for group, parts in PART_GROUPS.items()
             for view in VIEWS
         }
-        self.whole = {view: self._person_mask(person, list(range(len(PART_NAMES))), view) for view in VIEWS}
 
     def to_pixels(self, points: np.ndarray, view: str) -> np.ndarray:
         """Pixel positions (column, row) of points [m], shape (..., 2)."""
         flat = (points - self.origin) @ VIEWS[view][:2].T
         return np.stack([EXTENT + flat[..., 0], EXTENT - flat[..., 1]], axis=-1) / PIXEL
 
-    def _person_mask(self, person: Person, parts: list[int], view: str) -> np.ndarray:
+    def person_mask(self, person: Person, parts: list[int], view: str) -> np.ndarray:
         picture = Image.new("L", (self.size, self.size))
         draw = ImageDraw.Draw(picture)
         for face in self.to_pixels(person.vertices[person.faces[np.isin(person.face_parts, parts)]], view):
@@ -203,7 +166,7 @@ class Silhouettes:
 
     def group_iou(self, group: str, thicknesses: np.ndarray) -> np.ndarray:
         """Intersection over union of a part group in each view, shape (3,)."""
-        parts = part_groups()[group]
+        parts = PART_GROUPS[group]
         return np.array([iou(self.masks(parts, thicknesses, v), self.targets[group, v]) for v in VIEWS])
 
 
@@ -215,7 +178,7 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
 def fit_thicknesses(silhouettes: Silhouettes) -> np.ndarray:
     """The 15 thicknesses [m] of greatest mean IoU, by coordinate ascent."""
     thicknesses = np.array([0.2, 0.2, 0.3, 0.32, 0.12, 0.12, 0.17, 0.16, 0.11, 0.08, 0.08, 0.1, 0.08, 0.09, 0.04])
-    groups = {group: parts for group, parts in part_groups().items() if not group.startswith("right_")}
+    groups = {group: parts for group, parts in PART_GROUPS.items() if not group.startswith("right_")}
     users = [[g for g, parts in groups.items() if any(t in SHAPE_INDICES[p][1:] for p in parts)] for t in range(15)]
     for step in (0.016, 0.004, 0.001):
         improved = True
@@ -232,29 +195,11 @@ def fit_thicknesses(silhouettes: Silhouettes) -> np.ndarray:
     return thicknesses
 
 
-def save_pictures(silhouettes: Silhouettes, thicknesses: np.ndarray, folder: Path) -> None:
-    """The person in grey, the ellipsoids' outlines over it."""
-    for view in VIEWS:
-        shown = np.where(silhouettes.whole[view][..., None], 170, 255).astype(np.uint8).repeat(3, axis=2)
-        for part, name in enumerate(PART_NAMES):
-            mask = silhouettes.ellipsoid_mask(part, thicknesses, view)
-            edge = mask & ~(np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1))
-            shown[edge] = (200, 0, 0) if name.startswith("left") else (0, 0, 200) if name.startswith("right") else 0
-        Image.fromarray(shown).resize((900, 900)).save(folder / f"mean_body_{view}.png")
-
-
-def _json(data: dict[str, object]) -> str:
-    """JSON with one line a number or direction."""
-    return re.sub(r"\[[^\[\]]*\]", lambda match: " ".join(match[0].split()), json.dumps(data, indent=1)) + "\n"
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pictures", type=Path, help="folder for pictures of the ellipsoids over the person")
-    arguments = parser.parse_args()
     person = rest_pose(PersonFactory())
-    starts, ends = bone_ends(measure_joints(person))
-    vectors = ends - starts
+    joints = measure_joints(person)
+    places = np.array([joints[name] for name in JOINT_NAMES])
+    starts, ends = places[[parent + 1 for parent in PARENTS]], places[1:]
     silhouettes = Silhouettes(person, starts, ends)
     thicknesses = fit_thicknesses(silhouettes)
     lengths = np.zeros(len(LENGTH_NAMES))
@@ -262,33 +207,25 @@ def main() -> None:
         lengths[length] = silhouettes.lengths[part]  # Left and right are the same.
     stature = float(np.ptp(person.vertices[:, 1]))
 
-    directions = vectors / silhouettes.lengths[:, None]
+    directions = (ends - starts) / silhouettes.lengths[:, None]
     for part, name in enumerate(PART_NAMES):  # Arms and legs are straight but for float32.
         if name.split("_", 1)[-1] in ("upper_leg", "lower_leg", "shoulder", "upper_arm", "forearm", "hand"):
             directions[part] = np.round(directions[part], 2)
-    MEAN_BODY.write_text(
-        _json(
-            {
-                "source": f"Anny 0.6.2 (assets CC0), default adult, all phenotypes 0.5, {stature:.3f} m tall; "
-                "measured by scripts/measure_mean_body.py",
-                "lengths_m": dict(zip(LENGTH_NAMES, lengths.round(4).tolist(), strict=True)),
-                "thicknesses_m": dict(zip(THICKNESS_NAMES, thicknesses.round(4).tolist(), strict=True)),
-                "rest_directions": dict(zip(PART_NAMES, (directions.round(5) + 0.0).tolist(), strict=True)),
-            }
-        )
-    )
-    print(f"stature {stature:.3f} m")
-    for name, value in [*zip(LENGTH_NAMES, lengths, strict=True), *zip(THICKNESS_NAMES, thicknesses, strict=True)]:
-        print(f"{name:24s} {100 * value:6.1f} cm")
-    for name, direction in zip(PART_NAMES, directions, strict=True):
-        print(f"{name:24s} {direction.round(3) + 0.0}")
-    for group in part_groups():
+    measured = {
+        "source": f"Anny 0.6.2 (assets CC0), default adult, all phenotypes 0.5, {stature:.3f} m tall; "
+        "measured by scripts/measure_mean_body.py",
+        "lengths_m": dict(zip(LENGTH_NAMES, lengths.round(4).tolist(), strict=True)),
+        "thicknesses_m": dict(zip(THICKNESS_NAMES, thicknesses.round(4).tolist(), strict=True)),
+        "rest_directions": dict(zip(PART_NAMES, (directions.round(5) + 0.0).tolist(), strict=True)),
+    }
+    write_json(MEAN_BODY, measured)
+    print(MEAN_BODY.read_text())
+    for group in PART_GROUPS:
         print(f"IoU {group:20s}", *(f"{value:.2f}" for value in silhouettes.group_iou(group, thicknesses)))
     everything = list(range(len(PART_NAMES)))
     for view in VIEWS:
-        print(f"IoU whole {view}: {iou(silhouettes.masks(everything, thicknesses, view), silhouettes.whole[view]):.3f}")
-    if arguments.pictures:
-        save_pictures(silhouettes, thicknesses, arguments.pictures)
+        whole = silhouettes.person_mask(person, everything, view)
+        print(f"IoU whole {view}: {iou(silhouettes.masks(everything, thicknesses, view), whole):.3f}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Mutation testing: a fault at a time in a copy of the project, and the tests that have to fail on it.
 
-    python scripts/mutants.py [--quick] [--only WORD] [--portion 1/4] [--jobs N] [--list]
+    python scripts/mutants.py [--quick] [--only WORD] [--jobs N]
 
 ``mutants.toml`` beside this file lists the faults, each one line of one file, with the tests that must notice it. The
 project itself is never changed: each process works on a copy of its own under ``build/mutants``, where these tests are
@@ -17,16 +17,15 @@ import queue
 import shutil
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import track
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".toml")
@@ -93,31 +92,10 @@ class Mutant:
         return text.replace(self.find, self.replace)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a mutant: ``kind`` is killed, survived or error; ``said`` is the test, or what went wrong."""
-
-    mutant: Mutant
-    kind: str
-    said: str
-    seconds: float
-
-
-def read_mutants(path: Path = LIST) -> list[Mutant]:
-    """Read the mutants, in the order of the list.
-
-    Raises:
-        ValueError: If an entry lacks something, or has what no mutant has.
-    """
-    with path.open("rb") as file:
-        entries = tomllib.load(file)["mutant"]
-    mutants = []
-    for entry in entries:
-        try:
-            mutants.append(Mutant(**{**entry, "tests": tuple(entry["tests"])}))
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{path.name}: {entry}: {error}") from error
-    return mutants
+def read_mutants() -> list[Mutant]:
+    """The mutants in the order of the list; an entry that lacks something, or has what no mutant has, is refused."""
+    entries = tomllib.loads(LIST.read_text(encoding="utf-8"))["mutant"]
+    return [Mutant(**{**entry, "tests": tuple(entry["tests"])}) for entry in entries]
 
 
 def quick(mutants: Iterable[Mutant]) -> list[Mutant]:
@@ -178,113 +156,65 @@ def run_tests(
     return "killed" if done.returncode else "survived", said
 
 
-def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
-    """Put the fault into a copy, run its tests, and take it out again."""
-    began = time.perf_counter()
-
-    def outcome(kind: str, said: str) -> Outcome:
-        return Outcome(mutant, kind, said, time.perf_counter() - began)
-
+def try_mutant(mutant: Mutant, folder: Path) -> tuple[str, str]:
+    """Put the fault into a copy, run its tests, and take it out again; returns what ``run_tests`` does."""
     path = folder / mutant.file
     try:
         text = mutant.apply(folder)
     except ValueError as error:
-        return outcome("error", str(error))
+        return "error", str(error)
     original = path.read_text(encoding="utf-8")
     path.write_text(text, encoding="utf-8")
     try:
-        return outcome(*run_tests(folder, mutant.tests, [mutant.file], PATIENCE))
+        return run_tests(folder, mutant.tests, [mutant.file], PATIENCE)
     finally:
         path.write_text(original, encoding="utf-8")
 
 
-def try_all(mutants: Sequence[Mutant], jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
-    """Every mutant, ``jobs`` at a time, in the list's order."""
-    folders: queue.SimpleQueue[Path] = queue.SimpleQueue()
-    for number in range(jobs):
-        folders.put(WORK / f"copy{number}")
-
-    def work(mutant: Mutant) -> Outcome:
-        folder = folders.get()
-        try:
-            return try_mutant(mutant, folder)
-        finally:
-            folders.put(folder)
-
-    outcomes: dict[Mutant, Outcome] = {}
-    with ThreadPoolExecutor(jobs) as pool:
-        for future in as_completed([pool.submit(work, mutant) for mutant in mutants]):
-            outcome = future.result()
-            outcomes[outcome.mutant] = outcome
-            told(outcome)
-    return [outcomes[mutant] for mutant in mutants]
+def try_next(folders: queue.SimpleQueue[Path], mutant: Mutant) -> tuple[str, str]:
+    """Try a mutant in a copy that is free."""
+    folder = folders.get()
+    try:
+        return try_mutant(mutant, folder)
+    finally:
+        folders.put(folder)
 
 
-def check_copies(mutants: Sequence[Mutant], jobs: int) -> str:
-    """Make the copies, and see the tests pass in one of them: empty, or what is wrong. It also warms Warp's cache."""
-    for number in range(jobs):
-        copy_project(WORK / f"copy{number}")
-    tests = dict.fromkeys(test for mutant in mutants for test in mutant.tests)
-    kind, said = run_tests(WORK / "copy0", list(tests), {mutant.file for mutant in mutants})
-    return "" if kind == "survived" else said
-
-
-def report(outcomes: Sequence[Outcome], console: Console) -> None:
-    """Print the mutants that were not killed, and the number that were."""
-    table = Table("mutant", "what is wrong", "outcome", title="Not killed")
-    for each in outcomes:
-        if each.kind != "killed":
-            said = each.mutant.survives or each.said
-            table.add_row(f"{each.mutant.file}\n{each.mutant.replace}", each.mutant.why, f"{each.kind}: {said}")
-    if table.row_count:
-        console.print(table)
-    kinds = [each.kind for each in outcomes]
-    console.print(
-        f"{len(kinds)} mutants: {kinds.count('killed')} killed ({kinds.count('killed') / max(len(kinds), 1):.1%}), "
-        f"{kinds.count('survived')} survived, {kinds.count('error')} errors"
-    )
-
-
-def main(argv: list[str] | None = None) -> int:
+def main() -> int:
     """Try the mutants; return 1 if one survives unexplained or the list is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the first mutant of each file")
     parser.add_argument("--only", default="", metavar="WORD", help="mutants whose file, line or reason holds the word")
-    parser.add_argument("--portion", default="1/1", metavar="K/N", help="the K-th of N shares of them; default: all")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time; default: 2")
-    parser.add_argument("--list", action="store_true", help="say which, and try none")
-    options = parser.parse_args(argv)
+    options = parser.parse_args()
     if options.jobs < 1:
         parser.error(f"--jobs: {options.jobs}; expected 1 or more")
     mutants = quick(read_mutants()) if options.quick else read_mutants()
     mutants = [each for each in mutants if options.only in f"{each.file} {each.find} {each.replace} {each.why}"]
-    share, shares = map(int, options.portion.split("/"))
-    if not 1 <= share <= shares:
-        parser.error(f"--portion: {options.portion}; expected such as 1/4")
-    mutants = mutants[len(mutants) * (share - 1) // shares : len(mutants) * share // shares]
-    console = Console()
-    if options.list or not mutants:
-        for each in mutants:
-            console.print(f"{each.file}: {each.why}", highlight=False)
-        return 0 if mutants else parser.error(f"--only: {options.only!r}; no such mutant")
+    if not mutants:
+        parser.error(f"--only: {options.only!r}; no such mutant")
+    console = Console(highlight=False, markup=False)
 
-    with console.status("without a fault"):
-        wrong = check_copies(mutants, options.jobs)
-    if wrong:
-        console.print(f"without a fault: {wrong}", highlight=False, markup=False)
+    folders: queue.SimpleQueue[Path] = queue.SimpleQueue()
+    for number in range(options.jobs):
+        copy_project(WORK / f"copy{number}")
+        folders.put(WORK / f"copy{number}")
+    # Without a fault, all the tests pass; it also warms Warp's cache.
+    tests = dict.fromkeys(test for mutant in mutants for test in mutant.tests)
+    kind, said = run_tests(WORK / "copy0", list(tests), {mutant.file for mutant in mutants})
+    if kind != "survived":
+        console.print(f"without a fault: {said}")
         return 1
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("mutants", total=len(mutants))
-
-        def told(each: Outcome) -> None:
-            line = f"{each.kind:8} {each.seconds:4.0f} s  {each.mutant.file}: {each.mutant.why}"
-            console.print(line, highlight=False, markup=False)
-            progress.advance(task)
-
-        outcomes = try_all(mutants, options.jobs, told)
-    report(outcomes, console)
-    bad = [each for each in outcomes if each.kind == "error" or (each.kind == "survived" and not each.mutant.survives)]
+    kinds, bad = [], []
+    with ThreadPoolExecutor(options.jobs) as pool:
+        outcomes = zip(mutants, pool.map(partial(try_next, folders), mutants), strict=True)
+        for mutant, (kind, said) in track(outcomes, "mutants", len(mutants), console=console):
+            console.print(f"{kind:8} {mutant.file}: {mutant.why}")
+            kinds.append(kind)
+            if kind == "error" or (kind == "survived" and not mutant.survives):
+                bad.append(f"{mutant.file}: {mutant.replace}: {mutant.why}: {kind}: {said}")
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in ("killed", "survived", "error"))
+    console.print(f"{len(kinds)} mutants: {counts}", *bad, sep="\n")
     return 1 if bad else 0
 
 

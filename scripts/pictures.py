@@ -13,24 +13,31 @@ import argparse
 import subprocess
 import sys
 import tempfile
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+import torch
+import warp as wp
+from PIL import Image, ImageDraw, ImageFont
+
+import warp_partdr as partdr
+from warp_partdr.results.palette import PART_COLOURS, group_colours
+from warp_partdr.results.pictures import blend, shade_mesh, turntable_views
+from warp_partdr.results.save import draw_overlay
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
 
 # The pictures that a command makes, and its arguments, from the project's folder; OUT is where it is to write to.
 DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("ellipbody.png", "example.png"), ("scripts/make_docs_pictures.py", "--out", "OUT")),
+    *(((name,), (__file__, "--draw", f"OUT/{name}")) for name in ("ellipbody.png", "example.png", "demo_window.png")),
     (("two_triangles.png",), ("demos/two_triangles.py", "--out", "OUT/two_triangles.png")),
     (("edits.png", "between.png"), ("demos/edit_body.py", "--out", "OUT")),
     (
         ("demo.gif",),
         ("-m", "warp_partdr", "demo", "--record", "OUT/demo.gif", "--target", "crossed arms", "--set", "steps=60"),
     ),
-    (("demo_window.png",), ("scripts/draw_demo_window.py", "--out", "OUT/demo_window.png")),
 )
 
 MEASURED = {
@@ -39,6 +46,10 @@ MEASURED = {
     "tradeoff-cpu.png": "partdr bench tradeoff --device cpu",
     "tradeoff-h200.png": "partdr bench tradeoff --device cuda",
 }
+
+GAP, BAR = 12, 30  # [px]
+ARM = ("left_forearm", "left_hand")
+DEMO_STEPS = 25  # of each setting
 
 
 def difference(first: Path, second: Path) -> float:
@@ -77,13 +88,108 @@ def make(names: tuple[str, ...], arguments: tuple[str, ...], out: Path) -> bool:
     return True
 
 
+def side_by_side(panels: dict[str, Image.Image]) -> Image.Image:
+    """Pictures of one height in a row, each under its name."""
+    width = sum(panel.width for panel in panels.values()) + GAP * (len(panels) - 1)
+    height = max(panel.height for panel in panels.values()) + BAR
+    sheet = Image.new("RGB", (width, height), "white")
+    draw = ImageDraw.Draw(sheet)
+    x = 0
+    for name, panel in panels.items():
+        draw.text((x + panel.width / 2, BAR / 2), name, "black", ImageFont.load_default(16), anchor="mm")
+        sheet.paste(panel, (x, BAR))
+        x += panel.width + GAP
+    return sheet
+
+
+def draw_example(height: int = 400) -> Image.Image:
+    """Photo and part labels of the packaged example, the body over the photo, and the body from the side."""
+    folder = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
+    photo = partdr.read_photo(folder / "photo.png")
+    parts = partdr.read_parts(folder / "parts.png", partdr.label_set("cdcl14"))
+    person = partdr.choose_person(partdr.read_keypoints(folder / "keypoints.json"), parts.groups)
+    result = partdr.fit_body(person, parts)
+    colours = group_colours(parts.label_set.part_groups)
+    colours[0] = 255
+    views = {
+        "photo": Image.fromarray(photo),
+        "part labels": Image.fromarray(colours[parts.groups]),
+        "fitted body, with the keypoints": draw_overlay(result, photo.shape[:2], photo),
+    }
+    width = round(height * photo.shape[1] / photo.shape[0])
+    panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}
+    (side,) = turntable_views(result.posed, ((90, 0),), height)
+    margin = (height - width) // 2
+    panels["the same from the side"] = Image.fromarray(side).crop((margin, 0, margin + width, height))
+    return side_by_side(panels)
+
+
+def draw_ellipbody(size: int = 360) -> Image.Image:
+    """The mean body from three sides, and the mesh of its left forearm and hand at each level."""
+    posed = partdr.BodyParameters.mean(1).posed()
+    sides = {"from the front": ((0, 0), 0.8), "from its left": ((90, 0), 0.35), "from above": ((0, 90), 0.8)}
+    panels = {}
+    for name, (angles, share) in sides.items():
+        (view,) = turntable_views(posed, (angles,), size)
+        margin = round(size * (1 - share) / 2)
+        panels[name] = Image.fromarray(view[:, margin : size - margin])
+    levels = [draw_arm(posed.vertices(level).detach(), level, size // 4, size // 2) for level in range(4)]
+    panels["an arm: E0, E1, E2, E3"] = Image.fromarray(np.concatenate(levels))
+    return side_by_side(panels)
+
+
+def draw_arm(vertices: torch.Tensor, level: int, height: int, width: int) -> np.ndarray:
+    """Left forearm and hand of one level, shape (H, W, 3), uint8."""
+    body = partdr.ellipbody_mesh(level)
+    kept = torch.isin(body.face_labels, torch.tensor([partdr.PART_NAMES.index(name) + 1 for name in ARM]))
+    mesh = partdr.PartMesh.from_faces(body.faces[kept].numpy(), body.face_labels[kept].numpy())
+    points = vertices[0].numpy()[mesh.faces.numpy()]
+    low, high = points.min((0, 1)), points.max((0, 1))
+    scale = 0.92 * width / (high[0] - low[0])  # [px/m]
+    u, v = (low[:2] + high[:2]) / 2 * scale
+    camera = partdr.WeakPerspective(torch.tensor([scale]), torch.tensor([[width / 2 - u, height / 2 - v]]))
+    white = np.full((height, width, 3), 255, dtype=np.uint8)
+    return blend(white, shade_mesh(vertices, mesh, camera, (height, width), PART_COLOURS), 1.0)
+
+
+def draw_demo_window() -> Image.Image:
+    """The demo while it plays: two settings from the same start, one after the other; the second is on its way."""
+    from warp_partdr.viewer.state import DemoState
+    from warp_partdr.viewer.targets import body_of, body_target
+    from warp_partdr.viewer.window import Window
+
+    state = DemoState(body_of("t-pose"), body_target(body_of("walking")))
+    window = Window(state, Path(), off_screen=True)
+    window.scene.screenshot()  # off-screen, nothing is drawn before the first picture
+    for quality in ("F7", "F9"):
+        window.press(quality)
+        window.press("space")
+        for _ in range(DEMO_STEPS):
+            window.tick()
+        if quality != "F9":
+            window.press("space")
+    return Image.fromarray(window.scene.screenshot())
+
+
+def draw(path: Path) -> None:
+    """Draw that one of this file's own pictures which has the path's name."""
+    wp.config.log_level = wp.LOG_WARNING
+    torch.set_num_threads(1)  # the tensors are small
+    own = {"ellipbody.png": draw_ellipbody, "example.png": draw_example, "demo_window.png": draw_demo_window}
+    own[path.name]().save(path, optimize=True)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Make the pictures; return 1 if one couldn't be made."""
     choices = [name for names, _ in DRAWN for name in names]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"some of {', '.join(choices)}; default: all")
     parser.add_argument("--out", type=Path, default=IMAGES, help="folder; default: docs/images")
+    parser.add_argument("--draw", type=Path, help=argparse.SUPPRESS)  # one of its own, in a process that may crash
     options = parser.parse_args(argv)
+    if options.draw:
+        draw(options.draw)
+        return 0
     if unknown := set(options.names) - set(choices):
         parser.error(f"NAME: {', '.join(sorted(unknown))}; expected some of {', '.join(choices)}")
     options.out.mkdir(parents=True, exist_ok=True)

@@ -62,7 +62,7 @@ def register_body(
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
-    from ..results.body_file import load_body
+    from ..results.body_file import BODY_ARRAYS, load_body
 
     picture = None if photo is None else read_photo(photo)
     image = read_labelled_parts(parts, labels)
@@ -86,8 +86,7 @@ def register_body(
     check_folder(out)
     check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
     detailed_model = read_model(model, where)
-    names = ("global_orient", "translation", "rotations", "lengths", "thicknesses")
-    posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in names))
+    posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)
     seen = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:

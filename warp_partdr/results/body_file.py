@@ -41,6 +41,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "camera_translation": (2,),
     "image_size": (2,),
 }
+BODY_ARRAYS = tuple(_SHAPES)[:5]  # what is of the body, in the order of ``pose``
 _MAX_BYTES = 1_000_000  # of all arrays when unpacked; a body has 2 kB
 _POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
@@ -60,20 +61,12 @@ class BodyFile:
 
     def body(self, device: str | None = None) -> EllipBody:
         """The body as Warp arrays, B = 1."""
-        return EllipBody.from_numpy(
-            global_orient=self.global_orient[None],
-            translation=self.translation[None],
-            rotations=self.rotations[None],
-            lengths=self.lengths[None],
-            thicknesses=self.thicknesses[None],
-            device=device,
-        )
+        return EllipBody.from_numpy(**{name: getattr(self, name)[None] for name in BODY_ARRAYS}, device=device)
 
     def camera(self) -> WeakPerspective:
         """The camera of the picture."""
-        return WeakPerspective(
-            torch.from_numpy(self.camera_scale.reshape(1)), torch.from_numpy(self.camera_translation.reshape(1, 2))
-        )
+        scale, translation = (torch.from_numpy(each[None]) for each in (self.camera_scale, self.camera_translation))
+        return WeakPerspective(scale, translation)
 
     def save(self, path: str | Path) -> None:
         """Write the file.

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..body.icosphere import icosphere
 from ..body.template import NUM_PARTS, PART_NAMES
-from ..errors import check_whole
 from .palette import PART_COLOURS
 
 if TYPE_CHECKING:
@@ -20,39 +19,31 @@ if TYPE_CHECKING:
 _LINEAR_COLOURS = np.where(
     PART_COLOURS <= 10, PART_COLOURS / 255 / 12.92, ((PART_COLOURS / 255 + 0.055) / 1.055) ** 2.4
 )
+_SUBDIVISIONS = 2
 GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) to glTF's (y up, z toward the viewer)
 
 
-def ellipbody_scene(posed: Posed, *, subdivisions: int = 2, index: int = 0) -> trimesh.Scene:
-    """One body as 20 named, coloured meshes, standing on y = 0 as glTF has it: y up, seen from the camera's side.
+def ellipbody_scene(posed: Posed) -> trimesh.Scene:
+    """The first body as 20 named, coloured meshes, standing on y = 0 as glTF has it: y up, seen from the camera's side.
 
     Args:
         posed: Bodies in the camera frame [m].
-        subdivisions: 0 to 3.
-        index: Which body of the batch.
-
-    Raises:
-        ValueError: If there is no such level or body.
     """
     import trimesh
 
-    index = check_whole("index", index, 0, posed.centres.shape[0] - 1)
-
-    sphere, faces = icosphere(subdivisions)
-    points = posed.vertices(subdivisions)[index].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
+    sphere, faces = icosphere(_SUBDIVISIONS)
+    points = posed.vertices(_SUBDIVISIONS)[0].detach().cpu().numpy().reshape(NUM_PARTS, -1, 3)
     points = points @ GLTF_FROM_CAMERA.T
     points = points - [0.0, points[..., 1].min(), 0.0]
     # Exact, and so that trimesh need not average those of faces, for which it wants SciPy.
-    axes, semi_axes = posed.axes[index].detach().cpu().numpy(), posed.semi_axes[index].detach().cpu().numpy()
+    axes, semi_axes = posed.axes[0].detach().cpu().numpy(), posed.semi_axes[0].detach().cpu().numpy()
     normals = (sphere / semi_axes[:, None]) @ axes.transpose(0, 2, 1) @ GLTF_FROM_CAMERA.T
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     scene = trimesh.Scene()
     for k, name in enumerate(PART_NAMES):
+        colour = [*_LINEAR_COLOURS[k + 1].tolist(), 1.0]
         material = trimesh.visual.material.PBRMaterial(
-            name=name,
-            baseColorFactor=[*_LINEAR_COLOURS[k + 1].tolist(), 1.0],
-            metallicFactor=0.0,
-            roughnessFactor=0.7,
+            name=name, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.7
         )
         mesh = trimesh.Trimesh(points[k], faces, vertex_normals=normals[k], process=False)
         mesh.visual = trimesh.visual.TextureVisuals(material=material)

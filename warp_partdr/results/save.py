@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+import warp as wp
 
 from .. import __version__, metrics
 from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set, regroup
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
+from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Crop, WeakPerspective
 from ..clothing.mesh import detailed_mesh
@@ -24,7 +28,7 @@ from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
-from ..render.mesh import PartImage, draw_mesh
+from ..render.mesh import draw_mesh
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
 from .palette import group_colours
@@ -41,15 +45,9 @@ DETAILED_FILES = (
     REGISTRATION_REPORT,
 )
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
-_LSP6 = "lsp6"
 
 
-def save_fit(
-    result: FitResult,
-    folder: str | Path,
-    *,
-    photo: np.ndarray | None = None,
-) -> dict[str, Any]:
+def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None = None) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
     Args:
@@ -71,7 +69,10 @@ def save_fit(
     comparison = None
     if evidence.picture is not None:
         label_set = evidence.picture.label_set
-        shown, target = compared_labels(result, size)
+        # In the picture or, if that is large, a smaller one.
+        zoom, scored = _shown_at(size)
+        drawn = result.draw(scored, camera=_zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
+        shown, target = label_set.part_groups[drawn], evidence.target(scored)
         report |= score_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
@@ -85,13 +86,6 @@ def save_fit(
             comparison.save(temporary / "parts.png")
         loss_chart(result).save(temporary / "loss.png")
     return report
-
-
-def compared_labels(result: FitResult, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Group ids of the body and of the person's labels, in the picture (H, W) or, if that is large, a smaller one."""
-    zoom, scored = _shown_at(size)
-    parts = result.draw(scored, camera=_zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
-    return result.evidence.labels.label_set.part_groups[parts], result.evidence.target(scored)
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
@@ -127,9 +121,8 @@ def save_registered(
     Returns:
         The report.
     """
-    canvas, zoom = _canvas(size, photo)
-    model, shown_size = registered.model, (canvas.height, canvas.width)
-    shown = shade_detailed(registered.detailed, model, _zoomed(camera, zoom, shown_size), shown_size)
+    model = registered.model
+    picture, _ = _over(partial(shade_detailed, registered.detailed, model), camera, size, photo, 0.9)
     numbers: dict[str, Any] = {
         name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
     }
@@ -139,41 +132,41 @@ def save_registered(
         report["seconds"] = round(seconds, 3)
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
-        drawn = draw_registered(registered, _zoomed(camera, zoom, scored), scored).labels[0].cpu().numpy()
-        report |= score_labels(label_set.part_groups[drawn], evidence.target(scored), label_set)
+        vertices = registered.detailed.vertices[:1].detach()
+        seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
+        image = draw_mesh(vertices, detailed_mesh(model), _zoomed(seen, zoom, scored), scored)
+        report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
-        _over(canvas, shown, 0.9).save(temporary / "detailed.png")
+        picture.save(temporary / "detailed.png")
     return report
-
-
-def draw_registered(registered: Registered, camera: WeakPerspective, size: tuple[int, int]) -> PartImage:
-    """The first body's 20 parts in a picture of (H, W) pixels."""
-    vertices = registered.detailed.vertices[:1].detach()
-    seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
-    return draw_mesh(vertices, detailed_mesh(registered.model), seen, size)
 
 
 def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
     """The body and the keypoints over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
-    canvas, zoom = _canvas(size, photo)
-    shown_size = (canvas.height, canvas.width)
-    overlay = _over(canvas, shade_body(result.posed, _zoomed(result.camera, zoom, shown_size), shown_size), 0.72)
+    overlay, zoom = _over(partial(shade_body, result.posed), result.camera, size, photo, 0.72)
     keypoints = result.evidence.keypoints
     draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
     return overlay
 
 
-def _canvas(size: tuple[int, int], photo: np.ndarray | None) -> tuple[Image, float]:
-    """The photo, or gray, as it is shown, and its pixels a pixel of the picture."""
+def _over(
+    shade: Callable[[WeakPerspective, tuple[int, int]], np.ndarray],
+    camera: WeakPerspective,
+    size: tuple[int, int],
+    photo: np.ndarray | None,
+    opacity: float,
+) -> tuple[Image, float]:
+    """What is shaded over the photo, or over gray, as it is shown, and its pixels a pixel of the picture."""
     from PIL import Image
 
     zoom, (height, width) = _shown_at(size)
     canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
     if canvas.size != (width, height):
         canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
-    return canvas, zoom
+    rgba = shade(_zoomed(camera, zoom, (height, width)), (height, width))
+    return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
 
 
 def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
@@ -186,16 +179,8 @@ def _zoomed(camera: WeakPerspective, zoom: float, size: tuple[int, int]) -> Weak
     return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
 
 
-def _over(canvas: Image, rgba: np.ndarray, opacity: float) -> Image:
-    from PIL import Image
-
-    return Image.fromarray(blend(np.asarray(canvas), rgba, opacity))
-
-
 def body_file(parameters: BodyParameters, camera: WeakPerspective, size: tuple[int, int]) -> BodyFile:
     """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it."""
-    from ..body.rotations import rotation_from_axis_angle
-
     parameters = parameters.detach()
     numbers = {
         "global_orient": parameters.global_orient()[0],
@@ -253,15 +238,22 @@ def make_report(result: FitResult) -> dict[str, Any]:
         },
         "seconds": {name: round(value, 3) for name, value in result.stage_seconds.items()},
         "seconds_total": round(sum(result.stage_seconds.values()), 3),
-        "versions": _versions(),
+        "versions": {
+            "warp-partdr": __version__,
+            "warp": wp.config.version,
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+        },
     }
 
 
 def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:
     """Scores of a body's group ids against the picture's, shape (H, W); also in LSP's six parts where those exist."""
     scores = {"parts": {"label_set": source.name, **_scores(shown, target, source.group_names)}}
+    lsp6 = label_set("lsp6")
     try:
-        table, lsp6 = regroup(source, label_set(_LSP6)), label_set(_LSP6)
+        table = regroup(source, lsp6)
     except ValueError:
         return scores  # the set is not finer than LSP's six parts
     return scores | {"parts_lsp6": _scores(table[shown], table[target], lsp6.group_names)}
@@ -270,32 +262,15 @@ def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dic
 def _scores(shown: np.ndarray, target: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
     counts = metrics.confusion(shown, target, len(names) + 1)
     person = (target != BACKGROUND) & (target != IGNORE)
-    each = metrics.f1_scores(counts)
     return {
         "foreground_f1": round(metrics.part_f1(metrics.foreground_counts(counts)), 4),
         "part_f1": round(metrics.part_f1(counts), 4),
         "part_accuracy": round(metrics.accuracy(counts), 4),
         "f1": {
             name: None if np.isnan(score) else round(float(score), 4)
-            for name, score in zip(("background", *names), each, strict=True)
+            for name, score in zip(("background", *names), metrics.f1_scores(counts), strict=True)
         },
         # F1's mean over person and background hides it.
         "left_out": round(float((shown == BACKGROUND)[person].mean()), 4) if person.any() else None,
-        "pixels": {
-            "person": int(person.sum()),
-            "ignored": int((target == IGNORE).sum()),
-        },
-    }
-
-
-def _versions() -> dict[str, str]:
-    import torch
-    import warp as wp
-
-    return {
-        "warp-partdr": __version__,
-        "warp": wp.config.version,
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-        "machine": platform.machine(),
+        "pixels": {"person": int(person.sum()), "ignored": int((target == IGNORE).sum())},
     }

@@ -16,41 +16,35 @@ import numpy as np
 import torch
 
 from ..body.rotations import rotation_to_axis_angle
+from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 
 SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
-_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125  # glTF's component types
-_DTYPES = {np.dtype(np.float32): _FLOAT, np.dtype(np.uint16): _UINT16, np.dtype(np.uint32): _UINT32}
+_DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # glTF's component types
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 
-def save_detailed(registered: Registered, folder: Path, *, index: int = 0) -> None:
-    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh.
-
-    Args:
-        registered: In the camera frame.
-        folder: Is there.
-        index: Which body of the batch.
-    """
+def save_detailed(registered: Registered, folder: Path) -> None:
+    """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, from the camera frame."""
     import trimesh
 
-    (folder / "detailed.glb").write_bytes(glb(registered, index))
-    vertices = _upright(registered, index)
+    (folder / "detailed.glb").write_bytes(glb(registered))
+    vertices, lowest = _upright(registered)
     faces = registered.model.faces.cpu().numpy()
+    vertices = vertices - [0.0, lowest, 0.0]
     trimesh.Trimesh(vertices, faces, process=False).export(folder / "detailed.obj")
     colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
     trimesh.Trimesh(vertices, faces, face_colors=colours, process=False).export(folder / "detailed.ply")
-    (folder / "detailed.bvh").write_text(bvh(registered, index))
+    (folder / "detailed.bvh").write_text(bvh(registered))
 
 
-def glb(registered: Registered, index: int = 0) -> bytes:
-    """A body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose."""
-    model = registered.model
-    rest = registered.rest().joints[index].detach().cpu().double().numpy()
-    transforms = registered.detailed.transforms[index].detach().cpu().double().numpy()
+def glb(registered: Registered) -> bytes:
+    """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose."""
+    model, faces = registered.model, registered.model.faces.cpu().numpy()
+    rest, transforms = _first(registered.rest().joints), _first(registered.detailed.transforms)
     weights, joints = model.skin_weights.cpu().double().topk(min(SKIN_WEIGHTS, model.num_joints), dim=1)
     padding = (0, SKIN_WEIGHTS - weights.shape[1])
     shares = torch.nn.functional.pad(weights / weights.sum(1, keepdim=True), padding).numpy()
@@ -59,23 +53,17 @@ def glb(registered: Registered, index: int = 0) -> bytes:
     inverse_bind[:, :3, 3] = -rest
     # The mesh that the skin takes to the posed one, so that what a viewer shows is exact.
     skin = np.einsum("vk,vkij->vij", shares, (transforms @ inverse_bind)[bones])
-    posed = registered.detailed.vertices[index].detach().cpu().double().numpy()
+    posed = _first(registered.detailed.vertices)
     bind = np.linalg.solve(skin[:, :3, :3], (posed - skin[:, :3, 3])[..., None])[..., 0]
 
     nodes: list[dict[str, Any]] = []
-    rotations = registered.rotations[index].detach().cpu()
-    translation = registered.translation[index].detach().cpu().double().numpy()
-    for joint, parent in enumerate(model.parents):
+    rotations, translation = registered.rotations[0].detach().cpu(), _first(registered.translation)
+    for joint, (name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
-        node = {
-            "name": model.joint_names[joint],
-            "translation": offset.tolist(),
-            "rotation": _quaternion(rotations[joint]),
-        }
-        if children := [child for child, above in enumerate(model.parents) if above == joint]:
-            node["children"] = children
-        nodes.append(node)
-    lift = -float(_upright(registered, index, lowered=False)[:, 1].min())
+        nodes.append({"name": name, "translation": offset.tolist(), "rotation": _quaternion(rotations[joint])})
+        if children := _children(model, joint):
+            nodes[-1]["children"] = children
+    lift = -float(_upright(registered)[1])
     # Half a turn about x: from the camera frame to glTF's.
     nodes.append({"name": "body", "rotation": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, lift, 0.0], "children": [0]})
     nodes.append({"name": model.name, "mesh": 0, "skin": 0})
@@ -83,61 +71,53 @@ def glb(registered: Registered, index: int = 0) -> bytes:
     buffer = _Buffer()
     attributes = {
         "POSITION": buffer.add(bind.astype(np.float32), bounds=True),
-        "NORMAL": buffer.add(_normals(bind, model.faces.cpu().numpy()).astype(np.float32)),
+        "NORMAL": buffer.add(vertex_normals(bind, faces).astype(np.float32)),
         "JOINTS_0": buffer.add(bones.astype(np.uint16)),
         "WEIGHTS_0": buffer.add(shares.astype(np.float32)),
     }
-    indices = buffer.add(model.faces.cpu().numpy().astype(np.uint32).reshape(-1), target=_INDICES)
+    indices = buffer.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
     # glTF's matrices are stored column by column.
     matrices = buffer.add(inverse_bind.transpose(0, 2, 1).astype(np.float32))
-    skin_material = {"baseColorFactor": [0.6, 0.42, 0.34, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    material = {"baseColorFactor": [0.6, 0.42, 0.34, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    body = len(nodes) - 2
     return buffer.glb(
         {
             "asset": {"version": "2.0", "generator": "warp-partdr"},
             "scene": 0,
-            "scenes": [{"nodes": [len(nodes) - 2, len(nodes) - 1]}],
+            "scenes": [{"nodes": [body, body + 1]}],
             "nodes": nodes,
-            "materials": [{"name": "skin", "pbrMetallicRoughness": skin_material}],
-            "meshes": [
-                {"name": model.name, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
-            ],
-            "skins": [
-                {"joints": list(range(model.num_joints)), "inverseBindMatrices": matrices, "skeleton": len(nodes) - 2}
-            ],
+            "materials": [{"name": "skin", "pbrMetallicRoughness": material}],
+            "meshes": [{"name": model.name, "primitives": [primitive]}],
+            "skins": [{"joints": list(range(body)), "inverseBindMatrices": matrices, "skeleton": body}],
         }
     )
 
 
-def bvh(registered: Registered, index: int = 0) -> str:
-    """A body's skeleton and pose as BVH, one frame, centimetres and degrees."""
+def bvh(registered: Registered) -> str:
+    """The first body's skeleton and pose as BVH, one frame, centimetres and degrees."""
     model = registered.model
-    rest = 100 * registered.rest().joints[index].detach().cpu().double().numpy()
-    rotations = registered.rotations[index].detach().cpu().double().numpy()
+    rest, rotations = 100 * _first(registered.rest().joints), _first(registered.rotations)
     rotations[0] = GLTF_FROM_CAMERA @ rotations[0]
-    upright = _upright(registered, index, lowered=False)
-    root = GLTF_FROM_CAMERA @ registered.translation[index].detach().cpu().double().numpy()
-    numbers = (100 * (root - [0.0, upright[:, 1].min(), 0.0])).tolist()
+    root = GLTF_FROM_CAMERA @ _first(registered.translation)
+    numbers = (100 * (root - [0.0, _upright(registered)[1], 0.0])).tolist()
     lines = ["HIERARCHY"]
 
     def describe(joint: int, indent: str) -> None:
         parent = model.parents[joint]
         offset = np.zeros(3) if parent < 0 else rest[joint] - rest[parent]
         position = "Xposition Yposition Zposition " if parent < 0 else ""
-        lines.extend(
-            [
-                f"{indent}{'ROOT' if parent < 0 else 'JOINT'} {model.joint_names[joint]}",
-                f"{indent}{{",
-                f"{indent}  OFFSET {_numbers(offset)}",
-                f"{indent}  CHANNELS {6 if position else 3} {position}Zrotation Yrotation Xrotation",
-            ]
-        )
+        lines.append(f"{indent}{'ROOT' if parent < 0 else 'JOINT'} {model.joint_names[joint]}")
+        lines.append(f"{indent}{{")
+        lines.append(f"{indent}  OFFSET {_numbers(offset)}")
+        lines.append(f"{indent}  CHANNELS {6 if position else 3} {position}Zrotation Yrotation Xrotation")
         numbers.extend(_euler_zyx(rotations[joint]))
-        children = [child for child, above in enumerate(model.parents) if above == joint]
+        children = _children(model, joint)
         for child in children:
             describe(child, indent + "  ")
         if not children:
-            lines.extend([f"{indent}  End Site", f"{indent}  {{", f"{indent}    OFFSET {_numbers(np.zeros(3))}"])
-            lines.append(f"{indent}  }}")
+            end = "End Site", "{", f"  OFFSET {_numbers(np.zeros(3))}", "}"
+            lines.extend(f"{indent}  {line}" for line in end)
         lines.append(f"{indent}}}")
 
     describe(0, "")
@@ -160,7 +140,7 @@ class _Buffer:
         self.data += bytes(-len(self.data) % 4)
         accessor = {
             "bufferView": len(self.views) - 1,
-            "componentType": _DTYPES[values.dtype],
+            "componentType": _DTYPES[values.dtype.name],
             "count": len(values),
             "type": _KINDS[values.shape[1:]],
         }
@@ -170,12 +150,8 @@ class _Buffer:
 
     def glb(self, document: dict[str, Any]) -> bytes:
         """The file: a header, a chunk of JSON and a chunk of numbers."""
-        whole = {
-            **document,
-            "buffers": [{"byteLength": len(self.data)}],
-            "bufferViews": self.views,
-            "accessors": self.accessors,
-        }
+        buffers = [{"byteLength": len(self.data)}]
+        whole = {**document, "buffers": buffers, "bufferViews": self.views, "accessors": self.accessors}
         text = json.dumps(whole, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<I4s", len(text), b"JSON") + text
@@ -183,10 +159,18 @@ class _Buffer:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _upright(registered: Registered, index: int, *, lowered: bool = True) -> np.ndarray:
-    """Posed vertices with y up, the lowest at y = 0 [m], shape (V, 3)."""
-    vertices = registered.detailed.vertices[index].detach().cpu().double().numpy() @ GLTF_FROM_CAMERA.T
-    return vertices - [0.0, vertices[:, 1].min(), 0.0] if lowered else vertices
+def _first(tensor: torch.Tensor) -> np.ndarray:
+    return tensor[0].detach().cpu().double().numpy()
+
+
+def _children(model: DetailedModel, joint: int) -> list[int]:
+    return [child for child, above in enumerate(model.parents) if above == joint]
+
+
+def _upright(registered: Registered) -> tuple[np.ndarray, float]:
+    """Posed vertices with y up [m], shape (V, 3), and the lowest y."""
+    vertices = _first(registered.detailed.vertices) @ GLTF_FROM_CAMERA.T
+    return vertices, vertices[:, 1].min()
 
 
 def _quaternion(rotation: torch.Tensor) -> list[float]:
@@ -209,8 +193,8 @@ def _euler_zyx(rotation: np.ndarray) -> list[float]:
     return np.degrees([z, y, x]).tolist()
 
 
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Of the vertices, weighted by the faces' areas, unit length, shape (V, 3)."""
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals of vertices (V, 3), weighted by the areas of the faces (F, 3) around them, unit length, shape (V, 3)."""
     corners = vertices[faces]
     of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
