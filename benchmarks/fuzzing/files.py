@@ -15,7 +15,7 @@ import torch
 from PIL import Image
 from safetensors.numpy import save
 
-from fuzzing.chance import Chance
+from fuzzing.case import Case
 from fuzzing.fits import person
 from warp_partdr import label_set
 from warp_partdr.clothing import smpl
@@ -26,7 +26,7 @@ from warp_partdr.network.checkpoint import load_label_network, save_label_networ
 from warp_partdr.network.label_network import NUM_CHANNELS, LabelNetwork, LabelNetworkConfig
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.regressor import RegressorConfig
-from warp_partdr.results.body_file import BodyFile, load_body
+from warp_partdr.results.body_file import FORMAT, load_body
 
 SMALL_NETWORK = LabelNetworkConfig(
     size=64, channels=(4, 8, 8, 8, 8), places=2, keypoint_features=8, regressor=RegressorConfig(width=16)
@@ -39,37 +39,29 @@ def saved(write: Callable[[io.BytesIO], Any]) -> bytes:
     return buffer.getvalue()
 
 
-@lru_cache
-def body_file() -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(0)
-    return {
-        "global_orient": np.eye(3, dtype=np.float32),
-        "translation": np.zeros(3, dtype=np.float32),
-        "rotations": np.tile(np.eye(3, dtype=np.float32), (20, 1, 1)),
-        "lengths": rng.uniform(0.2, 0.5, 12).astype(np.float32),
-        "thicknesses": rng.uniform(0.1, 0.2, 15).astype(np.float32),
-        "camera_scale": np.float32(100.0),
-        "camera_translation": np.float32([20.0, 30.0]),
-        "image_size": np.array([96, 80]),
-    }
+BODY_FILE: dict[str, np.ndarray] = {
+    "global_orient": np.eye(3, dtype=np.float32),
+    "translation": np.zeros(3, dtype=np.float32),
+    "rotations": np.tile(np.eye(3, dtype=np.float32), (20, 1, 1)),
+    "lengths": np.linspace(0.2, 0.5, 12, dtype=np.float32),
+    "thicknesses": np.linspace(0.1, 0.2, 15, dtype=np.float32),
+    "camera_scale": np.array(100.0, dtype=np.float32),
+    "camera_translation": np.array([20.0, 30.0], dtype=np.float32),
+    "image_size": np.array([96, 80]),
+}
 
 
-def try_body_file(chance: Chance) -> Any:
-    arrays = {name: chance.array(value) for name, value in body_file().items()}
-    if chance.rng.random() < 0.5:
-        path = chance.folder / "body.npz"
-        BodyFile(**arrays).save(path)
-        data = path.read_bytes()
-    else:
-        data = saved(lambda file: np.savez(file, format=np.array("warp-partdr body 1"), **body_file()))
-    loaded = load_body(chance.file("body.npz", data))
+def try_body_file(case: Case) -> Any:
+    arrays = {name: case.array(value) for name, value in BODY_FILE.items()} if case.happens(5) else BODY_FILE
+    data = saved(lambda file: np.savez(file, format=np.array(FORMAT), **arrays))
+    loaded = load_body(case.file("body.npz", data))
     return vars(loaded), loaded.camera(), loaded.body("cpu").numpy()
 
 
-def try_keypoint_file(chance: Chance) -> Any:
-    rows = [[*map(float, point), 0.9] for point in person(chance.device)[0].points]
+def try_keypoint_file(case: Case) -> Any:
+    rows = [[*map(float, point), 0.9] for point in person(case.device)[0].points]
     flat = [number for row in rows for number in row]
-    data = chance.one(
+    data = case.one(
         [
             {"format": "coco17", "keypoints": rows},
             {"people": [{"pose_keypoints_2d": flat + flat[:24]}]},
@@ -79,36 +71,35 @@ def try_keypoint_file(chance: Chance) -> Any:
             [rows, rows],
         ]
     )
-    text = json.dumps(chance.json(data)).encode()
-    path = chance.file("keypoints.json", text) if chance.rng.random() < 0.4 else chance.folder / "keypoints.json"
-    if not path.exists():
-        path.parent.mkdir(exist_ok=True, parents=True)
-        path.write_bytes(text)
-    people = read_keypoints(path, chance.either(None, "coco17", "lsp", "x"))
+    text, path = json.dumps(case.json(data)).encode(), case.folder / "keypoints.json"
+    path.write_bytes(text)
+    if case.happens(4):
+        path = case.file(path.name, text)
+    people = read_keypoints(path, case.either(None, "coco17", "lsp", "x"))
     return [(one.points, one.confidence) for one in people]
 
 
-def try_part_file(chance: Chance) -> Any:
-    labels = chance.array(person(chance.device)[1])
-    if chance.rng.random() < 0.5:
-        image = Image.fromarray(person(chance.device)[1])
-        kind = chance.either("png", "png", "jpeg", "gif")
-        path = chance.file("parts.png", saved(lambda file: image.save(file, kind)))
+def try_part_file(case: Case) -> Any:
+    labels = case.array(person(case.device)[1])
+    if case.happens(5):
+        image = Image.fromarray(person(case.device)[1])
+        kind = case.either("png", "png", "jpeg", "gif")
+        path = case.file("parts.png", saved(lambda file: image.save(file, kind)))
     else:
-        if chance.rng.random() < 0.3:
-            maps = np.moveaxis(np.eye(21, dtype=np.float32)[person(chance.device)[1][::8, ::8]], -1, 0)
-            labels = chance.array(maps)
-        pickled = chance.spoils()
+        if case.happens(3):
+            maps = np.moveaxis(np.eye(21, dtype=np.float32)[person(case.device)[1][::8, ::8]], -1, 0)
+            labels = case.array(maps)
+        pickled = case.spoils()
         data = saved(lambda file: np.save(file, np.array([{}]) if pickled else labels, allow_pickle=True))
-        path = chance.file("parts.npy", data)
-    parts = read_parts(path, label_set(chance.one(["ellipbody20", "ellipbody20", "lsp6"])))
+        path = case.file("parts.npy", data)
+    parts = read_parts(path, label_set(case.one(["ellipbody20", "ellipbody20", "lsp6"])))
     return parts.groups, parts.maps
 
 
-def try_photo(chance: Chance) -> Any:
-    image = Image.fromarray(chance.rng.integers(0, 256, (6, 5, 3)).astype(np.uint8))
-    kind = chance.one(["png", "jpeg", "webp", "tiff", "bmp"])
-    return read_photo(chance.file(f"photo.{kind}", saved(lambda file: image.save(file, kind))))
+def try_photo(case: Case) -> Any:
+    image = Image.fromarray(case.rng.integers(0, 256, (6, 5, 3)).astype(np.uint8))
+    kind = case.one(["png", "jpeg", "webp", "tiff", "bmp"])
+    return read_photo(case.file(f"photo.{kind}", saved(lambda file: image.save(file, kind))))
 
 
 @lru_cache
@@ -129,17 +120,17 @@ def smpl_arrays() -> dict[str, np.ndarray]:
     }
 
 
-def try_model_file(chance: Chance) -> Any:
-    arrays = {name: chance.array(value) for name, value in smpl_arrays().items() if not chance.spoils()}
+def try_model_file(case: Case) -> Any:
+    arrays = {name: case.array(value) for name, value in smpl_arrays().items() if not case.spoils()}
     assert set(smpl.ARRAYS) >= set(arrays)
-    kind = chance.one(["npz", "npz", "safetensors"])
+    kind = case.one(["npz", "npz", "safetensors"])
     if kind == "npz":
         data = saved(lambda file: np.savez(file, **arrays))
     else:
         kept = {name: np.ascontiguousarray(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
         data = save({name: array for name, array in kept.items() if array.dtype.kind in "fiu"})
-    path = chance.file(f"model.{chance.either(kind, 'pkl', 'txt', '')}", data)
-    model = load_model(path, num_shapes=chance.number(None, 3, 10, 11))
+    path = case.file(f"model.{case.either(kind, 'pkl', 'txt', '')}", data)
+    model = load_model(path, num_shapes=case.number(None, 3, 10, 11))
     detailed = model.rest(torch.zeros(1, model.num_shapes))
     return detailed.vertices, detailed.joints
 
@@ -153,13 +144,13 @@ def network_file() -> bytes:
         return path.read_bytes()
 
 
-def try_network_file(chance: Chance) -> Any:
+def try_network_file(case: Case) -> Any:
     data = network_file()
-    if chance.spoils():
+    if case.spoils():
         length = int.from_bytes(data[:8], "little") + 8
-        head = chance.rng.random() < 0.5  # else any byte, which is most likely a weight
-        data = chance.damaged(data[:length]) + data[length:] if head else chance.damaged(data)
-    network = load_label_network(chance.file("network.safetensors", data))
+        head = case.happens(5)  # else any byte, which is most likely a weight
+        data = case.damaged(data[:length]) + data[length:] if head else case.damaged(data)
+    network = load_label_network(case.file("network.safetensors", data))
     shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
     predicted = network(shares, keypoints)
     return predicted.orientation, predicted.rotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 import fuzz
 
-CASES = 250
+CASES = 12  # of each entry point
 
 
 @pytest.fixture(autouse=True)
@@ -26,44 +27,42 @@ def patience(monkeypatch):
 
 
 def test_no_case_fails(device):
-    outcomes = [fuzz.run_case(1, case, device) for case in range(CASES)]
-    failed = [f"--seed 1 --only {case}: {each}" for case, each in enumerate(outcomes) if not each.passed]
+    outcomes = {name: fuzz.fuzz(name, CASES, 1, device) for name in fuzz.TARGETS}
+    failed = [f"{name}: {outcome.trace}" for name, outcome in outcomes.items() if outcome.trace]
     assert not failed, "\n".join(failed)
-    kinds = [outcome.kind for outcome in outcomes]
-    assert min(kinds.count(kind) for kind in ("right", "refused")) > CASES // 5
+    counts = sum((outcome.counts for outcome in outcomes.values()), Counter())
+    assert min(counts["right"], counts["refused"]) > counts.total() // 5 > 40
 
 
-def broken(kind):
-    """An entry point with a fault."""
-
-    def call(chance):
-        if kind == "bare error":
-            return {}["missing"]
-        if kind == "torch's error":
-            return torch.ones(2) + torch.ones(3)
-        if kind == "NumPy's error":
-            return np.zeros(2).reshape(3)
-        if kind == "hang":
-            time.sleep(HANG)
-        return {"numbers": [torch.tensor([1.0, math.nan])]}
-
-    return call
+FAULTS = {
+    "bare error": lambda case: {}["missing"],
+    "torch's error": lambda case: torch.ones(2) + torch.ones(3),
+    "NumPy's error": lambda case: np.zeros(2).reshape(3),
+    "NaN": lambda case: {"numbers": [torch.tensor([1.0, math.nan])]},
+    "hang": lambda case: time.sleep(HANG),
+}
 
 
-@pytest.mark.parametrize("kind", ["bare error", "torch's error", "NumPy's error", "NaN", "hang"])
-def test_faults_are_seen(monkeypatch, kind):
-    monkeypatch.setattr(fuzz, "TURNS", ["broken"])
-    if kind == "hang":
-        monkeypatch.setattr(fuzz, "PATIENCE", 1)
-    monkeypatch.setitem(fuzz.TARGETS, "broken", broken(kind))
-    outcome = fuzz.run_case(0, 0, "cpu")
-    assert not outcome.passed
-    assert ("still running" in outcome.kind) == (kind == "hang")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_seen(monkeypatch, fault):
+    monkeypatch.setitem(fuzz.TARGETS, "broken", FAULTS[fault])
+    if fault == "hang":
+        monkeypatch.setattr(fuzz, "PATIENCE", 0.05)
+    outcome = fuzz.fuzz("broken", 3, 0, "cpu")
+    assert not outcome.counts
     assert "Traceback" in outcome.trace
+    assert ("still running" in outcome.trace) == (fault == "hang")
 
 
-def test_a_case_is_told_by_its_number():
-    """What is drawn, and so what it comes to."""
-    for case in range(20):
-        drawn = [fuzz.run_case(7, case, "cpu") for _ in range(2)]
-        assert drawn[0] == drawn[1]
+def test_a_case_is_drawn_again_from_its_seed(monkeypatch):
+    drawn = []
+
+    def note(case):
+        drawn.append((case.maybe(torch.ones(2, 3)), case.number(1.0), case.json({"a": [1, 2]}), case.tensor(4)))
+
+    monkeypatch.setitem(fuzz.TARGETS, "noted", note)
+    for _ in range(2):
+        fuzz.fuzz("noted", 20, 7, "cpu")
+    half = len(drawn) // 2
+    assert repr(drawn[:half]) == repr(drawn[half:])
+    assert len({repr(each) for each in drawn}) > 10
