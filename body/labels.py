@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import check_whole, shown
+from ..errors import InputError, check_whole, shown
 from ..files.json_files import read_json
 from .template import NUM_PARTS, PART_NAMES
 
@@ -235,7 +235,7 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
     names parts that are not drawn, such as hands and feet that nobody labelled.
 
     Raises:
-        ValueError: If there is no such set or file, or its content does not fit.
+        InputError: If there is no such set or file, or its content does not fit.
     """
     if isinstance(source, LabelSet):
         return source
@@ -245,34 +245,30 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
         return LABEL_SETS[str(source)]
     path = Path(source)
     if path.suffix != ".json" and not path.is_file():
-        raise ValueError(f"labels: {str(source)!r}; expected one of {', '.join(LABEL_SETS)}, or a JSON file")
+        raise InputError(f"labels: {str(source)!r}; expected one of {', '.join(LABEL_SETS)}, or a JSON file")
     data = read_json(path, "a label set in JSON")
     if not isinstance(data, Mapping):
-        raise ValueError(f"{path}: {type(data).__name__}; expected an object with groups and ids")
+        raise InputError(f"{path}: {type(data).__name__}; expected an object with groups and ids")
     return _from_json(data, str(path))
 
 
 def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
     """Check types; ``LabelSet`` checks the meaning."""
-    groups, ids = data.get("groups"), data.get("ids")
-    if not isinstance(groups, Mapping) or not isinstance(ids, Mapping):
-        raise ValueError(
-            f'{where}: no "groups" and "ids"; expected {{"groups": {{name: [parts]}}, "ids": {{id: name}}}}'
-        )
-    for group, parts in groups.items():
-        if not isinstance(parts, list | tuple) or not all(isinstance(part, str) for part in parts):
-            raise ValueError(f"{where}: group {group!r}: {shown(parts)}; expected a list of part names")
-    sources: dict[int, str] = {}
-    for key, group in ids.items():
-        source = int(key) if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key) else key
-        source = check_whole(f"{where}: id", source, 0, MAX_SOURCE_ID)
-        if source in sources:
-            raise ValueError(f"{where}: id {source} twice; expected one group for it")
-        sources[source] = str(group)
-    left_out = data.get("left_out", ())
-    if not isinstance(left_out, list | tuple) or not all(isinstance(part, str) for part in left_out):
-        raise ValueError(f"{where}: left_out: {shown(left_out)}; expected a list of part names")
     try:
+        groups, ids, left_out = data.get("groups"), data.get("ids"), data.get("left_out", ())
+        if not isinstance(groups, Mapping) or not isinstance(ids, Mapping):
+            raise ValueError('no "groups" and "ids"; expected {"groups": {name: [parts]}, "ids": {id: name}}')
+        lists = {f"group {group!r}": parts for group, parts in groups.items()} | {"left_out": left_out}
+        for name, parts in lists.items():
+            if not isinstance(parts, list | tuple) or not all(isinstance(part, str) for part in parts):
+                raise ValueError(f"{name}: {shown(parts)}; expected a list of part names")
+        sources: dict[int, str] = {}
+        for key, group in ids.items():
+            source = int(key) if isinstance(key, str) and re.fullmatch("-?[0-9]{1,9}", key) else key
+            source = check_whole("id", source, 0, MAX_SOURCE_ID)
+            if source in sources:
+                raise ValueError(f"id {source} twice; expected one group for it")
+            sources[source] = str(group)
         return LabelSet(
             name=str(data.get("name", Path(where).stem)),
             groups={str(group): tuple(parts) for group, parts in groups.items()},
@@ -280,7 +276,7 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
             left_out=tuple(left_out),
         )
     except ValueError as error:
-        raise ValueError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {error}") from error
 
 
 def regroup(source: LabelSet, target: LabelSet) -> np.ndarray:

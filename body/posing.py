@@ -197,6 +197,6 @@ class _Vertices(torch.autograd.Function):
         gradients = tuple(axes.new_empty(each.shape) for each in (semi_axes, axes, semi_axes))
         with on_torch_stream(axes.device) as device:
             tree = bone_tree(device, scalar, ctx.subdivisions)
-            saved = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
-            kinematics.launch_vertices_adjoint(tree, *saved, gradients=_from_torch(gradients, (vec, mat, vec)))
+            turns, sizes, sent = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
+            kinematics.launch_vertices_adjoint(tree, turns, sizes, sent, _from_torch(gradients, (vec, mat, vec)))
         return *gradients, None

@@ -13,6 +13,7 @@ import torch
 import warp_partdr
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.icosphere import icosphere
+from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.registration import register
@@ -21,7 +22,7 @@ from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import parse_keypoints
 from warp_partdr.inputs.keypoints import choose_person
 from warp_partdr.inputs.observation import observe
-from warp_partdr.inputs.part_labels import PartLabels, read_label_set
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import check_image_size
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.network.predict import predict_bodies
@@ -34,7 +35,7 @@ from warp_partdr.results.save import save_fit
 
 PEOPLE = parse_keypoints([[[10.0 + k, 20.0 + 2 * k] for k in range(17)]] * 2)
 PERSON = PEOPLE[0]
-PARTS = PartLabels(read_label_set("cdcl14"), np.ones((64, 64), dtype=np.uint8))
+PARTS = PartLabels(label_set("cdcl14"), np.ones((64, 64), dtype=np.uint8))
 BODY = BodyParameters.mean(1)
 CAMERA = WeakPerspective(torch.tensor([4.0]), torch.tensor([[4.0, 4.0]]))
 OUT = Path("never")

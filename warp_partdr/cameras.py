@@ -58,13 +58,11 @@ class WeakPerspective(Movable):
 
     def in_crop(self, crop: Crop) -> WeakPerspective:
         """The camera of the crop's own picture."""
-        translation = (self.translation - crop.origin_of(self.translation)) * crop.zoom
-        return WeakPerspective(self.scale * crop.zoom, translation, self.near)
+        return WeakPerspective(self.scale * crop.zoom, crop.to_crop(self.translation), self.near)
 
     def in_full(self, crop: Crop) -> WeakPerspective:
         """The camera of the full picture, where this one is the crop's."""
-        translation = self.translation / crop.zoom + crop.origin_of(self.translation)
-        return WeakPerspective(self.scale / crop.zoom, translation, self.near)
+        return WeakPerspective(self.scale / crop.zoom, crop.to_full(self.translation), self.near)
 
     @classmethod
     def from_hmr(cls, parameters: torch.Tensor, image_size: int) -> WeakPerspective:
@@ -152,13 +150,11 @@ class Perspective(Movable):
 
     def in_crop(self, crop: Crop) -> Perspective:
         """The camera of the crop's own picture."""
-        centre = (self.centre - crop.origin_of(self.centre)) * crop.zoom
-        return Perspective(self.focal * crop.zoom, centre, self.near)
+        return Perspective(self.focal * crop.zoom, crop.to_crop(self.centre), self.near)
 
     def in_full(self, crop: Crop) -> Perspective:
         """The camera of the full picture, where this one is the crop's."""
-        centre = self.centre / crop.zoom + crop.origin_of(self.centre)
-        return Perspective(self.focal / crop.zoom, centre, self.near)
+        return Perspective(self.focal / crop.zoom, crop.to_full(self.centre), self.near)
 
     def to_weak(self, point: torch.Tensor) -> WeakPerspective:
         """The weak-perspective camera that agrees at depth ``point`` z; offsets are then measured from ``point``.
@@ -219,17 +215,13 @@ class Crop:
         if not self.zoom > 0:
             raise ValueError(f"zoom: {self.zoom}; expected a positive number")
 
-    def origin_of(self, like: torch.Tensor) -> torch.Tensor:
-        """(left, top) as a tensor like ``like``."""
-        return like.new_tensor([self.left, self.top])
-
     def to_crop(self, points: torch.Tensor) -> torch.Tensor:
         """Points (..., 2) [px] of the full picture in the crop."""
-        return (points - self.origin_of(points)) * self.zoom
+        return (points - points.new_tensor([self.left, self.top])) * self.zoom
 
     def to_full(self, points: torch.Tensor) -> torch.Tensor:
         """Points (..., 2) [px] of the crop in the full picture."""
-        return points / self.zoom + self.origin_of(points)
+        return points / self.zoom + points.new_tensor([self.left, self.top])
 
 
 @dataclass(frozen=True)

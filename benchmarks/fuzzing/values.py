@@ -12,7 +12,6 @@ from fuzzing.case import Case
 from warp_partdr import label_set
 from warp_partdr.body.labels import regroup
 from warp_partdr.body.template import PART_NAMES
-from warp_partdr.inputs.part_labels import read_label_set
 from warp_partdr.metrics import accuracy, align_similarity, confusion, f1_scores, mpjpe, pa_mpjpe, pve
 
 
@@ -43,10 +42,8 @@ def try_label_sets(case: Case) -> Any:
     }
     spoilt = case.json(data)
     if case.happens(5):
-        found = read_label_set(case.file("labels.json", json.dumps(spoilt).encode()))
-    elif isinstance(spoilt, dict):
-        found = read_label_set(spoilt)
+        found = label_set(case.file("labels.json", json.dumps(spoilt).encode()))
     else:
-        found = label_set(case.one(["lsp6", "cdcl14", "none"]))
+        found = label_set(spoilt if isinstance(spoilt, dict) else case.one(["lsp6", "cdcl14", "none"]))
     groups = found.to_groups(case.array(case.rng.choice([0, 1, 2, 7, 9, 255], (4, 5))))
     return groups, found.to_ids(groups), found.from_parts(groups % 21), regroup(label_set("ellipbody20"), found)

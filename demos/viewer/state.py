@@ -19,8 +19,7 @@ from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from ..errors import InputError
 from ..metrics import mpjpe, part_f1
 from ..refinement.energy import Energy
-from ..refinement.stepper import Refinement
-from ..refinement.steps import size_bounds
+from ..refinement.stepper import Refinement, size_bounds
 from ..render.renderers import Renderer, RendererMesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file

@@ -20,7 +20,7 @@ from ..inputs.observation import LABEL_SIZE, Observation, observe, resize_neares
 from ..inputs.person import PersonInputs
 from ..network.checkpoint import packaged_network
 from ..network.predict import predict_bodies
-from ..refinement.steps import SIZES
+from ..refinement.stepper import SIZES
 from ..render.ellipsoids import draw_ellipsoids
 from ..results.body_file import load_body
 from ..results.palette import IGNORE_COLOUR, group_colours

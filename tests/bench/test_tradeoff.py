@@ -38,7 +38,7 @@ from warp_partdr.cli import bench
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import REFERENCE_SIZE, resize_nearest
 from warp_partdr.reference.ellipsoids import EllipsoidScene, ray_cast
-from warp_partdr.refinement.steps import SHAPE_RATE
+from warp_partdr.refinement.stepper import SHAPE_RATE
 from warp_partdr.synthetic.tradeoff_people import ANNY, ELLIPBODY, TRUTH_SIZE, People, draw_truth, make_people
 
 

@@ -19,7 +19,7 @@ from warp_partdr.errors import InputError, shown
 from warp_partdr.files.array_files import read_npz
 from warp_partdr.files.json_files import parse_json, read_json
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
-from warp_partdr.inputs.part_labels import read_label_set, read_parts
+from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.network.checkpoint import _FILES, about_network, load_label_network
 from warp_partdr.network.label_network import LabelNetworkConfig
 from warp_partdr.results.body_file import load_body
@@ -30,7 +30,6 @@ DEEP = "[" * 100_000
 READERS: dict[str, Callable[[Path], Any]] = {
     "keypoints": read_keypoints,
     "labels": label_set,
-    "label set": read_label_set,
 }
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from warp_partdr.body.labels import label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
-from warp_partdr.inputs.part_labels import read_label_set, read_parts, read_photo
+from warp_partdr.inputs.part_labels import read_parts, read_photo
 
-CDCL = read_label_set("cdcl14")
+CDCL = label_set("cdcl14")
 
 
 def picture(path: Path, width: int, height: int, *, cut: bool = False) -> Path:

@@ -11,9 +11,9 @@ import pytest
 from conftest import HANG
 from PIL import Image
 
-from warp_partdr.body.labels import IGNORE
+from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
+from warp_partdr.inputs.part_labels import check_sizes, read_parts, read_photo
 
 NAN = math.nan
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
@@ -53,7 +53,7 @@ def save_16_bit(path: Path, picture: np.ndarray) -> None:
 )
 def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_path: Path) -> None:
     save(tmp_path / name, label_picture())
-    parts = read_parts(tmp_path / name, read_label_set("cdcl14"))
+    parts = read_parts(tmp_path / name, label_set("cdcl14"))
     expected = label_picture()
     expected[expected == 9] = parts.label_set.group_names.index("right_upper_leg") + 1
     np.testing.assert_array_equal(parts.groups, expected)
@@ -65,7 +65,7 @@ def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_pa
 def test_silhouettes(mode: str, tmp_path: Path) -> None:
     mask = label_picture() % 255 > 0
     Image.fromarray((mask * 255).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
-    np.testing.assert_array_equal(read_parts(tmp_path / "mask.png", read_label_set("full1")).groups, mask)
+    np.testing.assert_array_equal(read_parts(tmp_path / "mask.png", label_set("full1")).groups, mask)
 
 
 @pytest.mark.parametrize("layout", [(0, 1, 2), (1, 2, 0)])
@@ -74,7 +74,7 @@ def test_probability_maps(layout: tuple[int, int, int], dtype: type, tmp_path: P
     logits = rng.normal(size=(20, 12, 16)) * 3
     probabilities = (np.exp(logits) / np.exp(logits).sum(axis=0)).astype(dtype)
     np.save(tmp_path / "soft.npy", probabilities.transpose(layout))
-    labels = read_label_set("lip20")
+    labels = label_set("lip20")
     parts = read_parts(tmp_path / "soft.npy", labels)
     assert parts.maps is not None
     assert parts.maps.dtype == np.float32
@@ -126,7 +126,7 @@ def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> No
     path = tmp_path / "bad.npy"
     np.save(path, array, allow_pickle=True)
     with pytest.raises(InputError) as raised:
-        read_parts(path, read_label_set("cdcl14"))
+        read_parts(path, label_set("cdcl14"))
     error = str(raised.value)
     assert error.startswith(str(path))
     assert message in error
@@ -138,12 +138,12 @@ def test_coloured_labels(mode: str, tmp_path: Path) -> None:
     path = tmp_path / "colours.png"
     Image.fromarray(label_picture()).convert(mode).save(path)
     with pytest.raises(InputError, match=rf"colours\.png: {mode} picture; expected one channel of label ids"):
-        read_parts(path, read_label_set("cdcl14"))
+        read_parts(path, label_set("cdcl14"))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".npy"])
 def test_unreadable_label_files(suffix: str, tmp_path: Path) -> None:
-    labels = read_label_set("cdcl14")
+    labels = label_set("cdcl14")
     path = tmp_path / f"parts{suffix}"
     with pytest.raises(InputError, match=rf"parts\{suffix}: No such file or directory; expected a"):
         read_parts(path, labels)
@@ -159,9 +159,9 @@ def test_unreadable_label_files(suffix: str, tmp_path: Path) -> None:
 
 def test_other_label_files_and_sets(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"parts\.jpg: \.jpg; expected \.png or \.npy part labels"):
-        read_parts(tmp_path / "parts.jpg", read_label_set("cdcl14"))
+        read_parts(tmp_path / "parts.jpg", label_set("cdcl14"))
     with pytest.raises(InputError, match=r"labels: 'cdcl'; expected one of .*cdcl14"):
-        read_label_set("cdcl")
+        label_set("cdcl")
 
 
 def test_photo_and_sizes(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_probabilities_add_up_to_one_but_for_rounding(total, taken, tmp_path):
     maps[:, 1, 1] *= total  # at one pixel
     np.save(tmp_path / "soft.npy", maps)
     if taken:
-        assert read_parts(tmp_path / "soft.npy", read_label_set("cdcl14")).maps is not None
+        assert read_parts(tmp_path / "soft.npy", label_set("cdcl14")).maps is not None
     else:
         with pytest.raises(InputError, match=r"class probabilities add up to .*; expected 1 at each pixel"):
-            read_parts(tmp_path / "soft.npy", read_label_set("cdcl14"))
+            read_parts(tmp_path / "soft.npy", label_set("cdcl14"))

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_partdr.body.labels import IGNORE
+from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
-from warp_partdr.inputs.part_labels import check_sizes, read_label_set, read_parts, read_photo
+from warp_partdr.inputs.part_labels import check_sizes, read_parts, read_photo
 from warp_partdr.inputs.person import connected, crop_keypoints, crop_nearest, person_crop, select_person
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
@@ -156,7 +156,7 @@ def test_select_person_without_labels_on_the_bones() -> None:
 def test_select_person_on_the_shared_photos(name: str, shared: Path) -> None:
     folder = shared / "data/people"
     (keypoints,) = read_keypoints(folder / f"{name}.keypoints.json")
-    parts = read_parts(folder / f"{name}.parts.png", read_label_set("cdcl14"))
+    parts = read_parts(folder / f"{name}.parts.png", label_set("cdcl14"))
     check_sizes(photo=read_photo(folder / f"{name}.jpg").shape[:2], parts=parts.groups.shape)
     selected = select_person(parts.groups, keypoints)
     kept = (selected > 0) & (selected < IGNORE)

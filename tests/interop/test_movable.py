@@ -23,7 +23,7 @@ from warp_partdr.fit.stages import STAGES
 from warp_partdr.inputs.evidence import Evidence
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
-from warp_partdr.refinement.steps import Refined
+from warp_partdr.refinement.stepper import Refined
 from warp_partdr.render.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import ellipbody_mesh
 

@@ -19,7 +19,7 @@ from warp_partdr.kernels.ellipsoids.forces import Forces
 from warp_partdr.kernels.refine.state import Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.steps import SIZES
+from warp_partdr.refinement.stepper import SIZES
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 64

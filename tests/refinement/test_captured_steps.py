@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
-from warp_partdr.refinement.steps import FINAL_RATE, SHAPE_RATE, rate_share
+from warp_partdr.refinement.stepper import FINAL_RATE, SHAPE_RATE, rate_share
 
 
 def springs(weight: float, body: BodyParameters) -> Energy:

@@ -14,7 +14,7 @@ from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.refinement.refine import refine
-from warp_partdr.refinement.steps import SIZES
+from warp_partdr.refinement.stepper import SIZES
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 96

@@ -20,7 +20,7 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
-from warp_partdr.refinement.steps import Refined
+from warp_partdr.refinement.stepper import Refined
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.results import plot
 from warp_partdr.results.palette import IGNORE_COLOUR, PART_COLOURS, group_colours

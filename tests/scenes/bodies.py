@@ -26,8 +26,7 @@ from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.observation import Observation
 from warp_partdr.inputs.part_labels import PartLabels
-from warp_partdr.refinement.stepper import EnergyFunction, Refinement
-from warp_partdr.refinement.steps import Refined
+from warp_partdr.refinement.stepper import EnergyFunction, Refined, Refinement
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh

@@ -211,9 +211,9 @@ def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
 
 
 def _label_set(name: str | None) -> LabelSet | None:
-    from ..inputs.part_labels import read_label_set
+    from ..body.labels import label_set
 
-    return None if name is None else read_label_set(name)
+    return None if name is None else label_set(name)
 
 
 def _check_counts(**options: int | None) -> None:

@@ -36,12 +36,12 @@ def predict(
     device: DeviceOption = "auto",
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""
+    from ..body.labels import label_set
     from ..evaluation.datasets import read_folder
-    from ..inputs.part_labels import read_label_set
 
     if batch < 1:
         raise InputError(f"--batch: {batch}; expected 1 or more")
-    samples = list(read_folder(folder, None if labels is None else read_label_set(labels)))
+    samples = list(read_folder(folder, None if labels is None else label_set(labels)))
 
     import torch
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from ..cameras import Crop
 from ..errors import check_type
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence
+from ..inputs.observation import Observation, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
@@ -25,9 +24,8 @@ from ..network.predict import predict_bodies
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
 from .options import FitOptions, drawn_or_not, stages_of
-from .plausibility import complaints, poor_labels
+from .plausibility import choose_sides, complaints, poor_labels
 from .result import FitResult
-from .sides import choose_sides
 from .stages import STAGES, Quality, Stage, Start
 from .start_search import LiftEnergy, distinct, hypothesize
 
@@ -78,13 +76,10 @@ def fit_body(
         return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
 
     evidence = choose_sides(weigh_evidence(keypoints, parts, others), glance)
-    fit = start(evidence, options, progress)
-    if options.start == "search":
-        found = fit.search()
-        return fit.warn(found, fit.complaints(found))
-    found = fit.from_network()
+    fit, from_network = start(evidence, options, progress), options.start == "network"
+    found = fit.from_network() if from_network else fit.search()
     told = fit.complaints(found)
-    if told and options.search:
+    if told and from_network and options.search:
         stages = drawn_or_not(options.search, parts)
         found = fit.better(found, replace(fit, stages=stages).search())
         told = fit.complaints(found)
@@ -147,27 +142,21 @@ class _Fit:
                 weights = replace(weights, seg=0.0)
             if weights.depth > 0 and (count := len(bodies.log_scale)) > 1:
                 raise ValueError(f"stages: {stage.name!r} holds depth, of {count} bodies; expected one body")
-            energy = Energy(
-                seen,
-                max(stage.size, 1),
-                weights,
-                self.prior,
-                renderer=stage.renderer,
-                depths=bodies.posed().centres[0, :, 2] if weights.depth > 0 else None,
-            )
+            depths = bodies.posed().centres[0, :, 2] if weights.depth > 0 else None
+            energy = Energy(seen, max(stage.size, 1), weights, self.prior, renderer=stage.renderer, depths=depths)
 
             def step(iteration: int, name: str = stage.name, before: int = done) -> None:
                 if self.progress is not None:
                     self.progress(name, before + iteration, total)
 
-            pace: dict[str, Any] = {
-                "iterations": stage.iterations,
-                "learning_rate": stage.learning_rate,
-                "frozen": stage.frozen,
-                "on_iteration": step,
-            }
-            goal = lift(energy) if lift is not None and index == 0 else energy
-            refined = refine(bodies, goal, **pace)
+            refined = refine(
+                bodies,
+                lift(energy) if lift is not None and index == 0 else energy,
+                iterations=stage.iterations,
+                learning_rate=stage.learning_rate,
+                frozen=stage.frozen,
+                on_iteration=step,
+            )
             bodies, energies, terms = refined.parameters, refined.energy, refined.terms
             lineage.append(refined.history.cpu().numpy())
             if len(energies) > 1:
@@ -210,11 +199,4 @@ class _Fit:
 
     def _judge(self) -> Energy:
         """Energy by which results of all starts are compared."""
-        options = self.options
-        return Energy(
-            self.seen,
-            REFERENCE_SIZE,
-            options.weights,
-            self.prior,
-            renderer=options.renderer,
-        )
+        return Energy(self.seen, weights=self.options.weights, prior=self.prior, renderer=self.options.renderer)

@@ -16,7 +16,7 @@ import torch
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_to_6d
-from ..inputs.keypoints import MIN_CONFIDENCE
+from ..inputs.keypoints import confident
 from ..inputs.observation import REFERENCE_SIZE, Observation
 from ..refinement.energy import Energy
 
@@ -102,10 +102,8 @@ class LiftEnergy:
 def _joints_in_picture(seen: Observation) -> dict[str, np.ndarray]:
     """Positions of the joints that hypotheses are made of, as far as keypoints show them, crop coordinates."""
     points = seen.points.cpu().numpy()
-    confident = seen.confidence.cpu().numpy() >= MIN_CONFIDENCE
-    if not confident.any():
-        confident[:] = True
-    flat = {name: points[i] for i, name in enumerate(seen.landmarks) if confident[i]}
+    sure = confident(seen.confidence.cpu().numpy()[None])[0]
+    flat = {name: points[i] for i, name in enumerate(seen.landmarks) if sure[i]}
     for middle, (left, right) in zip(_TRUNK, _ACROSS, strict=True):
         if left in flat and right in flat:
             flat.setdefault(middle, (flat[left] + flat[right]) / 2)
@@ -160,11 +158,10 @@ def _depth_choices(
 
 def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarray]) -> np.ndarray:
     """Rotation that brings the rest pose's trunk nearest to the target's (Kabsch); facing the camera without one."""
-    names = [name for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck") if name in _JOINTS]
-    index = [_JOINTS.index(name) for name in names if known[_JOINTS.index(name)]]
-    facing = np.diag([1.0, -1.0, -1.0])
+    trunk = (_JOINTS.index(name) for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck"))
+    index = [joint for joint in trunk if known[joint]]
     if len(index) < 3:
-        return facing
+        return np.diag([1.0, -1.0, -1.0])
     source = np.array([rest[_JOINTS[i]] for i in index])
     image = target[index].astype(np.float64)
     source, image = source - source.mean(0), image - image.mean(0)

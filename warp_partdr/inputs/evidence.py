@@ -103,7 +103,9 @@ def weigh_evidence(
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
     """
-    _check_types(keypoints, parts, others)
+    check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
+    check_type("parts", parts, PartLabels | None, "of read_parts")
+    check_each("others", others, Keypoints2D, "of read_keypoints")
     _check_places(keypoints)
     if parts is None:
         return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
@@ -121,13 +123,6 @@ def weigh_evidence(
     if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
         return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
     return [seen]
-
-
-def _check_types(keypoints: Keypoints2D, parts: PartLabels | None, others: Sequence[Keypoints2D]) -> None:
-    """Raise TypeError unless these are what a fit takes."""
-    check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
-    check_type("parts", parts, PartLabels | None, "of read_parts")
-    check_each("others", others, Keypoints2D, "of read_keypoints")
 
 
 def _check_places(keypoints: Keypoints2D) -> None:

@@ -61,8 +61,7 @@ def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list
     Raises:
         InputError: If the file can't be read or understood, or nobody in it has usable keypoints.
     """
-    data = read_json(path, "keypoints in JSON")
-    return parse_keypoints(data, keypoint_format, name=str(path))
+    return parse_keypoints(read_json(path, "keypoints in JSON"), keypoint_format, name=str(path))
 
 
 def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str = "keypoints") -> list[Keypoints2D]:
@@ -248,15 +247,12 @@ def _why_unusable(points: np.ndarray, confidence: np.ndarray) -> list[str | None
     highest = np.where(visible, points, -np.inf).max(axis=1)
     extents = (highest - lowest).max(axis=1)
     largest = np.maximum(-lowest, highest).max(axis=1)
-    seen = np.any(visible, axis=(1, 2))
-    return [_why(*each) for each in zip(seen, extents, largest, lowest, strict=True)]
-
-
-def _why(seen: np.bool_, extent: np.floating[Any], largest: np.floating[Any], corner: np.ndarray) -> str | None:
-    if not seen:
-        return "no visible keypoint; expected some with confidence above 0"
-    if extent > 0 and largest <= _MAX_NORMALISED:
-        return "all keypoints between 0 and 1; expected pixels, not shares of the picture's size"
-    if extent < _MIN_EXTENT:
-        return f"all visible keypoints in one point ({corner[0]:g}, {corner[1]:g}); expected a person"
-    return None
+    reasons: list[str | None] = [None] * len(points)
+    for person in np.flatnonzero(extents < _MIN_EXTENT):
+        x, y = lowest[person]
+        reasons[person] = f"all visible keypoints in one point ({x:g}, {y:g}); expected a person"
+    for person in np.flatnonzero((extents > 0) & (largest <= _MAX_NORMALISED)):
+        reasons[person] = "all keypoints between 0 and 1; expected pixels, not shares of the picture's size"
+    for person in np.flatnonzero(~visible.any(axis=(1, 2))):
+        reasons[person] = "no visible keypoint; expected some with confidence above 0"
+    return reasons

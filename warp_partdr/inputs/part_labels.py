@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,23 +58,11 @@ class PartLabels:
             raise InputError(f"maps: shape {np.shape(self.maps)}; expected {shape}")
 
 
-def read_label_set(source: str | Path | Mapping[str, Any]) -> LabelSet:
-    """Read a label set by name, from a JSON file or from content, see ``body.labels.label_set``.
-
-    Raises:
-        InputError: If there is none, or it is wrong.
-    """
-    try:
-        return label_set(source)
-    except ValueError as error:
-        raise InputError(str(error)) from error
-
-
 def described_label_set(path: Path) -> LabelSet:
     """Read the label set in a JSON file: ids with class names of a set of the project's, or one's own set."""
     data = read_json(path, "ids and their names")
     if isinstance(data, dict) and "groups" in data:
-        return read_label_set(path)
+        return label_set(path)
     for labels in LABEL_SETS.values():
         names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
         if data == names:
@@ -100,7 +88,7 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
             raise InputError(f"--labels: {labels}, without part labels; expected --parts with it")
         return None
     if labels is not None:
-        return read_parts(parts, read_label_set(labels))
+        return read_parts(parts, label_set(labels))
     beside = parts.with_name("labels.json")
     if not beside.is_file():
         raise InputError(
@@ -210,11 +198,9 @@ def _read_npy(path: str | Path, channels: int) -> np.ndarray:
 
 def _reason(error: BaseException) -> str:
     """Describe in one line what went wrong with a file."""
-    return (
-        (error.strerror or str(error))
-        if isinstance(error, OSError)
-        else " ".join(str(error).split()) or type(error).__name__
-    )
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:

@@ -34,7 +34,7 @@ from ..kernels.refine.step import BETAS
 from ..render.captured import CapturedEllipsoids
 from ..render.renderers import RendererEllipsoids
 from .energy import TERMS, Energy
-from .steps import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
+from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
 from .tables import LANDMARK_NAMES, landmark_arrays, landmark_shares, mixture_arrays, rule_arrays, skeleton_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row

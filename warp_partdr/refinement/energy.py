@@ -50,15 +50,6 @@ def _term(
     return field(default=weight, metadata={"term": (column, value, applies, factor)})
 
 
-def _misses(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-    """L1 distances of the keypoints, weighted with their confidence [half-sides of the crop]."""
-    return energy.misses(parameters, posed)
-
-
-def _segmentation(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
-    return energy.segmentation(parameters, posed)
-
-
 def _length(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
     return ((parameters.lengths - energy.usual_lengths) * _MILLIMETRES).square().sum(1)
 
@@ -98,9 +89,18 @@ class Weights:
         depth: Of the squared distance from ``Energy.depths`` along z [1/mm²]; without those it does nothing.
     """
 
-    proj: float = _term(1.0, 0, _misses, factor=lambda energy: REFERENCE_SIZE / 2)
+    proj: float = _term(
+        1.0,
+        0,
+        lambda energy, parameters, posed: energy.misses(parameters, posed),
+        factor=lambda energy: REFERENCE_SIZE / 2,
+    )
     seg: float = _term(
-        3e-2, 1, _segmentation, lambda energy: energy.target is not None, lambda energy: energy.scale_of_labels
+        3e-2,
+        1,
+        lambda energy, parameters, posed: energy.segmentation(parameters, posed),
+        lambda energy: energy.target is not None,
+        lambda energy: energy.scale_of_labels,
     )
     length: float = _term(1e-3, 2, _length)
     thickness: float = _term(1e-3, 3, _thickness)

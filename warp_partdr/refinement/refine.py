@@ -9,8 +9,7 @@ from ..body.parameters import BodyParameters
 from ..errors import check_type
 from .captured import can_capture, refine_captured
 from .energy import Energy
-from .stepper import EnergyFunction, Refinement
-from .steps import LEARNING_RATE, Refined
+from .stepper import LEARNING_RATE, EnergyFunction, Refined, Refinement
 
 
 def refine(

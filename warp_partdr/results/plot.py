@@ -22,7 +22,7 @@ from ..fit.result import FitResult
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..metrics import mpjpe, pa_mpjpe
-from ..refinement.steps import Refined
+from ..refinement.stepper import Refined
 from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from ..render.mesh import mesh_label_loss
 from ..render.options import Gradient

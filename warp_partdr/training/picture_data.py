@@ -12,14 +12,14 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from ..body.labels import IGNORE, LabelSet
+from ..body.labels import IGNORE, LabelSet, label_set
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import NUM_PARTS
 from ..errors import InputError
 from ..evaluation.datasets import read_folder, read_human36m, read_lsp, read_pw3d
 from ..inputs.keypoints import LARGEST_PLACE
 from ..inputs.observation import CROP_MARGIN
-from ..inputs.part_labels import check_sizes, read_label_set, read_photo
+from ..inputs.part_labels import check_sizes, read_photo
 from ..inputs.person import Box, person_crop
 from ..inputs.sample import Sample
 from ..network.landmarks import LANDMARKS, network_keypoints
@@ -67,7 +67,7 @@ class Source:
         Raises:
             InputError: If there is no such kind, a file is missing or wrong, or there is nobody.
         """
-        labels = None if self.labels is None else read_label_set(self.labels)
+        labels = None if self.labels is None else label_set(self.labels)
         readers: dict[str, Callable[[], Iterable[Sample]]] = {
             "human36m": partial(read_human36m, self.path, pictures=self.pictures, keypoints=self.keypoints),
             "lsp": partial(self._read_lsp, labels),

@@ -14,8 +14,7 @@ from ...cameras import ScreenCamera
 from ...fit.fitting import Progress
 from ...refinement.energy import Energy
 from ...refinement.refine import refine
-from ...refinement.stepper import Refinement
-from ...refinement.steps import Refined
+from ...refinement.stepper import Refined, Refinement
 from ...render.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import ellipbody_mesh

@@ -24,7 +24,7 @@ from ...kernels.mesh.triangles import ImageArrays, MeshArrays
 from ...kernels.refine.state import EllipsoidArrays
 from ...kernels.side_stream import launch_side_by_side
 from ...refinement.captured import CapturedRefinement
-from ...refinement.steps import LEARNING_RATE
+from ...refinement.stepper import LEARNING_RATE
 from ...render.captured import CapturedEllipsoids
 from ...render.ellipsoids import ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss

@@ -9,7 +9,7 @@ import torch
 
 from ...body.parameters import BodyParameters
 from ...inputs.observation import REFERENCE_SIZE, resize_nearest
-from ...refinement.steps import SHAPE_RATE
+from ...refinement.stepper import SHAPE_RATE
 from ...synthetic.tradeoff_people import TRUTH_SIZE, People
 from ..renderers import COVERAGE
 from .plan import Setting

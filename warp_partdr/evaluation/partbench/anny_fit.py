@@ -19,7 +19,7 @@ from ...fit.result import FitResult
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.observation import REFERENCE_SIZE, resize_nearest
 from ...inputs.part_labels import PartLabels
-from ...refinement.steps import rate_share
+from ...refinement.stepper import rate_share
 from ...render.mesh import PartImage, draw_mesh, mesh_label_loss
 from ...render.options import DEFAULT_DEPTH_WEIGHT
 from ...synthetic.people import anny_mesh, coco_landmarks
