@@ -6,22 +6,20 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import torch
+from PIL import Image
 
 from ..body.parameters import BodyParameters
-from ..body.posing import Posed
 from ..body.template import LOCKED_PARTS, PART_NAMES
 from ..clothing.anny import anny
-from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
-from ..render.options import Gradient
 from .buttons import Button
 from .recording import FILM, Film
 from .scene import Scene
-from .settings import DRAWN_SIZES, QUALITIES, RendererName, Supervision
+from .settings import CHOICES, QUALITIES
 from .sliders import PAGES
 from .state import DemoState
 from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body
@@ -29,29 +27,17 @@ from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_bod
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
 _BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
 _BODY, _MESHES, _PICTURE = "body.npz", "ellipbody.glb", "demo.png"
-
-
-class Clothing:
-    """Registers Anny, once as a mean adult and then as edits of that one, which may grow beyond natural people.
-
-    Args:
-        options: Of the registrations; the defaults if None.
-    """
-
-    def __init__(self, options: RegistrationOptions | None = None) -> None:
-        self._options = options
-        self._mean: Registered | None = None
-
-    @property
-    def model(self) -> DetailedModel:
-        """The model that bodies are clothed in."""
-        return anny()
-
-    def vertices(self, posed: Posed) -> torch.Tensor:
-        """Those of the detailed body that clothes B = 1 posed body, in its frame [m], shape (V, 3); takes seconds."""
-        if self._mean is None:
-            self._mean = register(BodyParameters.mean(1).posed(), self.model, options=self._options)
-        return register(posed, self.model, start=self._mean, options=self._options).detailed.vertices[0]
+_GIVEN = "given"  # the user's own target
+_HINTS = {
+    NETWORK: "start from what the label network says of the target, as partdr fit does",
+    "z": "with or without PartDR's z gradient (of parts; partdr, E0 to E3); from the start",
+    "outline": "the labels' pull along silhouettes, in x and y and, by colour, z",
+    "detailed": "the detailed body that fits these ellipsoids; takes seconds",
+    "supervision": "follow {}; from the start",
+    "renderer": "draw with {}; from the start",
+    "gradient": "gradient of exact ellipsoids: {}; from the start",
+    "size": "pictures of {} pixels a side; from the start",
+}
 
 
 class Controls:
@@ -70,152 +56,120 @@ class Controls:
         playing: Whether the refinement runs.
         page: Which of ``PAGES`` of sliders is open.
         part: The part that the rotation sliders turn.
-        clothing: Makes the detailed body.
+        registration: Options that make the detailed body; the defaults if None.
         film: Pictures for a GIF.
     """
 
     def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None], seed: int) -> None:
-        self._state, self._scene, self._folder, self._redraw = state, scene, folder, redraw
+        self._state, self._scene, self._folder, self._redraw, self._seed = state, scene, folder, redraw, seed
         self.playing = False
         self.page = 0
         self.part = "left_upper_arm"
-        self.clothing = Clothing()
+        self.registration: RegistrationOptions | None = None
+        self._mean: Registered | None = None  # the detailed mean adult, whom others are edits of
         self.film = Film()
-        self._seed = seed
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
+        self.keys: dict[str, Callable[[], None]] = {}
         self.rows = self._make_rows()
-        self.keys: dict[str, Callable[[], None]] = {
-            **{button.key: button.do for row in self.rows for button in row if button.key and button.do},
-            "t": self._next_target,
-            "c": lambda: self._cycle("supervision", get_args(Supervision)),
-            "m": lambda: self._cycle("renderer", get_args(RendererName)),
-            "g": lambda: self._cycle("gradient", get_args(Gradient)),
-            "x": lambda: self._cycle("size", DRAWN_SIZES),
-        }
+        buttons = [entry for row in self.rows for entry in row if isinstance(entry, Button)]
+        self.keys |= {button.key: button.do for button in buttons if button.key}
 
-    def _make_rows(self) -> list[list[Button]]:
-        state = self._state
-        starts = [
-            Button(name, f"start from {name}", f"F{k + 1}", partial(self._start, name), partial(self._starts, name))
-            for k, name in enumerate(PRESETS)
-        ]
+    def _make_rows(self) -> list[list[Button | str]]:
+        state, scene, folder = self._state, self._scene, self._folder
+        skeleton, network = partial(self._toggle, "skeleton_only"), self._start_from_network
+        names = (*PRESETS, RANDOM) if self._given.truth is not None else (_GIVEN, *PRESETS, RANDOM)
+        film = f"begin to film the window; again: write {folder / FILM}"
         targets = [
-            Button(name, f"target: {name}", "", partial(self._set_target, name), partial(self._has_target, name))
-            for name in self._targets()
-        ]
-        qualities = [
-            Button(
-                name,
-                f"{', '.join(str(value) for value in changes.values())} px; from the start",
-                f"F{k + 6}",
-                partial(state.configure, **changes),
-                partial(self._has, **changes),
-            )
-            for k, (name, changes) in enumerate(QUALITIES.items())
+            Button(name, "", f"target: {name}", partial(self._set_target, name), partial(self._has_target, name))
+            for name in names
         ]
         return [
             [
-                Button(""),
-                Button("play", "play or pause the refinement", "space", self._play, lambda: self.playing),
-                Button("step", "one iteration", "n", self._step),
-                Button("restart", "back to the start", "BackSpace", state.restart),
-                Button("   "),
-                Button("save", f"save {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}", "d", self._save),
-                Button("load", f"start from {self._folder / _BODY}", "l", self._load),
-                Button(
-                    "film",
-                    f"begin to film the window; again: write {self._folder / FILM}",
-                    "f",
-                    self._film,
-                    lambda: self.film.running,
-                ),
-                Button("view", "turn the 3D view back to where it was", "r", self.look),
+                "",
+                Button("play", "space", "play or pause the refinement", self._play, lambda: self.playing),
+                Button("step", "n", "one iteration", self._step),
+                Button("restart", "BackSpace", "back to the start", state.restart),
+                "   ",
+                Button("save", "d", f"save {_BODY}, {_MESHES} and {_PICTURE} in {folder}", self._save),
+                Button("load", "l", f"start from {folder / _BODY}", self._load),
+                Button("film", "f", film, self._film, lambda: self.film.running),
+                Button("view", "r", "turn the 3D view back to where it was", self.look),
+            ],
+            ["start", *self._starts(), Button(NETWORK, "k", _HINTS[NETWORK], network)],
+            self._cycle("target", "t", targets),
+            [
+                *self._cycle("follow", "c", self._choices("supervision")),
+                "   ",
+                Button("z gradient", "z", _HINTS["z"], self._toggle_depth, lambda: state.settings.has_depth),
+            ],
+            ["quality", *self._qualities()],
+            [
+                *self._cycle("renderer", "m", self._choices("renderer")),
+                *self._cycle("   gradient", "g", self._choices("gradient")),
             ],
             [
-                Button("start"),
-                *starts,
-                Button(RANDOM, "start from a random body", "F5", partial(self._start, RANDOM)),
-                Button(
-                    NETWORK,
-                    "start from what the label network says of the target, as partdr fit does",
-                    "k",
-                    lambda: state.reset(network_body(state.target)),
-                ),
-            ],
-            [Button("target  [t]"), *targets],
-            [
-                Button("follow  [c]"),
-                *self._choices("supervision", get_args(Supervision), "follow {}; from the start"),
-                Button("   "),
-                Button(
-                    "z gradient",
-                    "with or without PartDR's z gradient (of parts; partdr, E0 to E3); from the start",
-                    "z",
-                    self._toggle_depth,
-                    lambda: state.settings.has_depth,
-                ),
-            ],
-            [Button("quality"), *qualities],
-            [
-                Button("renderer  [m]"),
-                *self._choices("renderer", get_args(RendererName), "draw with {}; from the start"),
-                Button("   gradient  [g]  "),
-                *self._choices("gradient", get_args(Gradient), "gradient of exact ellipsoids: {}; from the start"),
+                *self._cycle("size", "x", self._choices("size")),
+                "   show  ",
+                Button("skeleton", "o", "skeletons of body and target", skeleton, lambda: scene.skeleton_only),
+                Button("outline arrows", "i", _HINTS["outline"], self._toggle_outline, lambda: scene.outline_arrows),
+                Button("detailed", "a", _HINTS["detailed"], self._clothe, lambda: scene.detailed),
             ],
             [
-                Button("size  [x]"),
-                *self._choices("size", DRAWN_SIZES, "pictures of {} pixels a side; from the start"),
-                Button("   show  "),
-                Button(
-                    "skeleton",
-                    "skeletons of body and target",
-                    "o",
-                    self._toggle_skeleton,
-                    lambda: self._scene.skeleton_only,
-                ),
-                Button(
-                    "outline arrows",
-                    "the labels' pull along silhouettes, in x and y and, by colour, z",
-                    "i",
-                    self._toggle_outline,
-                    lambda: self._scene.outline_arrows,
-                ),
-                Button(
-                    "detailed",
-                    "the detailed body that fits these ellipsoids; takes seconds",
-                    "a",
-                    self._clothe,
-                    lambda: self._scene.detailed,
-                ),
-            ],
-            [
-                Button("sliders"),
-                Button("<", "previous page", "bracketleft", partial(self._turn_page, -1)),
+                "sliders",
+                Button("<", "bracketleft", "previous page", partial(self._turn_page, -1)),
                 *(
-                    Button(kind, f"sliders: {kind}", "", partial(self.open, kind), partial(self._opened, kind))
-                    for kind in ("lengths", "thicknesses", "camera", "part")
+                    Button(kind, "", f"sliders: {kind}", partial(self.open, kind), partial(self.is_open, kind))
+                    for kind in dict(PAGES)
                 ),
-                Button(">", "next page", "bracketright", partial(self._turn_page, 1)),
-                Button("   "),
-                Button("previous part", "turn the part before; or click on one", "comma", lambda: self._next_part(-1)),
-                Button("next part", "turn the next part; or click on one", "period", lambda: self._next_part(1)),
+                Button(">", "bracketright", "next page", partial(self._turn_page, 1)),
+                "   ",
+                Button("previous part", "comma", "turn the part before; or click on one", partial(self._next_part, -1)),
+                Button("next part", "period", "turn the next part; or click on one", partial(self._next_part, 1)),
             ],
         ]
 
-    def _choices(self, name: str, values: tuple[Any, ...], hint: str) -> list[Button]:
+    def _starts(self) -> list[Button]:
+        return [
+            Button(name, f"F{k}", f"start from {name}", partial(self._start, name), partial(self._has_start, name))
+            for k, name in enumerate((*PRESETS, RANDOM), start=1)
+        ]
+
+    def _qualities(self) -> list[Button]:
+        return [
+            Button(
+                name,
+                f"F{k}",
+                f"{', '.join(map(str, changes.values()))} px; from the start",
+                partial(self._state.configure, **changes),
+                partial(self._has, **changes),
+            )
+            for k, (name, changes) in enumerate(QUALITIES.items(), start=6)
+        ]
+
+    def _choices(self, name: str) -> list[Button]:
         """A button for each value of a setting."""
-        state = self._state
+        configure = self._state.configure
         return [
             Button(
                 str(value),
-                hint.format(value),
                 "",
-                partial(state.configure, **{name: value}),
+                _HINTS[name].format(value),
+                partial(configure, **{name: value}),
                 partial(self._has, **{name: value}),
             )
-            for value in values
+            for value in CHOICES[name]
         ]
+
+    def _cycle(self, label: str, key: str, buttons: list[Button]) -> list[Button | str]:
+        """Buttons of which one is lit, after a label with the key that goes on to the next."""
+
+        def go_on() -> None:
+            now = next(k for k, button in enumerate(buttons) if button.is_on())
+            buttons[(now + 1) % len(buttons)].do()
+
+        self.keys[key] = go_on
+        return [f"{label}  [{key}]", *buttons]
 
     def _play(self) -> None:
         self.playing = not self.playing
@@ -225,41 +179,34 @@ class Controls:
         self._state.step()
 
     def _start(self, name: str) -> None:
-        if self._starts(name):  # with the same start, what was tried from it stays
+        if self._has_start(name):  # with the same start, what was tried from it stays
             self._state.restart()
             return
         self._seed += 1
         self._state.reset(body_of(name, self._seed))
 
-    def _starts(self, name: str) -> bool:
+    def _has_start(self, name: str) -> bool:
         return name in self._presets and _same(self._state.start, self._presets[name])
 
-    def _targets(self) -> tuple[str, ...]:
-        return (*PRESETS, RANDOM) if self._given.truth is not None else ("given", *PRESETS, RANDOM)
+    def _start_from_network(self) -> None:
+        self._state.reset(network_body(self._state.target))
 
     def _set_target(self, name: str) -> None:
         if name != RANDOM and self._has_target(name):
             return
         self._seed += 1
-        self._state.set_target(self._given if name == "given" else body_target(body_of(name, self._seed)))
+        self._state.set_target(self._given if name == _GIVEN else body_target(body_of(name, self._seed)))
 
     def _has_target(self, name: str) -> bool:
-        truth = self._state.target.truth
-        known = next((kind for kind, body in self._presets.items() if truth is not None and _same(truth, body)), RANDOM)
-        return name == ("given" if truth is None else known)
-
-    def _next_target(self) -> None:
-        names = self._targets()
-        now = next(k for k, name in enumerate(names) if self._has_target(name))
-        self._set_target(names[(now + 1) % len(names)])
+        if (truth := self._state.target.truth) is None:
+            return name == _GIVEN
+        return name == next((kind for kind, body in self._presets.items() if _same(truth, body)), RANDOM)
 
     def _has(self, **settings: Any) -> bool:
         return all(getattr(self._state.settings, name) == value for name, value in settings.items())
 
-    def _cycle(self, name: str, choices: tuple[Any, ...]) -> None:
-        """The next choice of a setting."""
-        now = choices.index(getattr(self._state.settings, name))
-        self._state.configure(**{name: choices[(now + 1) % len(choices)]})
+    def _toggle(self, name: str) -> None:
+        setattr(self._scene, name, not getattr(self._scene, name))
 
     def _toggle_depth(self) -> None:
         settings = self._state.settings
@@ -268,11 +215,8 @@ class Controls:
         else:
             self._scene.message = "PartDR's z gradient: only of parts, with partdr or E0 to E3"
 
-    def _toggle_skeleton(self) -> None:
-        self._scene.skeleton_only = not self._scene.skeleton_only
-
     def _toggle_outline(self) -> None:
-        self._scene.outline_arrows = not self._scene.outline_arrows
+        self._toggle("outline_arrows")
         if self._scene.outline_arrows and self._has(supervision="keypoints"):
             self._scene.message = "keypoints pull on no outline; follow the silhouette or the parts"
 
@@ -283,10 +227,12 @@ class Controls:
         self.playing = False
         self._scene.message = "registering the detailed body ..."
         self._redraw()
-        began, model = time.perf_counter(), self.clothing.model
-        vertices = self.clothing.vertices(self._state.posed())
+        began, model, options = time.perf_counter(), anny(), self.registration
+        if self._mean is None:  # edits of it may grow beyond natural people
+            self._mean = register(BodyParameters.mean(1).posed(), model, options=options)
+        detailed = register(self._state.posed, model, start=self._mean, options=options).detailed
+        self._scene.wear(detailed.vertices[0].numpy(), model.faces.numpy(), model.face_parts.numpy())
         took = time.perf_counter() - began
-        self._scene.wear(vertices.numpy(), model.faces.numpy(), model.face_parts.numpy())
         self._scene.message = f"{model.name}, registered in {took:.1f} s; gone when the body moves"
 
     def look(self) -> None:
@@ -308,19 +254,17 @@ class Controls:
         """Turn to the first page of sliders of a kind."""
         self.page = PAGES.index((kind, 0))
 
-    def _opened(self, kind: str) -> bool:
+    def is_open(self, kind: str) -> bool:
+        """True if a page of sliders of a kind is open."""
         return PAGES[self.page][0] == kind
 
     def _turn_page(self, by: int) -> None:
         self.page = (self.page + by) % len(PAGES)
 
     def _next_part(self, by: int) -> None:
-        self.part = _TURNING[(_TURNING.index(self.part) + by) % len(_TURNING)]
-        self.open("part")
+        self.pick(_TURNING[(_TURNING.index(self.part) + by) % len(_TURNING)])
 
     def _save(self) -> None:
-        from PIL import Image
-
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             for name in (_BODY, _MESHES):
@@ -330,11 +274,15 @@ class Controls:
             raise InputError(f"{self._folder}: {error.strerror or error}; expected a folder to write to") from error
         self._scene.message = f"saved {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}"
 
+    def _load(self) -> None:
+        self._state.load(self._folder / _BODY)
+        self._scene.message = f"starts from {self._folder / _BODY}"
+
     def _film(self) -> None:
-        if self.film.running or self.film.waits:
+        if self.film.running or self.film.pictures:
             self.finish_film()
         else:
-            self.film.start()
+            self.film.running = True
 
     def finish_film(self) -> None:
         """Write what was filmed.
@@ -347,10 +295,6 @@ class Controls:
         self._redraw()
         count = self.film.write(self._folder)
         self._scene.message = f"{count} pictures in {self._folder / FILM}" if count else "nothing was filmed"
-
-    def _load(self) -> None:
-        self._state.load(self._folder / _BODY)
-        self._scene.message = f"starts from {self._folder / _BODY}"
 
 
 def _same(one: BodyParameters, other: BodyParameters) -> bool:

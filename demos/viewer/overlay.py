@@ -1,67 +1,112 @@
-"""A picture that lies over a part of the window, for what is easier painted than built: buttons and tables."""
+"""Pictures in the window: textures that change, and painted boxes over a view, such as buttons and tables."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ..errors import InputError
+from .style import PAPER
+
+
+def load_pyvista() -> Any:
+    """PyVista; Any, for the types of its wrapped methods forget what they wrap.
+
+    Raises:
+        InputError: If VTK can't be loaded.
+    """
+    try:
+        return import_module("pyvista")
+    except (ImportError, OSError) as error:  # a VTK without libGL
+        raise no_picture(error) from error
+
+
+def no_picture(error: Exception) -> InputError:
+    """Error of a machine on which VTK can't draw."""
+    reason = " ".join(str(error).split())[:120]
+    return InputError(
+        f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without (libegl1 "
+        "or libosmesa6); partdr fit needs neither"
+    )
+
+
+class Texture:
+    """A texture whose picture changes in place.
+
+    Args:
+        size: (width, height) [px].
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        pv = load_pyvista()
+        self._size, self._shown = size, np.zeros(0)
+        self.image = pv.ImageData(dimensions=(*size, 1))
+        self.image.point_data["rgb"] = np.full((size[0] * size[1], 3), 255, dtype=np.uint8)
+        self.image.set_active_scalars("rgb")
+        self.texture = pv.Texture(self.image)
+
+    def show(self, picture: np.ndarray) -> None:
+        """Take another picture of any size, RGB, shape (height, width, 3), uint8, unless it is there yet."""
+        if picture is self._shown:
+            return
+        self._shown = picture
+        columns, rows = (
+            ((np.arange(size) + 0.5) * (has / size)).astype(int)
+            for size, has in zip(self._size, picture.shape[1::-1], strict=True)
+        )
+        # VTK's rows go up.
+        np.asarray(self.image.point_data["rgb"])[:] = picture[rows[::-1]][:, columns].reshape(-1, 3)
+        self.image.GetPointData().GetScalars().Modified()
+        self.image.Modified()
 
 
 class Overlay:
-    """A picture in a box of one of the plotter's views; it grows with the window.
+    """A painted box over one of the plotter's views; it grows with the window.
 
     Args:
         renderer: The view.
-        box: (left, bottom, right, top), 0 to 1 of the view.
-        size: (width, height) of the pictures [px].
+        view: (width, height) of the view in a window of the usual size [px].
+        corner: Lower left corner of the box in it [px].
+        size: (width, height) of the box in it, and of what is painted [px].
+        letter: Size of the font [px].
+
+    Attributes:
+        draw: Paints; ``show`` copies it to the window.
+        font: For its texts.
     """
 
-    def __init__(self, renderer: Any, box: tuple[float, float, float, float], size: tuple[int, int]) -> None:
-        import pyvista
+    def __init__(
+        self, renderer: Any, view: tuple[int, int], corner: tuple[int, int], size: tuple[int, int], letter: int
+    ) -> None:
+        pv = load_pyvista()
         from vtkmodules.vtkRenderingCore import vtkCoordinate, vtkPolyDataMapper2D, vtkTexturedActor2D
 
-        pv: Any = pyvista
-        self.renderer, self.box, self.size = renderer, box, size
-        self._image = pv.ImageData(dimensions=(*size, 1))
-        self._image.point_data["rgb"] = np.full((size[0] * size[1], 3), 255, dtype=np.uint8)
-        self._image.set_active_scalars("rgb")
-        left, bottom, right, top = box
+        self._renderer, self._size = renderer, np.array(size)
+        self._low, self._high = np.array(corner) / view, (np.array(corner) + size) / view
+        self._picture = Image.new("RGB", size, PAPER)
+        self.draw, self.font = ImageDraw.Draw(self._picture), ImageFont.load_default(letter)
+        self._texture = Texture(size)
+        (left, bottom), (right, top) = self._low, self._high
         corners = np.array([(left, bottom, 0), (right, bottom, 0), (right, top, 0), (left, top, 0)], dtype=np.float32)
         quad = pv.PolyData(corners, faces=[4, 0, 1, 2, 3])
         quad.active_texture_coordinates = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float32)
-        mapper, place = vtkPolyDataMapper2D(), vtkCoordinate()
+        mapper, place, actor = vtkPolyDataMapper2D(), vtkCoordinate(), vtkTexturedActor2D()
         place.SetCoordinateSystemToNormalizedViewport()
         mapper.SetTransformCoordinate(place)
         mapper.SetInputData(quad)
-        actor = vtkTexturedActor2D()
         actor.SetMapper(mapper)
-        actor.SetTexture(pv.Texture(self._image))
+        actor.SetTexture(self._texture.texture)
         renderer.AddViewProp(actor)
 
-    def show(self, picture: np.ndarray) -> None:
-        """Take another picture, RGB, shape (height, width, 3), uint8."""
-        np.asarray(self._image.point_data["rgb"])[:] = picture[::-1].reshape(-1, 3)
-        self._image.GetPointData().GetScalars().Modified()
-        self._image.Modified()
+    def show(self) -> None:
+        """Show what is painted."""
+        self._texture.show(np.asarray(self._picture))
 
-    def pixel(self, x: float, y: float) -> tuple[float, float] | None:
-        """The picture's pixel (column, row from the top) at a place of the window [px, y up]; None beside it."""
-        width, height = self.renderer.GetRenderWindow().GetSize()
-        first_x, first_y, last_x, last_y = self.renderer.GetViewport()
-        left, bottom, right, top = self.box
-        across = ((x / width - first_x) / (last_x - first_x) - left) / (right - left)
-        up = ((y / height - first_y) / (last_y - first_y) - bottom) / (top - bottom)
-        if not (0 <= across < 1 and 0 < up <= 1):
-            return None
-        return across * self.size[0], (1 - up) * self.size[1]
-
-    def place(self, column: float, row: float) -> tuple[int, int]:
-        """Place of the picture's pixel in the window [px, y up]: the inverse of ``pixel``."""
-        width, height = self.renderer.GetRenderWindow().GetSize()
-        first_x, first_y, last_x, last_y = self.renderer.GetViewport()
-        left, bottom, right, top = self.box
-        across = left + (right - left) * column / self.size[0]
-        up = bottom + (top - bottom) * (1 - row / self.size[1])
-        return round((first_x + across * (last_x - first_x)) * width), round(
-            (first_y + up * (last_y - first_y)) * height
-        )
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """(column, row from the top) of a place of the window [px, y up]."""
+        place = (np.array([x, y]) - self._renderer.GetOrigin()) / self._renderer.GetSize()
+        column, up = (place - self._low) / (self._high - self._low) * self._size
+        return column, self._size[1] - up

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image, ImageOps
 
 from ..errors import InputError
 from .style import PAPER
@@ -69,35 +70,24 @@ class Film:
 
     Attributes:
         running: Whether pictures are taken.
+        pictures: Those that are still to be written.
     """
 
     def __init__(self) -> None:
         self.running = False
-        self._pictures: list[np.ndarray] = []
-
-    @property
-    def waits(self) -> bool:
-        """True if it has ended with pictures that are still to be written."""
-        return bool(self._pictures) and not self.running
-
-    def start(self) -> None:
-        """Begin with nothing."""
-        self._pictures, self.running = [], True
+        self.pictures: list[np.ndarray] = []
 
     def take(self, picture: np.ndarray) -> bool:
         """Keep a picture, RGB, shape (height, width, 3), uint8; whether there is room for more.
 
         It is made smaller by a whole number. Where the window has another size now, it is fitted into the first one's.
         """
-        from PIL import Image, ImageOps
-
         small = Image.fromarray(picture).reduce(-(-picture.shape[1] // _WIDEST))
-        if self._pictures:
-            height, width = self._pictures[0].shape[:2]
-            if small.size != (width, height):
-                small = ImageOps.pad(small, (width, height), color=PAPER)
-        self._pictures.append(np.asarray(small))
-        return len(self._pictures) < _MOST
+        if self.pictures:
+            height, width = self.pictures[0].shape[:2]
+            small = ImageOps.pad(small, (width, height), color=PAPER)
+        self.pictures.append(np.asarray(small))
+        return len(self.pictures) < _MOST
 
     def write(self, folder: Path) -> int:
         """End, write ``FILM`` into a folder, made if it isn't there, and forget the pictures; how many there were.
@@ -106,17 +96,14 @@ class Film:
             InputError: If it can't be written; the pictures are kept.
         """
         self.running = False
-        count = len(self._pictures)
-        if count:
-            write(self._pictures, folder / FILM)
-        self._pictures = []
+        if count := len(self.pictures):
+            write(self.pictures, folder / FILM)
+        self.pictures = []
         return count
 
 
 def _write_gif(pictures: list[np.ndarray], path: Path) -> None:
     """All pictures share one palette, so that no colour flickers; the paper, most of a picture, gets little of it."""
-    from PIL import Image
-
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]).reshape(-1, 3)
     coloured = some[np.ptp(some, axis=1) > _GRAY]
     shown = np.concatenate([coloured, some[:: max(len(some) // _PLAIN, 1)]])
@@ -127,10 +114,10 @@ def _write_gif(pictures: list[np.ndarray], path: Path) -> None:
 
 
 def _write_mp4(pictures: list[np.ndarray], path: Path) -> None:
-    imageio_ffmpeg: Any = import_module("imageio_ffmpeg")
     height, width = pictures[0].shape[:2]
-    rate = 1000 / _MILLISECONDS
-    writer = imageio_ffmpeg.write_frames(str(path), (width, height), fps=rate, macro_block_size=2, quality=8)
+    writer = import_module("imageio_ffmpeg").write_frames(
+        str(path), (width, height), fps=1000 / _MILLISECONDS, macro_block_size=2, quality=8
+    )
     writer.send(None)
     for picture in [*pictures, *pictures[-1:] * _PAUSE]:
         writer.send(np.ascontiguousarray(picture))
@@ -138,12 +125,9 @@ def _write_mp4(pictures: list[np.ndarray], path: Path) -> None:
 
 
 def _write_html(pictures: list[np.ndarray], path: Path) -> None:
-    from PIL import Image
-
     sources = []
     for picture in pictures:
-        file = io.BytesIO()
-        Image.fromarray(picture).save(file, "webp", quality=80)
+        Image.fromarray(picture).save(file := io.BytesIO(), "webp", quality=80)
         sources.append(f'"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"')
     page = _PAGE.replace("PAUSE", str(_MILLISECONDS)).replace("PAPER", PAPER)
     path.write_text(page.replace("SOURCES", ",\n".join(sources)))  # last: pictures may hold any letters

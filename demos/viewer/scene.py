@@ -6,7 +6,7 @@ Everything is made once; ``Scene.update`` changes numbers in place, which is wha
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,15 +14,12 @@ import torch
 from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
-from ..errors import InputError
 from ..results.palette import PART_COLOURS
 from .arrows import Arrows
+from .overlay import Texture, load_pyvista, no_picture
 from .state import DemoState
 from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR
-
-if TYPE_CHECKING:
-    import pyvista as pv
 
 WINDOW = (1280, 800)  # [px]
 _IMAGE_SIDE = 256  # [px] of the images on the right, whatever is drawn
@@ -34,6 +31,7 @@ _FRONT = 0.4  # [m] before the pelvis: where the drawn part of what the camera s
 _WIDEST = 72  # letters of a message's line
 _MOST_ARROWS = 300  # along outlines
 _CAMERA = ((2.3, 0.9, 5.9), (-0.05, 0.02, -0.3), (0.0, 1.0, 0.0))
+_SKIN = {"specular_power": 12, "ambient": 0.25}
 _TITLES = {
     "body": ((0, 2), "body"),
     "target": ((0, 3), "target"),
@@ -72,13 +70,12 @@ class Scene:
         window_size: tuple[int, int] = WINDOW,
         smooth: bool = True,
     ) -> None:
-        try:
-            import pyvista as pv
-            from vtkmodules.vtkCommonCore import vtkLogger
+        self._pv = pv = load_pyvista()
+        from vtkmodules.vtkCommonCore import vtkLogger
 
-            vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it tells of each display that it tries in vain
-            self._pv: Any = pv  # Any, for the types of PyVista's wrapped methods forget what they wrap
-            self.plotter = self._pv.Plotter(
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it tells of each display that it tries in vain
+        try:
+            self.plotter = pv.Plotter(
                 shape=(3, 4),
                 groups=[(slice(0, 3), slice(0, 2)), (2, slice(2, 4))],
                 row_weights=[1.0, 1.0, 0.62],
@@ -86,7 +83,7 @@ class Scene:
                 window_size=list(window_size),
                 border=False,
             )
-        except (ImportError, RuntimeError, OSError) as error:  # a VTK without libGL, or without a display to open
+        except (RuntimeError, OSError) as error:  # without a display to open
             raise no_picture(error) from error
         self.plotter.render_window.SetMultiSamples(8 if smooth else 0)
         self._smooth_level = _SMOOTH_LEVELS[smooth]
@@ -94,49 +91,44 @@ class Scene:
         self.message = ""
         self.skeleton_only = self.outline_arrows = False
         self.chosen: str | None = None
-        self._filled: dict[int, np.ndarray] = {}  # by the image's id, the picture that is in it
         self._clothed: Posed | None = None  # the body that the detailed one was made for
         self._level: int | None = -1  # of the spheres that are shown
         self.plotter.set_background(PAPER)
         self._add_body()
         self._images = {name: self._add_image(*place) for name, place in _TITLES.items()}
-        self._add_arrows()
+        self.plotter.subplot(*_TITLES["gradient"][0])
+        self._centre_arrows = Arrows(self.plotter, NUM_PARTS, longest=0.44, half_width=0.011)
+        self._outline_arrows = Arrows(self.plotter, _MOST_ARROWS, longest=0.16, half_width=0.0035, strongest=0.95)
         self._add_loss()
         self.update()
 
+    def _add(self, shape: Any, **look: Any) -> Any:
+        """A shape in the active view; its actor."""
+        return self.plotter.add_mesh(shape, render=False, **look)
+
     def _add_body(self) -> None:
         """Ellipsoids, skeleton, the camera's view volume, and the target on a wall behind."""
-        pv, plotter = self._pv, self.plotter
-        plotter.subplot(0, 0)
+        pv = self._pv
+        self.plotter.subplot(0, 0)
         self.parts = [
-            plotter.add_mesh(
-                pv.Sphere(),
-                color=PART_COLOURS[k + 1].tolist(),
-                specular=0.2,
-                specular_power=12,
-                ambient=0.25,
-                name=name,
-                render=False,
-            )
-            for k, name in enumerate(PART_NAMES)
+            self._add(pv.Sphere(), name=name, color=colour, specular=0.2, **_SKIN)
+            for name, colour in zip(PART_NAMES, PART_COLOURS[1:].tolist(), strict=True)
         ]
-        self._skin = plotter.add_mesh(
-            pv.Sphere(), name="skin", specular=0.1, specular_power=12, ambient=0.25, render=False
-        )
-        joints = np.zeros((NUM_PARTS + 1, 3))
-        lines = [[2, PARENTS[k] + 1, k + 1] for k in range(NUM_PARTS)]
-        self._skeleton = pv.PolyData(joints, lines=np.array(lines).ravel())
+        self._skin = self._add(pv.Sphere(), name="skin", specular=0.1, **_SKIN)
+        lines = [[2, parent + 1, k + 1] for k, parent in enumerate(PARENTS)]
+        self._skeleton = pv.PolyData(np.zeros((NUM_PARTS + 1, 3)), lines=np.array(lines).ravel())
         self._target_skeleton = self._skeleton.copy()
-        self._bones = plotter.add_mesh(self._skeleton, color=INK, line_width=4, render=False)
-        self._target_bones = plotter.add_mesh(
-            self._target_skeleton, color=_TARGET_BONES, line_width=3, opacity=0.8, render=False
+        self._bones = self._add(self._skeleton, color=INK, line_width=4)
+        self._target_bones = self._add(self._target_skeleton, color=_TARGET_BONES, line_width=3, opacity=0.8)
+        # The weak-perspective camera sees a box without end; it is cut before and behind the body.
+        frame = pv.Box(bounds=(-1, 1, -1, 1, -_WALL, _FRONT)).extract_all_edges()
+        wall = pv.Plane(center=(0, 0, -_WALL), i_size=2, j_size=2, i_resolution=1, j_resolution=1)
+        self._wall_image = Texture((_IMAGE_SIDE, _IMAGE_SIDE))
+        self._camera_box = (
+            self._add(frame, color=_FRAME, line_width=1.5),
+            self._add(wall, texture=self._wall_image.texture, lighting=False),
         )
-        self._frame = pv.PolyData(np.zeros((8, 3)), lines=np.array(_BOX).ravel())
-        plotter.add_mesh(self._frame, color=_FRAME, line_width=1.5, render=False)
-        self._wall = pv.Plane(i_resolution=1, j_resolution=1)
-        self._wall_image, texture = self._make_texture()
-        plotter.add_mesh(self._wall, texture=texture, lighting=False, render=False)
-        self._status = plotter.add_text(
+        self._status = self.plotter.add_text(
             "", position=(0.025, 0.985), viewport=True, font_size=9, color=INK, font="arial"
         )
         self._status.prop.SetVerticalJustificationToTop()
@@ -151,7 +143,7 @@ class Scene:
     @property
     def detailed(self) -> bool:
         """True while the detailed body is shown; it is that of one body, and gone when another takes its place."""
-        now = self.state.posed()
+        now = self.state.posed
         return self._clothed is not None and all(
             torch.equal(old, new) for old, new in zip(vars(self._clothed).values(), vars(now).values(), strict=True)
         )
@@ -171,74 +163,49 @@ class Scene:
         mapper.scalar_map_mode, mapper.array_name = "cell", "rgb"
         mapper.SetColorModeToDirectScalars()
         mapper.scalar_visibility = True
-        self._clothed = self.state.posed()
+        self._clothed = self.state.posed
 
     def undress(self) -> None:
         """Show the ellipsoids again."""
         self._clothed = None
 
-    def _make_texture(self) -> tuple[pv.ImageData, pv.Texture]:
-        pv = self._pv
-        image = pv.ImageData(dimensions=(_IMAGE_SIDE, _IMAGE_SIDE, 1))
-        image.point_data["rgb"] = np.full((_IMAGE_SIDE**2, 3), 255, dtype=np.uint8)
-        image.set_active_scalars("rgb")
-        return image, pv.Texture(image)
-
-    def _add_image(self, place: tuple[int, int], title: str) -> pv.ImageData:
+    def _add_image(self, place: tuple[int, int], title: str) -> Texture:
         """A picture that fills a square of side 2 about the origin, and its title."""
         self.plotter.subplot(*place)
-        image, texture = self._make_texture()
-        self.plotter.add_mesh(self._pv.Plane(i_size=2, j_size=2), texture=texture, lighting=False, render=False)
+        image = Texture((_IMAGE_SIDE, _IMAGE_SIDE))
+        self._add(self._pv.Plane(i_size=2, j_size=2), texture=image.texture, lighting=False)
         self.plotter.add_text(title, position=(10, 4), font_size=8, color=INK, font="arial")
         self.plotter.enable_parallel_projection()
         self.plotter.camera_position = ((0, 0, 5), (0, 0, 0), (0, 1, 0))
         self.plotter.camera.parallel_scale = 1.02
         return image
 
-    def _add_arrows(self) -> None:
-        """Over the last image: one an ellipsoid, or many along outlines."""
-        self.plotter.subplot(*_TITLES["gradient"][0])
-        self._centre_arrows = Arrows(self.plotter, NUM_PARTS, longest=0.44, half_width=0.011)
-        self._outline_arrows = Arrows(self.plotter, _MOST_ARROWS, longest=0.16, half_width=0.0035, strongest=0.95)
-
     def _add_loss(self) -> None:
         self.plotter.subplot(2, 2)
-        chart = self._pv.Chart2D(size=(0.98, 0.95), loc=(0.0, 0.02))
-        chart.background_color = chart.border_color = PAPER
-        chart.x_axis.label, chart.y_axis.label = "iteration", "energy"
-        for axis in (chart.x_axis, chart.y_axis):
+        self.chart = self._pv.Chart2D(size=(0.98, 0.95), loc=(0.0, 0.02))
+        self.chart.background_color = self.chart.border_color = PAPER
+        self.chart.x_label, self.chart.y_label = "iteration", "energy"
+        for axis in (self.chart.x_axis, self.chart.y_axis):
             axis.label_size, axis.tick_label_size, axis.grid = 13, 11, False
-        self._curve = chart.line([0, 1], [0, 0], color=ACCENT, width=3.0)
-        self.plotter.add_chart(chart)
-        self.chart = chart
+        self._curve = self.chart.line([0, 1], [0, 0], color=ACCENT, width=3.0)
+        self.plotter.add_chart(self.chart)
 
     def update(self) -> None:
         """Bring everything to what the state is now; nothing is drawn yet."""
         self._update_body()
-        pictures = self.state.pictures()
-        photo = self.state.target.photo
+        pictures, photo = self.state.pictures(), self.state.target.photo
         for name, picture in pictures.items():
-            self._fill(self._images[name], picture)
-        self._fill(self._wall_image, pictures["target"] if photo is None else photo)
+            self._images[name].show(picture)
+        self._wall_image.show(pictures["target"] if photo is None else photo)
         faint = BACKGROUND_COLOUR - (BACKGROUND_COLOUR - pictures["body"]) // 4  # no colour is brighter
-        self._fill(self._images["gradient"], faint)
+        self._images["gradient"].show(faint)
         self._update_arrows()
         self._update_loss()
         self._status.input = self._said()
 
-    def _fill(self, image: pv.ImageData, picture: np.ndarray) -> None:
-        """Copy a square RGB picture of any size into a texture's image, whose rows go up, unless it is there yet."""
-        if self._filled.get(id(image)) is picture:
-            return
-        self._filled[id(image)] = picture
-        rows = ((np.arange(_IMAGE_SIDE) + 0.5) * (len(picture) / _IMAGE_SIDE)).astype(int)
-        np.asarray(image.point_data["rgb"])[:] = picture[rows[::-1]][:, rows].reshape(-1, 3)
-        image.GetPointData().GetScalars().Modified()
-        image.Modified()
-
     def _update_body(self) -> None:
         state = self.state
-        body, posed, truth = state.body.detach(), state.posed(), state.target.posed
+        body, posed, truth = state.body.detach(), state.posed, state.target.posed
         if (level := state.settings.level) != self._level:
             vertices, faces = icosphere(self._smooth_level if level is None else level)
             shape = self._pv.PolyData.from_regular_faces(vertices, faces)
@@ -248,28 +215,27 @@ class Scene:
                 actor.mapper.dataset = shape
                 actor.prop.interpolation = "Gouraud" if level is None else "Flat"
             self._level = level
+        if not (detailed := self.detailed):
+            self.undress()
+        self._skin.visibility = detailed
         matrices = np.tile(np.eye(4), (NUM_PARTS, 1, 1))
         matrices[:, :3, :3] = _FLIP @ (posed.axes * posed.semi_axes[:, :, None])[0].numpy()
         matrices[:, :3, 3] = posed.centres[0].numpy() @ _FLIP
-        if not (detailed := self.detailed):
-            self._clothed = None
-        self._skin.visibility = detailed
         for actor, matrix, name in zip(self.parts, matrices, PART_NAMES, strict=True):
             actor.user_matrix = matrix
             actor.visibility = not detailed
             actor.prop.opacity = 0.25 if self.skeleton_only else 1.0
-            actor.prop.ambient = 0.6 if name == self.chosen else 0.25
+            actor.prop.ambient = 0.6 if name == self.chosen else _SKIN["ambient"]
         self._skeleton.points = posed.joints[0].numpy() @ _FLIP
-        self._target_bones.visibility = truth is not None and self.skeleton_only
         self._bones.visibility = self.skeleton_only
+        self._target_bones.visibility = truth is not None and self.skeleton_only
         if truth is not None:
             self._target_skeleton.points = truth.joints[0].numpy() @ _FLIP
-        # The weak-perspective camera sees a box without end; it is cut before and behind the body.
         scale, (shift_x, shift_y) = float(body.log_scale.exp()), body.shift[0].tolist()
-        square = (np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) - (shift_x, shift_y)) / scale
-        box = np.array([(x, -y, z) for z in (_FRONT, -_WALL) for x, y in square])
-        self._frame.points = box
-        self._wall.points = box[[7, 6, 4, 5]]
+        box = np.diag([1 / scale, 1 / scale, 1, 1])
+        box[:2, 3] = -shift_x / scale, shift_y / scale
+        for actor in self._camera_box:
+            actor.user_matrix = box
 
     def _update_arrows(self) -> None:
         state, shown = self.state, self._outline_arrows if self.outline_arrows else self._centre_arrows
@@ -293,18 +259,15 @@ class Scene:
         if settings.offers_depth:
             looks += f", {'with' if settings.has_depth else 'without'} z gradient"
         measures = [f"iteration {len(state.history)}"]
-        if (took := state.milliseconds()) is not None:
-            measures.append(f"{took:.1f} ms each")
-        if (score := state.part_f1()) is not None:
-            measures.append(f"part F1 {score:.3f}")
-        if (error := state.joint_error()) is not None:
-            measures.append(f"joints {error:.0f} mm off")
-        lines = [
-            f"{looks}   ·   {settings.drawn}, {settings.size} px",
-            "   ·   ".join(measures),
-            textwrap.fill(self.message, _WIDEST),
-        ]
-        return "\n".join(lines)
+        for style, value in (
+            ("{:.1f} ms each", state.milliseconds()),
+            ("part F1 {:.3f}", state.part_f1),
+            ("joints {:.0f} mm off", state.joint_error()),
+        ):
+            if value is not None:
+                measures.append(style.format(value))
+        drawn = f"{looks}   ·   {settings.drawn}, {settings.size} px"
+        return "\n".join([drawn, "   ·   ".join(measures), textwrap.fill(self.message, _WIDEST)])
 
     def screenshot(self) -> np.ndarray:
         """The picture as it is now, RGB, shape (height, width, 3), uint8."""
@@ -317,15 +280,3 @@ class Scene:
     def close(self) -> None:
         """Give the window and VTK's memory back."""
         self.plotter.close()
-
-
-def no_picture(error: Exception) -> InputError:
-    """Error of a machine on which VTK can't draw."""
-    reason = " ".join(str(error).split())[:120]
-    return InputError(
-        f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without (libegl1 "
-        "or libosmesa6); partdr fit needs neither"
-    )
-
-
-_BOX = [[2, *edge] for k in range(4) for edge in ((k, (k + 1) % 4), (4 + k, 4 + (k + 1) % 4), (k, k + 4))]

@@ -11,8 +11,14 @@ from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
 
 Supervision = Literal["keypoints", "silhouette", "parts"]
 RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
-DRAWN_SIZES = (64, 128, 256, 512)  # [px]
 
+# Values of the settings that have but a few.
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "supervision": get_args(Supervision),
+    "renderer": get_args(RendererName),
+    "gradient": get_args(Gradient),
+    "size": (64, 128, 256, 512),
+}
 # Names of what is chosen between: a few renderers, gradients and sizes, from the fastest to the most accurate.
 QUALITIES: dict[str, dict[str, Any]] = {
     "draft": {"renderer": "E0", "gradient": "partdr", "size": 64},
@@ -49,13 +55,7 @@ class Settings:
     learning_rate: float = 0.06
 
     def __post_init__(self) -> None:
-        choices: dict[str, tuple[Any, ...]] = {
-            "supervision": get_args(Supervision),
-            "renderer": get_args(RendererName),
-            "gradient": get_args(Gradient),
-            "size": DRAWN_SIZES,
-        }
-        for name, allowed in choices.items():
+        for name, allowed in CHOICES.items():
             if (value := getattr(self, name)) not in allowed:
                 raise InputError(f"{name}: {value}; expected one of {', '.join(map(str, allowed))}")
         if self.steps < 1:
@@ -69,15 +69,12 @@ class Settings:
         return None if self.renderer == "exact" else int(self.renderer[1])
 
     @property
-    def depth_weight(self) -> float:
-        """The paper's lambda of the z gradient."""
-        return DEFAULT_DEPTH_WEIGHT if self.depth_gradient else 0.0
-
     def drawn_by(self) -> Renderer:
         """The renderer of these settings."""
+        weight = DEFAULT_DEPTH_WEIGHT if self.depth_gradient else 0.0
         if self.level is None:
-            return RendererEllipsoids(self.gradient, depth_weight=self.depth_weight)
-        return RendererMesh(self.level, depth_weight=self.depth_weight)
+            return RendererEllipsoids(self.gradient, depth_weight=weight)
+        return RendererMesh(self.level, depth_weight=weight)
 
     @property
     def offers_depth(self) -> bool:

@@ -7,14 +7,24 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from ..body.template import PART_NAMES
-from .state import SIZE_NAMES, DemoState
+from ..body.template import LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
+from .state import DemoState
 from .style import INK
-from .view import VIEW
+from .view import VIEW, view_of
 
 _PER_PAGE = 6
-_AXES = ("x", "y", "z")
 _TOP, _STEP = 0.80, 0.068  # of the view's height: the first slider, and from one to the next
+_SIZE_TITLES = {
+    "lengths": [f"{name} length [cm]" for name in LENGTH_NAMES],
+    "thicknesses": [f"{name} [cm]" for name in THICKNESS_NAMES],
+}
+
+# Kind of each page, and the first of its sliders among those of its kind.
+PAGES: tuple[tuple[str, int], ...] = (
+    *((kind, first) for kind, titles in _SIZE_TITLES.items() for first in range(0, len(titles), _PER_PAGE)),
+    ("camera", 0),
+    ("part", 0),
+)
 
 
 class Slider(NamedTuple):
@@ -28,29 +38,10 @@ class Slider(NamedTuple):
 
 
 class Page(NamedTuple):
-    """Sliders that are shown together.
+    """Title of a page, and its sliders, at most six."""
 
-    Attributes:
-        kind: "lengths", "thicknesses", "camera" or "part".
-        title: Above them.
-        sliders: At most six.
-    """
-
-    kind: str
     title: str
     sliders: list[Slider]
-
-
-def _num_pages(field: str) -> int:
-    return -(-len(SIZE_NAMES[field]) // _PER_PAGE)
-
-
-# Kind of each page, and its number among those of its kind.
-PAGES: tuple[tuple[str, int], ...] = (
-    *((field, k) for field in SIZE_NAMES for k in range(_num_pages(field))),
-    ("camera", 0),
-    ("part", 0),
-)
 
 
 def make_page(state: DemoState, part: str, index: int) -> Page:
@@ -61,48 +52,36 @@ def make_page(state: DemoState, part: str, index: int) -> Page:
         part: Which part is turned, one of ``PART_NAMES``.
         index: Of the page.
     """
-    kind, number = PAGES[index]
+    kind, first = PAGES[index]
     if kind == "camera":
-        return Page(kind, "camera and whole body", _view_sliders(state))
+        numbers = view_of(state.body).values()
+        sliders = [
+            Slider(f"{name} [{unit}]", low, high, value, partial(state.set_view, name))
+            for (name, (unit, low, high)), value in zip(VIEW.items(), numbers, strict=True)
+        ]
+        return Page("camera and whole body", sliders)
     if kind == "part":
-        named = part.replace("_", " ")
-        return Page(kind, f"rotation of the {named}", _rotation_sliders(state, part, named))
-    sliders = _size_sliders(state, kind)
-    first = _PER_PAGE * number
-    return Page(kind, f"{kind}, {number + 1} of {_num_pages(kind)}", sliders[first : first + _PER_PAGE])
+        named, row = part.replace("_", " "), PART_NAMES.index(part)
+        turns = {f"{named}, {axis} [deg]": (row, k) for k, axis in enumerate("xyz")}
+        return Page(f"rotation of the {named}", _sliders(state, "rotations", turns, math.degrees(1)))
+    titles = _SIZE_TITLES[kind]
+    sizes = dict(list(zip(titles, range(len(titles)), strict=True))[first : first + _PER_PAGE])
+    count = -(-len(titles) // _PER_PAGE)
+    return Page(f"{kind}, {first // _PER_PAGE + 1} of {count}", _sliders(state, kind, sizes, 100))
 
 
-def _size_sliders(state: DemoState, field: str) -> list[Slider]:
-    low, high = ((100 * bound[0]).tolist() for bound in state.bounds(field))
-    values = (100 * state.body.tensors()[field][0].detach()).tolist()
-    word = " length" if field == "lengths" else ""
+def _sliders(state: DemoState, field: str, indices: dict[str, Any], unit: float) -> list[Slider]:
+    """Sliders of numbers of the body: their indices by title; ``unit``: how many of what is shown make 1 m or 1 rad."""
+    low, high = state.bounds(field)
+    values = state.body.tensors()[field][0].detach()
 
-    def resize(name: str) -> Callable[[float], None]:
-        return lambda centimetres: state.set_size(field, name, centimetres / 100)
+    def setter(index: Any) -> Callable[[float], None]:
+        return lambda value: state.set_number(field, index, value / unit)
 
     return [
-        Slider(f"{name}{word} [cm]", low[k], high[k], values[k], resize(name))
-        for k, name in enumerate(SIZE_NAMES[field])
+        Slider(title, unit * float(low[k]), unit * float(high[k]), unit * float(values[k]), setter(k))
+        for title, k in indices.items()
     ]
-
-
-def _view_sliders(state: DemoState) -> list[Slider]:
-    view = state.view()
-    return [
-        Slider(f"{name} [{unit}]", low, high, view[name], partial(state.set_view, name))
-        for name, (unit, low, high) in VIEW.items()
-    ]
-
-
-def _rotation_sliders(state: DemoState, part: str, named: str) -> list[Slider]:
-    index = PART_NAMES.index(part)
-    low, high = (limits[index].rad2deg().tolist() for limits in (state.prior.lower_limits, state.prior.upper_limits))
-    rotation = state.body.rotations[0, index].rad2deg().tolist()
-
-    def turn(axis: int) -> Callable[[float], None]:
-        return lambda degrees: state.set_rotation(part, axis, math.radians(degrees))
-
-    return [Slider(f"{named}, {_AXES[k]} [deg]", low[k], high[k], rotation[k], turn(k)) for k in range(len(_AXES))]
 
 
 class SliderColumn:
@@ -114,24 +93,23 @@ class SliderColumn:
     """
 
     def __init__(self, plotter: Any, moved: Callable[[int, float], None]) -> None:
-        self._moved = moved
-        self._filling = True  # widgets call back when they are made and filled, too
-        self._title = plotter.add_text(
-            "", position=(0.02, _TOP + 0.06), viewport=True, font_size=8, color=INK, font="arial"
-        )
+        self._moved: Callable[[int, float], None] = lambda *_: None  # widgets call back when they are made, too
+        place = (0.02, _TOP + 0.06)
+        self._title = plotter.add_text("", position=place, viewport=True, font_size=8, color=INK, font="arial")
         self.widgets = [self._add(plotter, k) for k in range(_PER_PAGE)]
+        self._moved = moved
 
     def _add(self, plotter: Any, index: int) -> Any:
         y = _TOP - _STEP * index
         widget = plotter.add_slider_widget(
-            lambda value: None if self._filling else self._moved(index, value),
+            lambda value: self._moved(index, value),
             (0.0, 1.0),
             pointa=(0.02, y),
             pointb=(0.21, y),
             title=" ",
             title_height=0.014,
             fmt="%.1f",
-            slider_width=0.02,
+            slider_width=0.012,
             tube_width=0.004,
             color=INK,
             interaction_event="always",
@@ -140,12 +118,10 @@ class SliderColumn:
         shown.SetLabelHeight(0.014)
         shown.SetEndCapLength(0.004)
         shown.SetEndCapWidth(0.012)
-        shown.SetSliderWidth(0.012)
         return widget
 
     def show(self, page: Page) -> None:
         """Give the widgets a page's titles, bounds and values."""
-        self._filling = True
         self._title.input = page.title
         for k, widget in enumerate(self.widgets):
             widget.SetEnabled(k < len(page.sliders))
@@ -156,4 +132,3 @@ class SliderColumn:
                 shown.SetMinimumValue(min(low, value))
                 shown.SetMaximumValue(max(high, value, low + 1e-3))
                 shown.SetValue(value)
-        self._filling = False

@@ -30,15 +30,11 @@ class PictureStream:
     Args:
         rca: The window, as trame sees it.
         encode: JPEG of an array: (array, columns, rows, quality) to (file, ...).
-
-    Attributes:
-        closed: Nobody waits any more.
     """
 
     def __init__(self, rca: Any, encode: Callable[..., tuple[Any, ...]]) -> None:
-        self.rca = rca
-        self.closed = False
-        self._encode = encode
+        self.rca, self._encode = rca, encode
+        self.closed = False  # nobody waits any more
         self._number = 1  # of changes
         self._changed = asyncio.Event()
         self._drawn = 0

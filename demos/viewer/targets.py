@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
@@ -46,9 +47,9 @@ _RIGHT_COLOUR = 226
 _UNKNOWN_COLOUR = 238  # of a pixel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Target:
-    """Target of the refinement.
+    """Target of the refinement; pictures of it are kept while it is in use.
 
     Attributes:
         observation: Keypoints and labels in the crop; no labels where the user has none.
@@ -150,54 +151,49 @@ def person_target(person: PersonInputs) -> Target:
     observation, crop = observe(person.keypoints, person.parts, others=person.others)
     shown = None
     if person.photo is not None:
-        from PIL import Image
-
         height, width = crop.size
         box = (crop.left, crop.top, crop.left + width / crop.zoom, crop.top + height / crop.zoom)
-        cut = Image.fromarray(person.photo).transform(
-            (width, height), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR, fillcolor=PAPER
-        )
-        shown = np.asarray(cut)
+        photo, how = Image.fromarray(person.photo), Image.Transform.EXTENT
+        shown = np.asarray(photo.transform((width, height), how, box, Image.Resampling.BILINEAR, fillcolor=PAPER))
     return Target(replace(observation, maps=None, known=None), photo=shown)
 
 
-@dataclass(frozen=True)
-class TargetPicture:
-    """Target picture for a drawn one to be compared with, N pixels a side.
+@lru_cache(maxsize=8)
+def target_labels(target: Target, size: int) -> np.ndarray | None:
+    """Group ids, 255 = ignore, shape (size, size), uint8; None of a target without labels."""
+    labels = target.observation.labels
+    return None if labels is None else resize_nearest(labels, size).numpy()
 
-    Attributes:
-        labels: Group ids, 255 = ignore, shape (N, N), uint8.
-        picture: Their colours, RGB, shape (N, N, 3), uint8.
-        right: What the difference is where all is right, the same.
-        wrong: What it is where something is wrong, the same.
+
+@lru_cache(maxsize=8)
+def target_picture(target: Target, size: int) -> np.ndarray:
+    """Its labels in their colours, RGB, shape (size, size, 3), uint8; blank without labels."""
+    if (labels := target_labels(target, size)) is None:
+        return np.full((size, size, 3), BACKGROUND_COLOUR, dtype=np.uint8)
+    return group_picture(target, labels)
+
+
+def group_picture(target: Target, groups: np.ndarray) -> np.ndarray:
+    """Group ids (N, N) in the target's colours, RGB, shape (N, N, 3), uint8."""
+    return _colours(target)[0].take(groups, axis=0)
+
+
+def difference_picture(target: Target, drawn: np.ndarray) -> np.ndarray:
+    """Drawn group ids (N, N) against the target, RGB, shape (N, N, 3), uint8; blank without labels.
+
+    A wrong pixel has the colour that it should have; what should be background is dark.
     """
-
-    labels: np.ndarray
-    picture: np.ndarray
-    right: np.ndarray
-    wrong: np.ndarray
-
-    def difference(self, drawn: np.ndarray) -> np.ndarray:
-        """A wrong pixel has the colour that it should have; what should be background is dark."""
-        different = (drawn != self.labels) & (self.labels != IGNORE)
-        return np.where(different[..., None], self.wrong, self.right)
+    if (labels := target_labels(target, len(drawn))) is None:
+        return target_picture(target, len(drawn))
+    wrong = (drawn != labels) & (labels != IGNORE)
+    return _colours(target)[1].take(labels + np.uint16(256) * wrong, axis=0)
 
 
-def target_picture(target: Target, size: int) -> TargetPicture | None:
-    """At ``size`` pixels a side; None of a target without labels."""
-    if target.observation.labels is None:
-        return None
-    labels = resize_nearest(target.observation.labels, size).numpy()
-    picture = picture_colours(target)[labels]
-    person = (labels != BACKGROUND) & (labels != IGNORE)
-    right = np.full_like(picture, BACKGROUND_COLOUR)
-    right[person] = _RIGHT_COLOUR
-    wrong = np.where(labels[..., None] == BACKGROUND, IGNORE_COLOUR, picture)
-    return TargetPicture(labels, picture, right, wrong)
-
-
-def picture_colours(target: Target) -> np.ndarray:
-    """RGB of each group id of a target, shape (256, 3), uint8."""
-    colours = group_colours(target.label_set.part_groups)
-    colours[BACKGROUND], colours[IGNORE] = BACKGROUND_COLOUR, _UNKNOWN_COLOUR
-    return colours
+@lru_cache(maxsize=8)
+def _colours(target: Target) -> tuple[np.ndarray, np.ndarray]:
+    """RGB of group ids, shape (256, 3); of those that are drawn right, then of those drawn wrong, (512, 3); uint8."""
+    shown = group_colours(target.label_set.part_groups)
+    shown[BACKGROUND], shown[IGNORE] = BACKGROUND_COLOUR, _UNKNOWN_COLOUR
+    wrong, right = shown.copy(), np.full_like(shown, _RIGHT_COLOUR)
+    right[[BACKGROUND, IGNORE]], wrong[BACKGROUND] = BACKGROUND_COLOUR, IGNORE_COLOUR
+    return shown, np.concatenate([right, wrong])

@@ -51,9 +51,6 @@ class TradeoffRow:
 class Tradeoff:
     """The rows for one start and one target; with another of them they begin anew.
 
-    Args:
-        state: What is looked at.
-
     Attributes:
         rows: By what tells them apart, in the order in which they were first tried.
         current: Which of them is the present one.
@@ -61,35 +58,33 @@ class Tradeoff:
 
     def __init__(self, state: DemoState) -> None:
         self.state = state
+        self._begin()
+
+    def _begin(self) -> None:
         self.rows: dict[tuple[str, int, str], TradeoffRow] = {}
         self.current: tuple[str, int, str] | None = None
-        self._pair: tuple[object, object] | None = None
+        self._start, self._target = self.state.start, self.state.target
         self._truth: tuple[People, torch.Tensor] | None = None
 
     def update(self, *, measure: bool) -> None:
-        """Note how far the present setting has come.
-
-        Args:
-            measure: Whether a setting that is new is measured now, which takes some iterations' time.
-        """
-        state, pair = self.state, (self.state.start, self.state.target)
-        if self._pair is None or any(old is not new for old, new in zip(self._pair, pair, strict=True)):
-            self.rows, self.current, self._pair, self._truth = {}, None, pair, None
+        """Note how far the present setting has come; ``measure`` one that is new, which takes some iterations' time."""
+        state = self.state
+        if self._start is not state.start or self._target is not state.target:
+            self._begin()
         key = _key(state.settings)
         if key not in self.rows:
             if not measure:
                 return
             self.rows[key] = TradeoffRow(*key, _time(state), self._angle(), self._outline())
-            while len(self.rows) > _MOST:
+            if len(self.rows) > _MOST:
                 del self.rows[next(iter(self.rows))]
-        self.current = key
-        row = self.rows[key]
+        self.current, row = key, self.rows[key]
         row.milliseconds = state.milliseconds() or row.milliseconds
         if len(state.history) > row.iterations:  # a run that is repeated goes the same way
-            row.iterations, row.f1, row.joints = len(state.history), state.part_f1(), state.joint_error()
+            row.iterations, row.f1, row.joints = len(state.history), state.part_f1, state.joint_error()
 
     def _angle(self) -> float | None:
-        target, settings = self.state.target, self.state.settings
+        target, settings, start = self.state.target, self.state.settings, self.state.start
         if target.truth is None or target.posed is None or settings.supervision != "parts":
             return None
         if settings.offers_depth and not settings.has_depth:  # it is compared as it is by default
@@ -97,19 +92,19 @@ class Tradeoff:
         if self._truth is None:
             labels = draw_truth(target.truth)
             people = People(ELLIPBODY, target.truth, labels, target.observation.points[None], target.posed.joints)
-            self._truth = people, true_gradient(people, self.state.start)
+            self._truth = people, true_gradient(people, start)
         names = {gradient: name for name, gradient in GRADIENTS.items()}
         name = names[settings.gradient] if settings.level is None else f"mesh {settings.renderer}"
         people, true = self._truth
-        angle = float(gradient_error(Setting(name, settings.size), people, self.state.start, true).angle[0])
+        angle = float(gradient_error(Setting(name, settings.size), people, start, true).angle[0])
         return angle if np.isfinite(angle) else None
 
+    @torch.no_grad()
     def _outline(self) -> float:
         level, start = self.state.settings.level, self.state.start
-        if level is None:
-            return 0.0
-        with torch.no_grad():
-            return float(silhouette_error(start.posed(), start.camera(REFERENCE_SIZE), level).max())
+        return (
+            0.0 if level is None else float(silhouette_error(start.posed(), start.camera(REFERENCE_SIZE), level).max())
+        )
 
 
 def _key(settings: Settings) -> tuple[str, int, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from .controls import Controls
 from .recording import FILM
 from .scene import Scene
 from .settings import QUALITIES
-from .sliders import Slider, SliderColumn, make_page
+from .sliders import Page, SliderColumn, make_page
 from .state import DemoState
 from .tradeoff import Tradeoff
 from .tradeoff_table import TradeoffTable
@@ -56,10 +56,11 @@ class Window:
         self.controls = Controls(state, self.scene, folder, self.refresh, seed)
         self.keys = self.controls.keys
         plotter = self.scene.plotter
+        self._interactor = plotter.iren.interactor
         for key in _PYVISTA_KEYS:
             plotter.clear_events_for_key(key)
         for key in self.keys:
-            plotter.add_key_event(key, lambda key=key: self.press(key))
+            plotter.add_key_event(key, partial(self.press, key))
         plotter.subplot(0, 0)
         self.controls.look()
         self._sliders = SliderColumn(plotter, self.slide)
@@ -74,18 +75,14 @@ class Window:
         for event in _TURNS:
             self._observe(event, self._beside)
         self._observe("MouseMoveEvent", self._hovered)
-        self._observe("CharEvent", self._typed)
+        # Of VTK's own keys, which would draw all as wires or end the demo, only q stays.
+        self._observe("CharEvent", lambda: self._interactor.GetKeySym() not in ("q", "Q"))
         # Instead of what the style does at a tick, which is to turn the view on and on while the mouse is held; nobody
         # but the style hears of it then. And not PyVista's timer, which draws at every tick.
         plotter.iren.style.AddObserver("TimerEvent", lambda *_: self.tick())
-        plotter.iren.interactor.CreateRepeatingTimer(_TICK)
+        self._interactor.CreateRepeatingTimer(_TICK)
         self.tradeoff.update(measure=True)
         self._update()
-
-    @property
-    def part(self) -> str:
-        """The part that the rotation sliders turn."""
-        return self.controls.part
 
     def press(self, key: str) -> None:
         """Do what a key does; a fault becomes the message in the window."""
@@ -93,19 +90,12 @@ class Window:
 
     def click(self, button: Button) -> None:
         """Do what a button does; the same."""
-        assert button.do is not None
         self._try(button.do)
 
     def slide(self, index: int, value: float) -> None:
         """Move a slider of the page, 0 first."""
-        page = self.page()
-        if index < len(page):
-            self.controls.playing = False
-            self._try(lambda: page[index].set(value), measure=False)
-
-    def pick(self, part: str) -> None:
-        """Turn to the sliders of a part."""
-        self._try(lambda: self.controls.pick(part), measure=False)
+        self.controls.playing = False
+        self._try(lambda: self.page().sliders[index].set(value), measure=False)
 
     def tick(self) -> None:
         """A step, if it plays; what was told last can still be read meanwhile."""
@@ -120,17 +110,16 @@ class Window:
         if film.running and not film.take(self.scene.screenshot()):
             self._try(self.controls.finish_film, measure=False)
 
+    def page(self) -> Page:
+        """The sliders that are shown."""
+        return make_page(self.state, self.controls.part, self.controls.page)
+
     def _update(self) -> None:
-        page = make_page(self.state, self.controls.part, self.controls.page)
-        self.scene.chosen = self.controls.part if page.kind == "part" else None
-        self._sliders.show(page)
+        self._sliders.show(self.page())
+        self.scene.chosen = self.controls.part if self.controls.is_open("part") else None
         self.scene.update()
         self.panel.update()
         self._table.update()
-
-    def page(self) -> list[Slider]:
-        """The sliders that are shown: title, smallest, largest, value, and what setting one does."""
-        return make_page(self.state, self.controls.part, self.controls.page).sliders
 
     def _try(self, action: Callable[[], None], *, measure: bool = True, clear: bool = True) -> None:
         if clear:
@@ -144,38 +133,37 @@ class Window:
         self.refresh()
 
     def _picked(self, actor: Any) -> None:
+        """Turn to the sliders of a part that was clicked on."""
         if actor in self.scene.parts:
-            self.pick(PART_NAMES[self.scene.parts.index(actor)])
+            part = PART_NAMES[self.scene.parts.index(actor)]
+            self._try(partial(self.controls.pick, part), measure=False)
 
     def _observe(self, event: str, act: Callable[[], bool]) -> None:
         """Do something before VTK does; where ``act`` says True, nobody else hears of the event."""
-        interactor = self.scene.plotter.iren.interactor
 
         def heard(*_: Any) -> None:
-            interactor.GetCommand(tag).SetAbortFlag(act())
+            self._interactor.GetCommand(tag).SetAbortFlag(act())
 
-        tag = interactor.AddObserver(event, heard, _FIRST)
+        tag = self._interactor.AddObserver(event, heard, _FIRST)
+
+    def _pointed(self) -> Button | None:
+        """The button under the mouse."""
+        return self.panel.at(*self._interactor.GetEventPosition())
 
     def _clicked(self) -> bool:
-        button = self.panel.at(*self.scene.plotter.iren.interactor.GetEventPosition())
-        if button is not None:
+        if button := self._pointed():
             self.click(button)
         return button is not None or self._beside()
 
     def _beside(self) -> bool:
         """True if the mouse is over the pictures at the right, which aren't there to be turned."""
-        interactor = self.scene.plotter.iren.interactor
-        return not self.scene.plotter.renderers[0].IsInViewport(*interactor.GetEventPosition())
+        return not self.scene.plotter.renderers[0].IsInViewport(*self._interactor.GetEventPosition())
 
     def _hovered(self) -> bool:
-        self.panel.over = self.panel.at(*self.scene.plotter.iren.interactor.GetEventPosition())
+        self.panel.over = self._pointed()
         if self.panel.update():
             self.scene.plotter.render()
         return False
-
-    def _typed(self) -> bool:
-        """Of VTK's own keys, which would draw all as wires or end the demo, only q stays."""
-        return self.scene.plotter.iren.interactor.GetKeySym() not in ("q", "Q")
 
     def show(self) -> None:
         """Open the window, until it is closed.
@@ -183,8 +171,9 @@ class Window:
         Raises:
             InputError: If there is no display for it.
         """
-        kind = self.scene.plotter.render_window.GetClassName()
-        if kind in _UNSEEN:  # what VTK falls back to without a word where it can't reach the display
+        if (
+            kind := self.scene.plotter.render_window.GetClassName()
+        ) in _UNSEEN:  # what VTK falls back to without a word where it can't reach the display
             raise InputError(
                 f"demo: the display can't be reached (VTK took {kind}); expected one, or --record out.gif or out.html, "
                 "which need none"
@@ -206,20 +195,22 @@ class Window:
         took = {}
         for kind in ("lengths", "camera", "part"):
             self.controls.open(kind)
-            title, low, high, _, _ = self.page()[0]
+            title, low, high, _, _ = self.page().sliders[0]
             values = [low + (high - low) * k / count for k in range(count + 1)]
-            times = [_time(partial(self.slide, 0, value)) for value in values]
-            took[f"slider {title}"] = statistics.median(times[1:])
+            took[f"slider {title}"] = _median([partial(self.slide, 0, value) for value in values])
         self.state.restart()
         self.controls.playing = True
-        took["iteration"] = statistics.median([_time(self.tick) for _ in range(count)])
+        took["iteration"] = _median([self.tick] * count)
         self.controls.playing = False
-        switches = [partial(self.press, f"F{6 + k % len(QUALITIES)}") for k in range(3 * len(QUALITIES))]
-        took["quality"] = statistics.median([_time(switch) for switch in switches])
+        took["quality"] = _median([partial(self.press, f"F{6 + k}") for k in range(len(QUALITIES))] * 3)
         return took
 
 
-def _time(action: Callable[[], None]) -> float:
-    began = time.perf_counter()
-    action()
-    return (time.perf_counter() - began) * 1000
+def _median(actions: Sequence[Callable[[], None]]) -> float:
+    """Median time of an action [ms]."""
+    times = []
+    for action in actions:
+        began = time.perf_counter()
+        action()
+        times.append((time.perf_counter() - began) * 1000)
+    return statistics.median(times)

@@ -12,15 +12,10 @@ import torch
 from scenes.files import EXAMPLE
 from warp_partdr.cli.options import PersonFiles
 from warp_partdr.clothing.registration import RegistrationOptions
-from warp_partdr.viewer.controls import Clothing
+from warp_partdr.viewer.buttons import Button
 from warp_partdr.viewer.settings import Settings
 from warp_partdr.viewer.state import DemoState
-from warp_partdr.viewer.targets import (
-    Target,
-    body_of,
-    body_target,
-    person_target,
-)
+from warp_partdr.viewer.targets import Target, body_of, body_target, person_target
 from warp_partdr.viewer.window import Window
 
 SMALL = Settings(size=64, steps=40)
@@ -28,6 +23,11 @@ SMALL = Settings(size=64, steps=40)
 
 def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
     return DemoState(body_of(start), body_target(body_of(target)), SMALL)
+
+
+def play(state: DemoState, count: int) -> None:
+    for _ in range(count):
+        state.step()
 
 
 def read_target(photo: Path, **labels: Any) -> Target:
@@ -46,7 +46,7 @@ def one_thread():
 @pytest.fixture
 def window(can_draw, tmp_path):
     made = Window(make_state(), tmp_path / "saved", off_screen=True)
-    made.controls.clothing = Clothing(RegistrationOptions(iterations=2))  # which is near enough, and fast
+    made.controls.registration = RegistrationOptions(iterations=2)  # which is near enough, and fast
     yield made
     made.scene.close()
 
@@ -58,12 +58,20 @@ def send(window: Window, event: str, place: tuple[int, int]) -> None:
     interactor.InvokeEvent(event)
 
 
+def middle(window: Window, button: Button) -> tuple[int, int]:
+    """Middle of a button in the window [px, y up]: the inverse of ``Overlay.pixel``."""
+    left, top, right, bottom = window.panel.boxes[button]
+    (column, row), (next_column, next_row) = (window.panel.overlay.pixel(at, at) for at in (0, 1))
+    x, y = ((left + right) / 2 - column) / (next_column - column), ((top + bottom) / 2 - row) / (next_row - row)
+    return round(x), round(y)
+
+
 def click(window: Window, text: str, hint: str = "") -> None:
     """Click on the button that says ``text``; of two, on that with ``hint`` in its hint."""
-    (button,) = (button for button in window.panel.buttons if button.text == text and hint in button.hint)
-    send(window, "LeftButtonPressEvent", window.panel.place(button))
-    send(window, "LeftButtonReleaseEvent", window.panel.place(button))
+    (button,) = (button for button in window.panel.boxes if button.text == text and hint in button.hint)
+    for event in ("LeftButtonPressEvent", "LeftButtonReleaseEvent"):
+        send(window, event, middle(window, button))
 
 
 def image(window: Window, name: str) -> np.ndarray:
-    return window.scene._images[name].point_data["rgb"].copy()
+    return window.scene._images[name].image.point_data["rgb"].copy()

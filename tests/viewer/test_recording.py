@@ -78,7 +78,7 @@ def test_film(window, monkeypatch):
     click(window, "film")
     for _ in range(3):
         window.press("n")
-    window.slide(0, window.page()[0].high)
+    window.slide(0, window.page().sliders[0].high)
     click(window, "film")
     assert window.scene.message == f"5 pictures in {window.folder / 'demo.gif'}"
     with Image.open(window.folder / "demo.gif") as film:

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 from scenes import viewer
 from scenes.files import EXAMPLE
-from scenes.viewer import SMALL, make_state, read_target
+from scenes.viewer import SMALL, make_state, play, read_target
 
 from warp_partdr import load_body
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
@@ -24,6 +24,7 @@ from warp_partdr.viewer.targets import (
     body_of,
     body_target,
     read_body,
+    target_labels,
 )
 from warp_partdr.viewer.tradeoff import Tradeoff
 from warp_partdr.viewer.view import VIEW, seen_as, view_of
@@ -51,28 +52,28 @@ def test_random_bodies_differ_by_seed_and_repeat():
 def test_steps_lower_the_loss_and_the_error(supervision):
     state = make_state()
     state.configure(supervision=supervision)
-    before = state.joint_error(), state.part_f1()
-    state.play(30)
+    before = state.joint_error(), state.part_f1
+    play(state, 30)
     assert len(state.history) == 30
     assert state.history[-1] < 0.7 * state.history[0]
     assert state.joint_error() < before[0]
-    assert state.part_f1() > before[1]
+    assert state.part_f1 > before[1]
     assert state.milliseconds() > 0
 
 
 @pytest.mark.parametrize("renderer", ["E0", "E2"])
 def test_meshes_play_too(renderer):
     state = make_state()
-    exact = state.drawn()
+    exact = state.drawn
     state.configure(renderer=renderer)
-    assert 0 < (state.drawn() != exact).mean() < 0.1
-    state.play(10)
+    assert 0 < (state.drawn != exact).mean() < 0.1
+    play(state, 10)
     assert state.history[-1] < state.history[0]
 
 
 def test_the_z_gradient_is_what_parts_pull_in_depth_with():
     state = make_state("crossed arms", "crossed arms")
-    state.set_rotation("left_forearm", 1, -0.3)
+    state.set_number("rotations", (PART_NAMES.index("left_forearm"), 1), -0.3)
     pulls = []
     for depth in (True, False):
         state.configure(depth_gradient=depth)
@@ -91,11 +92,11 @@ def test_forces_pull_toward_the_target(supervision):
 
 def test_restart_goes_back_and_repeats():
     state = make_state()
-    state.play(5)
+    play(state, 5)
     first, history = state.body.rotations.detach().clone(), list(state.history)
     state.restart()
     assert torch.equal(state.body.rotations, state.start.rotations)
-    state.play(5)
+    play(state, 5)
     assert state.history == history
     assert torch.equal(state.body.rotations, first)
 
@@ -103,10 +104,10 @@ def test_restart_goes_back_and_repeats():
 def test_edits_stay_within_bounds_and_are_the_new_start():
     state = make_state()
     state.history.append(1.0)
-    state.set_size("lengths", "forearm", 9.0)
-    state.set_rotation("left_lower_leg", 0, 9.0)
+    state.set_number("lengths", LENGTH_NAMES.index("forearm"), 9.0)
+    state.set_number("rotations", (PART_NAMES.index("left_lower_leg"), 0), 9.0)
     assert state.body.lengths[0, LENGTH_NAMES.index("forearm")].item() == pytest.approx(
-        float(state.bounds("lengths")[1][0, LENGTH_NAMES.index("forearm")])
+        float(state.bounds("lengths")[1][LENGTH_NAMES.index("forearm")])
     )
     knee = PART_NAMES.index("left_lower_leg")
     assert state.body.rotations[0, knee, 0].item() == pytest.approx(float(state.prior.upper_limits[knee, 0]))
@@ -121,20 +122,20 @@ def test_pictures_of_a_body_that_is_there_differ_nowhere():
     pictures = state.pictures()
     assert np.array_equal(pictures["body"], pictures["target"])
     assert len(np.unique(pictures["difference"].reshape(-1, 3), axis=0)) == 2
-    assert state.part_f1() == 1
+    assert state.part_f1 == 1
     assert state.joint_error() == pytest.approx(0, abs=1e-3)
 
 
 def test_save_and_load(tmp_path):
     state = make_state()
-    state.play(3)
+    play(state, 3)
     state.save(tmp_path / "body.npz")
     state.save(tmp_path / "body.glb")
     assert (tmp_path / "body.glb").read_bytes()[:4] == b"glTF"
     assert load_body(tmp_path / "body.npz").image_size.tolist() == [64, 64]
     other = make_state()
     other.load(tmp_path / "body.npz")
-    assert (other.drawn() != state.drawn()).mean() < 1e-3
+    assert (other.drawn != state.drawn).mean() < 1e-3
     for name, tensor in state.body.tensors().items():
         if name != "orientation":
             torch.testing.assert_close(other.body.tensors()[name], tensor.detach(), atol=1e-5, rtol=1e-4)
@@ -144,13 +145,13 @@ def test_a_photo_with_labels_is_a_target():
     target = read_target(EXAMPLE / "photo.png", parts=EXAMPLE / "parts.png", labels="cdcl14")
     state = DemoState(body_of("t-pose"), target, SMALL)
     assert target.photo.shape == (256, 256, 3)
-    before = state.part_f1()
-    state.play(30)
-    assert state.part_f1() > before
+    before = state.part_f1
+    play(state, 30)
+    assert state.part_f1 > before
     assert state.joint_error() is None
-    labels = state.target_labels()
+    labels = target_labels(state.target, 64)
     assert (labels == 255).any()
-    assert state.part_f1() == pytest.approx(float(part_f1(confusion(state.drawn(), labels, 15))))
+    assert state.part_f1 == pytest.approx(float(part_f1(confusion(state.drawn, labels, 15))))
 
 
 def test_the_photo_is_cut_as_its_labels_are(tmp_path):
@@ -170,9 +171,9 @@ def test_a_photo_without_labels_says_what_works():
     state = DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints"))
     with pytest.raises(InputError, match="without part labels"):
         state.configure(supervision="silhouette")
-    state.play(10)
+    play(state, 10)
     assert state.history[-1] < state.history[0]
-    assert state.part_f1() is None
+    assert state.part_f1 is None
     assert (state.pictures()["difference"] == state.pictures()["difference"][0, 0]).all()
 
 
@@ -194,8 +195,6 @@ def test_bad_settings(changes, said):
 def test_bad_names(tmp_path):
     with pytest.raises(InputError, match=r"body: 'dancing'; expected one of t-pose"):
         body_of("dancing")
-    with pytest.raises(InputError, match="expected one of hip"):
-        make_state().set_size("lengths", "nose", 1.0)
     (tmp_path / "broken.npz").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"broken\.npz: not readable"):
         read_body(tmp_path / "broken.npz")
@@ -214,23 +213,21 @@ def test_a_view_is_what_it_was_set_to(name):
 
 def test_view_sliders_move_the_picture_by_what_they_say():
     state = make_state()
-    before = state.drawn()
+    before = state.drawn
     state.set_view("shift x", 8.0)  # of 256: 2 of 64
-    assert np.array_equal(state.drawn()[:, 2:], before[:, :-2])
+    assert np.array_equal(state.drawn[:, 2:], before[:, :-2])
     state.set_view("shift x", 0.0)
     state.set_view("scale", 64.0)
-    assert np.ptp(np.nonzero(state.drawn())[0]) == pytest.approx(np.ptp(np.nonzero(before)[0]) / 2, abs=1.5)
+    assert np.ptp(np.nonzero(state.drawn)[0]) == pytest.approx(np.ptp(np.nonzero(before)[0]) / 2, abs=1.5)
     state.set_view("scale", 1e6)
-    assert state.view()["scale"] == pytest.approx(260, rel=1e-5)
-    with pytest.raises(InputError, match="view: 'zoom'; expected one of scale"):
-        state.set_view("zoom", 1.0)
+    assert view_of(state.body)["scale"] == pytest.approx(260, rel=1e-5)
 
 
 def test_a_view_slider_changes_nothing_but_its_own_number():
     body = body_of("t-pose")
     state = DemoState(seen_as(body, view_of(body) | {"scale": 400.0, "shift x": -200.0}), make_state().target, SMALL)
     state.set_view("shift y", 1e6)
-    assert [state.view()[name] for name in ("scale", "shift x", "shift y")] == pytest.approx([400, -200, 128])
+    assert [view_of(state.body)[name] for name in ("scale", "shift x", "shift y")] == pytest.approx([400, -200, 128])
 
 
 @pytest.mark.parametrize("renderer", ["exact", "E0"])
@@ -253,7 +250,7 @@ def test_the_trade_remembers_what_was_tried():
     for renderer in ("exact", "E0", "E2"):
         state.configure(renderer=renderer)
         tradeoff.update(measure=True)
-    state.play(5)
+    play(state, 5)
     tradeoff.update(measure=False)
     exact, coarse, fine = tradeoff.rows.values()
     assert [row.drawn for row in (exact, coarse, fine)] == ["exact, coverage", "mesh E0", "mesh E2"]
@@ -261,9 +258,9 @@ def test_the_trade_remembers_what_was_tried():
     assert exact.angle < fine.angle  # PartDR's gradient is no derivative
     assert all(row.milliseconds > 0 for row in tradeoff.rows.values())
     assert (exact.iterations, coarse.iterations, fine.iterations) == (0, 0, 5)
-    assert (fine.f1, fine.joints) == (state.part_f1(), state.joint_error())
+    assert (fine.f1, fine.joints) == (state.part_f1, state.joint_error())
     assert tradeoff.rows[tradeoff.current] is fine
-    state.set_size("lengths", "forearm", 0.3)
+    state.set_number("lengths", LENGTH_NAMES.index("forearm"), 0.3)
     tradeoff.update(measure=False)
     assert tradeoff.rows == {}
 

@@ -196,7 +196,7 @@ def test_a_click_chooses_a_part(window):
             await browser.mouse(kind, x, y)
 
     visit(window, visitor)
-    assert window.part == "right_forearm"
+    assert window.controls.part == "right_forearm"
 
 
 class SlowLine:

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 from scenes import viewer
 from scenes.files import EXAMPLE
-from scenes.viewer import SMALL, click, image, make_state, read_target, send
+from scenes.viewer import SMALL, click, image, make_state, middle, play, read_target, send
 
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.errors import InputError
@@ -33,11 +33,11 @@ one_thread, window = viewer.one_thread, viewer.window  # fixtures
 def test_a_slider_changes_what_it_should(window):
     forearm, before = LENGTH_NAMES.index("forearm"), window.scene.screenshot()
     body, target, place = image(window, "body"), image(window, "target"), window.scene.parts[16].user_matrix.copy()
-    while "forearm length [cm]" not in [slider[0] for slider in window.page()]:
+    while "forearm length [cm]" not in [slider[0] for slider in window.page().sliders]:
         window.press("bracketright")
-    index = [slider[0] for slider in window.page()].index("forearm length [cm]")
-    window.slide(index, window.page()[index][2])
-    assert window.state.body.lengths[0, forearm].item() == pytest.approx(window.page()[index][3] / 100)
+    index = [slider[0] for slider in window.page().sliders].index("forearm length [cm]")
+    window.slide(index, window.page().sliders[index][2])
+    assert window.state.body.lengths[0, forearm].item() == pytest.approx(window.page().sliders[index][3] / 100)
     assert (image(window, "body") != body).any()
     assert np.array_equal(image(window, "target"), target)
     assert not np.allclose(window.scene.parts[16].user_matrix, place)
@@ -72,9 +72,9 @@ def test_every_key_and_slider_does_something(window):
     assert Image.open(window.folder / "demo.png").size == (1280, 800)
     for _ in PAGES:
         window.press("bracketright")
-        for index, (title, low, high, _, _) in enumerate(window.page()):
+        for index, (title, low, high, _, _) in enumerate(window.page().sliders):
             window.slide(index, (low + 3 * high) / 4)
-            assert window.page()[index][3] == pytest.approx((low + 3 * high) / 4, abs=1e-3), title
+            assert window.page().sliders[index][3] == pytest.approx((low + 3 * high) / 4, abs=1e-3), title
 
 
 def test_play_and_pause(window):
@@ -105,7 +105,7 @@ def test_events_of_the_window_arrive(window):
         interactor.SetKeySym(key)
         interactor.InvokeEvent("KeyPressEvent")
     assert window.controls.playing
-    assert window.page()[0][0] == "upper leg length [cm]"
+    assert window.page().sliders[0][0] == "upper leg length [cm]"
     interactor.InvokeEvent("TimerEvent")
     assert len(window.state.history) == 1
     before = window.state.body.lengths[0, 6].item()
@@ -117,10 +117,10 @@ def test_events_of_the_window_arrive(window):
 
 def test_a_click_chooses_a_part(window):
     window._picked(window.scene.parts[PART_NAMES.index("right_foot")])
-    assert window.page()[0][0] == "right foot, x [deg]"
+    assert window.page().sliders[0][0] == "right foot, x [deg]"
     window._picked(window.scene.parts[PART_NAMES.index("left_hip")])
     assert window.scene.message == "left hip doesn't turn by itself"
-    assert window.part == "right_foot"
+    assert window.controls.part == "right_foot"
 
 
 def test_faults_are_told_in_the_window(window, tmp_path):
@@ -151,10 +151,10 @@ def test_buttons_do_what_they_say(window):
         ("restart", "", lambda: not state.history),
         ("skeleton", "", lambda: window.scene.skeleton_only),
         ("outline arrows", "", lambda: window.scene.outline_arrows),
-        ("camera", "", lambda: window.page()[0][0] == "scale [px/m]"),
-        (">", "", lambda: window.page()[0][0].endswith(", x [deg]")),
-        ("next part", "", lambda: window.part == "right_upper_arm"),
-        ("thicknesses", "", lambda: window.page()[0][0].endswith("[cm]")),
+        ("camera", "", lambda: window.page().sliders[0][0] == "scale [px/m]"),
+        (">", "", lambda: window.page().sliders[0][0].endswith(", x [deg]")),
+        ("next part", "", lambda: window.controls.part == "right_upper_arm"),
+        ("thicknesses", "", lambda: window.page().sliders[0][0].endswith("[cm]")),
         ("play", "", lambda: window.controls.playing),
     ):
         assert not now(), text
@@ -166,15 +166,15 @@ def test_buttons_do_what_they_say(window):
 
 def test_buttons_show_what_is_so(window):
     before = window.scene.screenshot()
-    lit = {button.text for button in window.panel.buttons if button.is_on()}
+    lit = {button.text for button in window.panel.boxes if button.is_on()}
     assert lit == {"t-pose", "walking", "parts", "z gradient", "exact", "partdr", "64", "lengths"}
-    (button,) = [button for button in window.panel.buttons if button.text == "E2"]
-    send(window, "MouseMoveEvent", window.panel.place(button))
+    (button,) = [button for button in window.panel.boxes if button.text == "E2"]
+    send(window, "MouseMoveEvent", middle(window, button))
     assert window.panel.over is button
     over = window.scene.screenshot()
     window.click(button)
     on = window.scene.screenshot()
-    x, y = window.panel.place(button)
+    x, y = middle(window, button)
     around = np.s_[800 - y - 12 : 800 - y + 12, x - 10 : x + 10]
     assert (before[around] != over[around]).any()
     assert (over[around] != on[around]).any()
@@ -246,8 +246,8 @@ def test_rows_are_of_runs_from_the_start(window):
     ]
     for row, gradient in zip(window.tradeoff.rows.values(), ("partdr", "edges"), strict=False):
         alone = DemoState(body_of("sitting"), body_target(body_of("walking")), replace(SMALL, gradient=gradient))
-        alone.play(row.iterations)
-        assert (row.f1, row.joints) == (alone.part_f1(), alone.joint_error())
+        play(alone, row.iterations)
+        assert (row.f1, row.joints) == (alone.part_f1, alone.joint_error())
 
 
 def test_what_is_lit_goes_on(window):
@@ -259,7 +259,7 @@ def test_what_is_lit_goes_on(window):
 
 def test_partdrs_z_is_lit_only_where_it_counts(window):
     def lit() -> bool:
-        return any(button.is_on() for button in window.panel.buttons if button.text == "z gradient")
+        return any(button.is_on() for button in window.panel.boxes if button.text == "z gradient")
 
     assert lit()
     for text, hint, has in (("coverage", "", False), ("E1", "", True), ("silhouette", "", False), ("parts", "", True)):
@@ -413,4 +413,4 @@ def test_the_network_starts_near_the_target(window):
     assert window.state.history == []
     state = make_state(start="t-pose")
     near = DemoState(network_body(state.target), state.target, SMALL)
-    assert near.part_f1() > state.part_f1() + 0.2
+    assert near.part_f1 > state.part_f1 + 0.2

@@ -126,14 +126,14 @@ class RendererMesh:
         level = self.fixed(posed, camera).subdivisions
         assert level != "auto"
         vertices = posed.vertices(level)
-        return vertices, _labelled_mesh(level, tuple(part_labels), vertices.device)
+        return vertices, labelled_mesh(level, tuple(part_labels), vertices.device)
 
 
 Renderer = RendererEllipsoids | RendererMesh
 
 
 @lru_cache(maxsize=32)
-def _labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
+def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
     """Mesh with its labels, cached, for its edges take a moment to find."""
     mesh = ellipbody_mesh(level, device=device)
     return mesh if part_labels == _ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))
