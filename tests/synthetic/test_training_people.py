@@ -43,6 +43,19 @@ def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> N
         assert len(np.unique(split.cell_of(values))) > 2000
 
 
+def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
+    low, high = PHENOTYPE_RANGES.T
+    assert split.cell_of(np.stack([low, high, low - 1])).tolist() == [0, split.NUM_CELLS - 1, 0]
+    steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
+    corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
+    assert np.array_equal(split.cell_of(corners), np.arange(split.NUM_CELLS))
+
+
+def test_cells_that_are_held_out_are_those_that_the_packaged_network_has_not_seen() -> None:
+    cells = split.held_out_cells()
+    assert (len(cells), cells.sum(), cells @ np.arange(1, len(cells) + 1)) == (191, 384160, 49238332)
+
+
 def test_people_are_complete_and_finite(device: str) -> None:
     made = people(device)
     shapes = {

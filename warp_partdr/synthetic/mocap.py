@@ -10,20 +10,15 @@ import torch
 
 from ..body.landmarks import mirror_order
 from ..body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
-from ..body.template import NUM_PARTS, PART_NAMES
+from ..body.template import PART_NAMES
 from .poses import mean_body
 
 # Clips that nothing may learn from: the expmap data set's own test split, and some clips of each other source.
 HELD_OUT_PREFIX = "expmap.test."
-HELD_OUT = (
-    "asf.01_05",
-    "asf.01_14",
-    "asf.02_07",
-    "asf.02_10",
-    "asf.03_03",
-    "deepmimic.dance_a",
-    "deepmimic.kick",
-)
+HELD_OUT = "asf.01_05 asf.01_14 asf.02_07 asf.02_10 asf.03_03 deepmimic.dance_a deepmimic.kick".split()
+
+_LARGEST_TURN = {"foot": 1.3, "hand": 2.5}  # [rad], of a joint; others:
+_LARGEST_TURN_ELSEWHERE = 2.9
 
 
 @dataclass(frozen=True)
@@ -61,13 +56,10 @@ class Clip:
 
     def mirrored(self) -> Clip:
         """The same with left and right exchanged."""
-        swap = mirror_order(PART_NAMES)
-        flip = np.outer([-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0])
+        swap, flip = mirror_order(PART_NAMES), np.array([-1.0, 1.0, 1.0])
+        turn = np.outer(flip, flip)
         return Clip(
-            self.name,
-            self.global_orient * flip,
-            self.rotations[:, swap] * flip,
-            self.directions[:, swap] * [-1.0, 1.0, 1.0],
+            self.name, self.global_orient * turn, self.rotations[:, swap] * turn, self.directions[:, swap] * flip
         )
 
 
@@ -79,20 +71,14 @@ def is_held_out(clip: Clip) -> bool:
 def without_errors(clip: Clip) -> Clip:
     """The frames in which no ankle or wrist is turned around, as markers that were swapped do."""
     angles = np.linalg.norm(clip.rotation_vectors(), axis=-1)
-    allowed = np.full(NUM_PARTS, 2.9)
-    for part, name in enumerate(PART_NAMES):
-        allowed[part] = {"foot": 1.3, "hand": 2.5}.get(name.partition("_")[2], 2.9)
+    allowed = [_LARGEST_TURN.get(name.partition("_")[2], _LARGEST_TURN_ELSEWHERE) for name in PART_NAMES]
     return clip[(angles < allowed).all(axis=1)]
 
 
 def concatenate(clips: Sequence[Clip], name: str) -> Clip:
     """One clip with the frames of all."""
-    return Clip(
-        name,
-        np.concatenate([clip.global_orient for clip in clips]),
-        np.concatenate([clip.rotations for clip in clips]),
-        np.concatenate([clip.directions for clip in clips]),
-    )
+    frames = ((clip.global_orient, clip.rotations, clip.directions) for clip in clips)
+    return Clip(name, *map(np.concatenate, zip(*frames, strict=True)))
 
 
 def joint_positions(global_orient: np.ndarray, rotations: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ the two skeletons' different rest poses:
 from __future__ import annotations
 
 import gzip
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -39,20 +39,20 @@ FLAT_FOOT_PITCH = 18.0
 # vertical plane of the pelvis' heading, retargeted with none of this.
 WALKING_PITCH = {"pelvis": 1.4, "abdomen": 6.2, "chest": 3.7, "neck": -2.1, "head": 14.6}
 
-# Mocap joints whose rotation a part follows, and the joint where that mocap bone ends. Where an EllipBody bone spans
-# two mocap bones it lies halfway between their rotations, and has two first entries.
-_EXPMAP_BONES: dict[str, tuple[tuple[str, ...], str]] = {
-    "abdomen": (("LowerBack",), "Spine"),
-    "chest": (("Spine", "Spine1"), "Spine1"),
-    "neck": (("Neck", "Neck1"), "Neck1"),
-    "head": (("Head",), "HeadEnd"),
-    "shoulder": (("{Side}Shoulder",), "{Side}Arm"),
-    "upper_leg": (("{Side}UpLeg",), "{Side}Leg"),
-    "lower_leg": (("{Side}Leg",), "{Side}Foot"),
-    "foot": (("{Side}Foot",), "{Side}ToeBase"),
-    "upper_arm": (("{Side}Arm",), "{Side}ForeArm"),
-    "forearm": (("{Side}ForeArm",), "{Side}Hand"),
-    "hand": (("{Side}FingerBase",), "{Side}HandIndex1"),
+# Mocap joints whose rotation a part follows. Where an EllipBody bone spans two mocap bones it lies halfway between
+# their rotations; at rest it points as the first.
+_EXPMAP_BONES: dict[str, tuple[str, ...]] = {
+    "abdomen": ("LowerBack",),
+    "chest": ("Spine", "Spine1"),
+    "neck": ("Neck", "Neck1"),
+    "head": ("Head",),
+    "shoulder": ("{Side}Shoulder",),
+    "upper_leg": ("{Side}UpLeg",),
+    "lower_leg": ("{Side}Leg",),
+    "foot": ("{Side}Foot",),
+    "upper_arm": ("{Side}Arm",),
+    "forearm": ("{Side}ForeArm",),
+    "hand": ("{Side}FingerBase",),
 }
 _ASF_BONES: dict[str, tuple[str, ...]] = {
     "abdomen": ("lowerback",),
@@ -67,6 +67,14 @@ _ASF_BONES: dict[str, tuple[str, ...]] = {
     "forearm": ("{s}radius",),
     "hand": ("{s}hand",),
 }
+# DeepMimic's humanoid: x forward, y up, z to the right, arms hanging. Joints in file order, after time and position.
+_DEEPMIMIC_AXES = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+_DEEPMIMIC_JOINTS = (
+    "root chest head right_upper_leg right_lower_leg right_foot right_upper_arm right_forearm "
+    "left_upper_leg left_lower_leg left_foot left_upper_arm left_forearm"
+).split()
+
+_Bones = dict[str, tuple[np.ndarray, np.ndarray]]  # part: world rotation (F, 3, 3) and rest direction (3,) of its bone
 
 
 def load_clips(folder: Path | str) -> list[Clip]:
@@ -97,9 +105,6 @@ def held_out_frames(folder: Path | str, count: int) -> Clip:
     return concatenate(picked, "held out")
 
 
-# --- retargeting -----------------------------------------------------------------------------------------------------
-
-
 def _minimal_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """The smallest rotation (3, 3) that takes one direction (3,) to another."""
     return rotation_between(*(torch.from_numpy(each / np.linalg.norm(each)) for each in (source, target))).numpy()
@@ -119,16 +124,13 @@ def _ankle_to_ball(foot: np.ndarray) -> np.ndarray:
     return np.array([horizontal[0], -np.sin(np.radians(FLAT_FOOT_PITCH)), horizontal[1]])
 
 
-def _retarget(
-    name: str, root: np.ndarray, bones: dict[str, tuple[np.ndarray, np.ndarray]], trunk_pitch: dict[str, float]
-) -> Clip:
+def _retarget(name: str, root: np.ndarray, bones: _Bones, trunk_pitch: dict[str, float] = WALKING_PITCH) -> Clip:
     """Copy the orientations of mocap bones.
 
     Args:
         name: Of the clip.
         root: World rotation of the mocap's pelvis, shape (F, 3, 3).
-        bones: Part name -> world rotation (F, 3, 3) and rest direction (3,) of the mocap's bone. Parts that are missing
-            follow their parent.
+        bones: Parts that are missing follow their parent.
         trunk_pitch: How far the mocap's trunk parts lean forward when a person stands upright [degrees].
     """
     rest = template().rest_directions
@@ -137,13 +139,13 @@ def _retarget(
     world = np.empty((len(root), NUM_PARTS, 3, 3))
     local = np.broadcast_to(np.eye(3), world.shape).copy()
     directions = np.full((len(root), NUM_PARTS, 3), np.nan)
-    for part, parent in enumerate(PARENTS):
+    for part, (name_of_part, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
         above = root_world if parent < 0 else world[:, parent]
-        kind = PART_NAMES[part].removeprefix("left_").removeprefix("right_")
-        if PART_NAMES[part] not in bones or part in LOCKED_PARTS:
+        kind = name_of_part.removeprefix("left_").removeprefix("right_")
+        if name_of_part not in bones or part in LOCKED_PARTS:
             world[:, part] = above
             continue
-        rotation, direction = bones[PART_NAMES[part]]
+        rotation, direction = bones[name_of_part]
         if kind in trunk_pitch:
             corrections[part] = _pitch(-trunk_pitch[kind])
         elif kind == "shoulder":
@@ -158,13 +160,18 @@ def _retarget(
     return Clip(name, root_world, local, directions)
 
 
-def _sides(kind: str) -> Iterator[tuple[str, str]]:
-    """Part names of a kind and the side each is on."""
-    if kind in PART_NAMES:
-        yield kind, ""
-    else:
-        yield f"left_{kind}", "Left"
-        yield f"right_{kind}", "Right"
+def _follow(
+    table: dict[str, tuple[str, ...]], world: Mapping[str, np.ndarray], rest: Mapping[str, np.ndarray]
+) -> _Bones:
+    """Bones of EllipBody's parts, of world rotations and rest directions by mocap joint."""
+    bones = {}
+    for kind, names in table.items():
+        for side in ("",) if kind in PART_NAMES else ("Left", "Right"):
+            own = [name.format(Side=side, s=side[:1].lower()) for name in names]
+            rotations = [world[name] for name in own]
+            rotation = rotations[0] if len(own) == 1 else _halfway(*rotations)
+            bones[f"{side.lower()}_{kind}".lstrip("_")] = rotation, rest[own[0]]
+    return bones
 
 
 def _read_expmap(folder: Path) -> Iterator[Clip]:
@@ -172,24 +179,19 @@ def _read_expmap(folder: Path) -> Iterator[Clip]:
     if not (folder / "cmu_expmap.npz").is_file():
         return
     skeleton = read_json(folder / "cmu_expmap.json", "the skeleton of cmu_expmap.npz")
-    names, parents = skeleton["joints"], skeleton["parents"]
-    offsets = np.array(skeleton["offsets_mm"])
+    names, offsets = skeleton["joints"], np.array(skeleton["offsets_mm"])
+    parents = [names[parent] if parent >= 0 else "" for parent in skeleton["parents"]]
+    rest = dict(zip(reversed(parents), offsets[::-1], strict=True))  # a bone ends at its joint's first child
     with np.load(folder / "cmu_expmap.npz", allow_pickle=False) as data:
         for key in data.files:
             # Each clip starts with one frame in the rest pose, which nobody performed.
             values = data[key][1:].astype(np.float64)
             # Row vectors: the column-vector rotation is the transpose, so the exponents change sign and order.
             exponentials = rotation_matrices(-values[:, 3:].reshape(-1, len(names), 3))
-            world: list[np.ndarray] = []
-            for joint, parent in enumerate(parents):
-                world.append(exponentials[:, joint] if parent < 0 else world[parent] @ exponentials[:, joint])
-            bones = {}
-            for kind, (starts, end) in _EXPMAP_BONES.items():
-                for part, side in _sides(kind):
-                    rotations = [world[names.index(start.format(Side=side))] for start in starts]
-                    rotation = rotations[0] if len(rotations) == 1 else _halfway(*rotations)
-                    bones[part] = (rotation, offsets[names.index(end.format(Side=side))])
-            yield _retarget(f"expmap.{key}", world[0], bones, WALKING_PITCH)
+            world: dict[str, np.ndarray] = {}
+            for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
+                world[name] = world[parent] @ exponentials[:, joint] if parent else exponentials[:, joint]
+            yield _retarget(f"expmap.{key}", world[names[0]], _follow(_EXPMAP_BONES, world, rest))
 
 
 @dataclass(frozen=True)
@@ -210,14 +212,11 @@ def _euler_xyz(degrees: np.ndarray) -> np.ndarray:
 def _read_asf_skeleton(path: Path) -> dict[str, _AsfBone]:
     """Bones of an ASF file, parents before children."""
     text = path.read_text()
-    parents = {}
-    for line in text.split(":hierarchy")[1].splitlines():
-        words = line.split()
-        parents.update(dict.fromkeys(words[1:], words[0] if words else ""))
+    rows = [line.split() for line in text.split(":hierarchy")[1].splitlines()]
+    parents = {child: parent for parent, *children in filter(None, rows) for child in children}
     bones = {}
     for block in text.split(":bonedata")[1].split(":hierarchy")[0].split("begin")[1:]:
-        lines = [line.split() for line in block.splitlines()]
-        fields = {words[0]: words[1:] for words in lines if words}
+        fields = {key: values for key, *values in filter(None, map(str.split, block.splitlines()))}
         bones[fields["name"][0]] = _AsfBone(
             direction=np.array(fields["direction"][:3], dtype=np.float64),
             axis=_euler_xyz(np.array(fields["axis"][:3], dtype=np.float64)),
@@ -243,71 +242,45 @@ def _read_asf(folder: Path) -> Iterator[Clip]:
             if bone.channels:
                 angles[:, bone.channels] = np.array(channels[bone_name])
             world[bone_name] = world[bone.parent] @ (bone.axis @ _euler_xyz(angles) @ bone.axis.T)
-        bones = {}
-        for kind, names in _ASF_BONES.items():
-            for part, side in _sides(kind):
-                own = [bone_name.format(s=side[:1].lower()) for bone_name in names]
-                rotation = world[own[0]] if len(own) == 1 else _halfway(*(world[bone_name] for bone_name in own))
-                bones[part] = (rotation, skeleton[own[0]].direction)
-        yield _retarget(f"asf.{name}", world["root"], bones, WALKING_PITCH)
-
-
-# DeepMimic's humanoid: x forward, y up, z to the right, arms hanging. Joints in file order, with their channels.
-_DEEPMIMIC_AXES = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-_DEEPMIMIC_CHANNELS = {
-    "duration": 1,
-    "position": 3,
-    "root": 4,
-    "chest": 4,
-    "head": 4,
-    "right_upper_leg": 4,
-    "right_lower_leg": 1,
-    "right_foot": 4,
-    "right_upper_arm": 4,
-    "right_forearm": 1,
-    "left_upper_leg": 4,
-    "left_lower_leg": 1,
-    "left_foot": 4,
-    "left_upper_arm": 4,
-    "left_forearm": 1,
-}
+        rest = {bone_name: bone.direction for bone_name, bone in skeleton.items()}
+        yield _retarget(f"asf.{name}", world["root"], _follow(_ASF_BONES, world, rest))
 
 
 def _read_deepmimic(folder: Path) -> Iterator[Clip]:
     """Clips of the humanoid's text files: quaternions (w, x, y, z), hinges about z."""
-    ends = np.cumsum(list(_DEEPMIMIC_CHANNELS.values()))
     # CMU's elbow axis is tilted by 30 degrees against its T-pose, so the arms of the two agree after this turn.
     arm_down = rotation_matrices(np.array([0.0, 0.0, -np.pi / 2])) @ rotation_matrices(np.array([np.pi / 6, 0.0, 0.0]))
     flip = np.outer([-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0])
-    rest = {"left": arm_down, "right": arm_down * flip}
+    upward, ahead = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for path in sorted(folder.glob("humanoid3d_*.txt")):
         frames = np.array(read_json(path, "a clip of DeepMimic")["Frames"], dtype=np.float64)
         local: dict[str, np.ndarray] = {}
-        for (joint, width), end in zip(_DEEPMIMIC_CHANNELS.items(), ends, strict=True):
-            channels = frames[:, end - width : end]
-            if width == 4:
-                local[joint] = _DEEPMIMIC_AXES @ _quaternion_matrices(channels) @ _DEEPMIMIC_AXES.T
-            elif width == 1 and joint != "duration":
-                local[joint] = rotation_matrices(channels * (_DEEPMIMIC_AXES @ [0.0, 0.0, 1.0]))
+        start = 4
+        for joint in _DEEPMIMIC_JOINTS:
+            if joint.endswith(("lower_leg", "forearm")):
+                local[joint] = rotation_matrices(frames[:, start : start + 1] * (_DEEPMIMIC_AXES @ ahead))
+                start += 1
+            else:
+                turn = _quaternion_matrices(frames[:, start : start + 4])
+                local[joint] = _DEEPMIMIC_AXES @ turn @ _DEEPMIMIC_AXES.T
+                start += 4
         root = local["root"]
         chest = root @ local["chest"]
         head = chest @ local["head"]
-        up = np.array([0.0, 1.0, 0.0])
-        bones = {"abdomen": (_halfway(root, chest), up), "chest": (chest, up)}
-        bones |= {"neck": (_halfway(chest, head), up), "head": (head, up)}
-        for side, out in (("left", 1.0), ("right", -1.0)):
+        bones: _Bones = {"abdomen": (_halfway(root, chest), upward), "chest": (chest, upward)}
+        bones |= {"neck": (_halfway(chest, head), upward), "head": (head, upward)}
+        for side, out, rest in (("left", 1.0, arm_down), ("right", -1.0, arm_down * flip)):
             arm = chest @ local[f"{side}_upper_arm"]
             leg = root @ local[f"{side}_upper_leg"]
             shin = leg @ local[f"{side}_lower_leg"]
-            sideways, down = np.array([out, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
-            bones[f"{side}_upper_arm"] = (arm @ rest[side], sideways)
-            bones[f"{side}_forearm"] = (arm @ local[f"{side}_forearm"] @ rest[side], sideways)
-            bones[f"{side}_upper_leg"] = (leg, down)
-            bones[f"{side}_lower_leg"] = (shin, down)
-            bones[f"{side}_foot"] = (shin @ local[f"{side}_foot"], _ankle_to_ball(np.array([0.0, 0.0, 1.0])))
-        yield _retarget(
-            f"deepmimic.{path.stem.removeprefix('humanoid3d_')}", root, bones, dict.fromkeys(WALKING_PITCH, 0.0)
-        )
+            sideways = np.array([out, 0.0, 0.0])
+            bones[f"{side}_upper_arm"] = (arm @ rest, sideways)
+            bones[f"{side}_forearm"] = (arm @ local[f"{side}_forearm"] @ rest, sideways)
+            bones[f"{side}_upper_leg"] = (leg, -upward)
+            bones[f"{side}_lower_leg"] = (shin, -upward)
+            bones[f"{side}_foot"] = (shin @ local[f"{side}_foot"], _ankle_to_ball(ahead))
+        name = f"deepmimic.{path.stem.removeprefix('humanoid3d_')}"
+        yield _retarget(name, root, bones, dict.fromkeys(WALKING_PITCH, 0.0))
 
 
 def _quaternion_matrices(quaternions: np.ndarray) -> np.ndarray:

@@ -13,18 +13,7 @@ from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Camera, Crop, Perspective, WeakPerspective
 from ..clothing.anny import anny, anny_shape
-from .people import (
-    PHENOTYPE_RANGES,
-    behind_something,
-    coco_landmarks,
-    cover_of,
-    draw_anny,
-    pixel_indices,
-    pose_anny,
-    seen_by_camera,
-    statures,
-    upright,
-)
+from . import people
 from .pose_recipes import POSES, draw_pose
 from .poses import mean_body
 
@@ -80,18 +69,25 @@ def pose_kind(index: int) -> str:
     return kinds[(index // 5 * 2 + index % 5 // 2) % len(kinds)]
 
 
+def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
+    """Phenotype values of a person, shape (6,), and the source of chance that goes on from there."""
+    rng = np.random.default_rng([SEED, index])
+    return rng.uniform(*people.PHENOTYPE_RANGES.T), rng
+
+
 @lru_cache(maxsize=NUM_PEOPLE)
 def make_person(index: int) -> Person:
     """Person 0 to 199; each has a seed of its own."""
-    rng = np.random.default_rng([SEED, index])
-    shape = anny_shape(torch.from_numpy(rng.uniform(*PHENOTYPE_RANGES.T))[None].float())
-    pose = draw_pose(pose_kind(index), rng)
+    phenotypes, rng = draw_phenotypes(index)
+    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    kind = pose_kind(index)
+    pose = draw_pose(kind, rng)
     pitch = np.radians(rng.uniform(*_PITCH))
     up, yaw, pitch = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, pitch))
     rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
-    posed = mean_body(rotations, seen_by_camera(upright(up, yaw), pitch).float())
+    posed = mean_body(rotations, people.seen_by_camera(people.upright(up, yaw), pitch).float())
     model = anny()
-    body, stature = pose_anny(model, shape, posed), float(statures(model, shape))
+    body, stature = people.pose_anny(model, shape, posed), float(people.statures(model, shape))
 
     vertices = body.vertices[0].numpy()
     weak = rng.random() < _WEAK
@@ -104,16 +100,16 @@ def make_person(index: int) -> Person:
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
 
-    points = landmarks(coco_landmarks(model, COCO.landmarks))
+    points = landmarks(people.coco_landmarks(model, COCO.landmarks))
     pixels = camera.project(points)[..., :2]
-    cover = stature / MEAN_STATURE * torch.from_numpy(cover_of(COCO.landmarks))
+    cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
     distance = 1.0 if weak else float(offset[2])
     return Person(
         name=f"person {index:03d}",
-        kind=pose.kind,
+        kind=kind,
         parts=parts,
         keypoints=pixels[0].numpy(),
-        hidden=behind_something(points[..., 2], pixel_indices(pixels, size), depth, cover)[0].numpy(),
+        hidden=people.behind_something(points[..., 2], people.pixel_indices(pixels, size), depth, cover)[0].numpy(),
         height=stature * float(camera.intrinsics[0, 0]) / distance,
         joints=landmarks(skeleton(MPJPE_SKELETON).landmarks)[0].numpy(),
         vertices=vertices + offset,
@@ -144,7 +140,7 @@ def _draw(vertices: np.ndarray, camera: Camera, size: tuple[int, int]) -> tuple[
     height, width = size
     fine_size = (height * _SAMPLES, width * _SAMPLES)
     fine = camera.in_crop(Crop(left=0.0, top=0.0, zoom=_SAMPLES, size=fine_size))
-    labels, depth = draw_anny(torch.from_numpy(vertices)[None], fine, fine_size)
+    labels, depth = people.draw_anny(torch.from_numpy(vertices)[None], fine, fine_size)
     blocks = labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
     votes = np.stack([(blocks == label).sum((1, 3), dtype=np.uint8) for label in range(NUM_PARTS + 1)])
     return votes.argmax(0).astype(np.uint8), depth[:, ::_SAMPLES, ::_SAMPLES]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,18 +23,9 @@ _LEAN = 0.08  # [rad], of its pelvis
 Bends = dict[str, tuple[float, float, float]]
 
 
-@dataclass(frozen=True)
-class Pose:
-    """A pose and the side it is seen from.
+class Pose(NamedTuple):
+    """Rotation vectors [rad], shape (20, 3); up, seen from the pelvis, shape (3,); turn from the camera [rad]."""
 
-    Attributes:
-        kind: "prior", or a key of ``POSES``.
-        rotations: Local rotation vectors [rad], shape (20, 3).
-        up: Direction of the vertical, upward, in the pelvis' frame, shape (3,).
-        yaw: Turn of the person about the vertical, 0 faces the camera [rad].
-    """
-
-    kind: str
     rotations: np.ndarray
     up: np.ndarray
     yaw: float
@@ -129,8 +121,7 @@ def _from_prior(rng: np.random.Generator) -> Pose | None:
     drawn = draw_from_prior(rng)
     if drawn is None:
         return None
-    rotations, up = (values[0].numpy() for values in drawn)
-    return Pose("prior", rotations, up, rng.uniform(-np.pi, np.pi))
+    return Pose(drawn[0][0].numpy(), drawn[1][0].numpy(), rng.uniform(-np.pi, np.pi))
 
 
 def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
@@ -147,4 +138,4 @@ def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
     jitter[list(LOCKED_PARTS)] = 0.0
     lean = np.array([np.radians(recipe.lean), 0.0, 0.0]) + _LEAN * rng.standard_normal(3) * [1.0, 0.0, 1.0]
     up = rotation_from_axis_angle(torch.from_numpy(lean)).numpy()[1]  # R^T (0, 1, 0)
-    return Pose(kind, rotations + jitter, up, np.radians(rng.uniform(*recipe.yaw)))
+    return Pose(rotations + jitter, up, np.radians(rng.uniform(*recipe.yaw)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,11 @@ import torch
 from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import InputError
 from ..files.array_files import read_npz
-from .mocap import without_errors
+from .mocap import is_held_out, without_errors
 from .mocap_files import load_clips
-from .poses import Poses, PriorSampler, clear_poses, join_poses, mirrored_half
+from .poses import Poses, PriorSampler, clear_poses, draw_enough, join_poses, mirrored_half
 from .procedural_poses import LIMBS, draw_procedural
 from .rng import TorchRng, exact_float32
-from .split import held_out_clips
 
 _STEP = np.radians(6.0)  # a joint turns so far, or it is the same pose
 _JITTER = 0.05  # [rad], of every joint
@@ -71,7 +70,6 @@ def pack_poses(folder: Path | str, path: Path | str) -> None:
 def _frames(folder: Path | str) -> dict[str, np.ndarray]:
     """Poses of all clips that differ from the one before, and which are held out."""
     parts: dict[str, list[np.ndarray]] = {"rotations": [], "ups": [], "held_out": []}
-    held_out = held_out_clips()
     for clip in map(without_errors, load_clips(folder)):
         vectors = clip.rotation_vectors()
         kept: list[int] = []
@@ -80,7 +78,7 @@ def _frames(folder: Path | str) -> dict[str, np.ndarray]:
                 kept.append(frame)
         parts["rotations"].append(vectors[kept])
         parts["ups"].append(clip.up_directions()[kept])
-        parts["held_out"].append(np.full(len(kept), clip.name in held_out))
+        parts["held_out"].append(np.full(len(kept), is_held_out(clip)))
     return {name: np.concatenate(arrays) for name, arrays in parts.items()}
 
 
@@ -88,68 +86,43 @@ def _unpack(path: Path | str) -> dict[str, np.ndarray]:
     shapes = {"rotations": (NUM_PARTS, 3), "ups": (3,), "held_out": ()}
     data = read_npz(path, tuple(shapes), expected="a file of pack_poses, or a folder of clips")
     for name, shape in shapes.items():
-        values = data[name]
-        if (
-            values.dtype.kind not in "fb"
-            or values.shape != (len(data["held_out"]), *shape)
-            or not np.isfinite(values).all()
-        ):
+        values, expected = data[name], (len(data["held_out"]), *shape)
+        if values.dtype.kind not in "fb" or values.shape != expected or not np.isfinite(values).all():
             raise InputError(f"{path}: {name} of shape {values.shape}; expected finite numbers (N, *{shape})")
     return data
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Shares of people with each kind of pose; only their ratios count."""
-
-    captured: float = 0.25
-    prior: float = 0.25
-    mixed: float = 0.25
-    procedural: float = 0.25
 
 
 class PoseSampler:
     """Poses within the joint limits in which no limb is inside another part, either side's as often.
 
-    A pool is filled now and then, in which each pose is used once, so that most draws wait for nothing.
+    A quarter each is captured, drawn from the prior, mixed of four captured ones and procedural. A pool is filled now
+    and then, in which each pose is used once, so that most draws wait for nothing.
 
     Args:
         bank: Motion capture.
         device: Where poses are made.
         seed: Of the random numbers.
-        shares: Of the kinds.
         pool: Number of poses that are made at once.
     """
 
-    def __init__(
-        self,
-        bank: PoseBank,
-        *,
-        device: torch.device | str = "cpu",
-        seed: int = 0,
-        shares: Shares | None = None,
-        pool: int = 8192,
-    ) -> None:
+    def __init__(self, bank: PoseBank, *, device: torch.device | str = "cpu", seed: int = 0, pool: int = 8192) -> None:
         self._bank = bank.rotations.to(device), bank.ups.to(device)
         self._prior = PriorSampler(torch.device(device))
         self._device, self._seed, self._size = torch.device(device), seed, pool
-        kinds = (self._captured, self._prior.draw, self._mixed, draw_procedural)
-        self._kinds = dict(zip(kinds, astuple(shares or Shares()), strict=True))
         self._refills = self._used = 0
-        self._pool: Poses = self._bank
         self._refill()
 
     def draw(self, count: int) -> Poses:
         """The next ``count`` poses: rotation vectors, shape (count, 20, 3), and up directions, shape (count, 3)."""
         taken: list[Poses] = []
-        while count > 0:
+        while not taken or count > 0:
             if self._used == self._size:
                 self._refill()
             end = min(self._used + count, self._size)
             taken.append((self._pool[0][self._used : end], self._pool[1][self._used : end]))
             count -= end - self._used
             self._used = end
-        return join_poses(taken or [(self._pool[0][:0], self._pool[1][:0])])
+        return join_poses(taken)
 
     def state_dict(self) -> dict[str, int]:
         """The sampler's place in its stream of poses."""
@@ -165,26 +138,26 @@ class PoseSampler:
         self._refills += 1
         self._used = 0
         rng = TorchRng(self._seed + self._refills, self._device)
-        ends = np.rint(np.cumsum(list(self._kinds.values())) / sum(self._kinds.values()) * self._size).astype(int)
-        counts = np.diff(ends, prepend=0).tolist()
+        kinds = (self._captured, self._prior.draw, self._mixed, draw_procedural)
+        counts = np.diff(np.rint(np.linspace(0, self._size, len(kinds) + 1)).astype(int)).tolist()
         with torch.no_grad(), exact_float32(self._device):
-            made = [self._make(kind, count, rng) for kind, count in zip(self._kinds, counts, strict=True) if count]
+            made = [self._make(kind, count, rng) for kind, count in zip(kinds, counts, strict=True) if count]
         order = torch.randperm(self._size, generator=rng.generator, device=self._device)
         rotations, ups = join_poses(made)
         self._pool = rotations[order], ups[order]
 
     def _make(self, kind: Callable[[int, TorchRng], Poses], count: int, rng: TorchRng) -> Poses:
         """Poses of one kind: what is not clear is drawn again."""
-        made: list[Poses] = []
-        while count > 0:
-            rotations, ups = mirrored_half(kind(min(2 * count + 16, _AT_ONCE), rng), rng)
+
+        def draw(tries: int) -> Poses:
+            rotations, ups = mirrored_half(kind(min(tries, _AT_ONCE), rng), rng)
             jitter = _JITTER * rng.normal(*rotations.shape)
             jitter[:, list(LOCKED_PARTS)] = 0.0
             rotations = torch.minimum(torch.maximum(rotations + jitter, self._prior.lower), self._prior.upper)
-            clear = clear_poses(rotations).nonzero()[:count, 0]
-            made.append((rotations[clear], ups[clear]))
-            count -= len(clear)
-        return join_poses(made)
+            clear = clear_poses(rotations)
+            return rotations[clear], ups[clear]
+
+        return draw_enough(count, draw)
 
     def _captured(self, count: int, rng: TorchRng) -> Poses:
         frames = rng.integers(len(self._bank[0]), count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import resources
 
@@ -30,18 +31,17 @@ def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) 
         rotations: Local rotations, shape (B, 20, 3, 3), float32 or float64.
         orientation: Global orientation, shape (B, 3, 3); upright in the body frame if None.
     """
-    batch = len(rotations)
+    batch, sizes = len(rotations), _mean_sizes(rotations.device, rotations.dtype)
     if orientation is None:
         orientation = torch.eye(3, dtype=rotations.dtype, device=rotations.device).expand(batch, 3, 3)
-    sizes = (values.expand(batch, -1) for values in _mean_sizes(rotations.device, rotations.dtype))
+    sizes = tuple(values.expand(batch, -1) for values in sizes)
     return pose(orientation, rotations.new_zeros(batch, 3), rotations, *sizes, validate=False)
 
 
 @lru_cache(maxsize=8)
 def _mean_sizes(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
-    return tuple(
-        torch.from_numpy(sizes).to(device, dtype) for sizes in (template().mean_lengths, template().mean_thicknesses)
-    )
+    mean = template().mean_lengths, template().mean_thicknesses
+    return tuple(torch.from_numpy(sizes).to(device, dtype) for sizes in mean)
 
 
 _LIMBS = [k for k, name in enumerate(PART_NAMES) if name.endswith(("forearm", "hand", "lower_leg", "foot"))]
@@ -118,27 +118,34 @@ class PriorSampler:
         prior, mixture = _pose_mixture()
         self._prior = PosePrior().to(device)
         self.lower, self.upper = (limits.float().to(device) for limits in (prior.lower_limits, prior.upper_limits))
-        numbers = {**mixture, "factors": np.linalg.inv(mixture["whitening"])}
         self._weights, self._means, self._factors = (
-            torch.from_numpy(numbers[name]).float().to(device) for name in ("weights", "means", "factors")
+            torch.from_numpy(values).float().to(device)
+            for values in (mixture["weights"], mixture["means"], np.linalg.inv(mixture["whitening"]))
         )
 
     def draw(self, count: int, rng: TorchRng) -> Poses:
         """Poses as ``draw_from_prior`` has them, though none mirrored, N = ``count``."""
-        kept: list[Poses] = []
-        while count > 0:
-            tries = 2 * count + 16
+
+        def draw(tries: int) -> Poses:
             component = rng.choice(self._weights, tries)
-            normal = rng.normal(tries, self._means.shape[1])
-            every = torch.einsum("kij,nj->nki", self._factors, normal)
+            every = torch.einsum("kij,nj->nki", self._factors, rng.normal(tries, self._means.shape[1]))
             features = self._means[component] + SPREAD * every[torch.arange(tries, device=every.device), component]
             rotations, ups = _poses_of(features)
             ups = torch.nn.functional.normalize(ups, dim=1)
             good = (self._prior.joint_limits(rotations) <= OVER_LIMITS) & (self._prior(rotations, ups) <= LIKELY)
-            rows = good.nonzero()[:count, 0]
-            kept.append((rotations[rows], ups[rows]))
-            count -= len(rows)
-        return join_poses(kept)
+            return rotations[good], ups[good]
+
+        return draw_enough(count, draw)
+
+
+def draw_enough(count: int, draw: Callable[[int], Poses]) -> Poses:
+    """So many poses of a function that tries a number of them and returns the good ones."""
+    kept: list[Poses] = []
+    while count > 0:
+        rotations, ups = draw(2 * count + 16)
+        kept.append((rotations[:count], ups[:count]))
+        count -= len(kept[-1][1])
+    return join_poses(kept)
 
 
 def join_poses(poses: list[Poses]) -> Poses:

@@ -1,30 +1,19 @@
-"""Clips and bodies that no network is trained on, fixed in ``split.json``: the kinds that PartBench's people have.
+"""Bodies that no network is trained on: those in a cell with one of PartBench's people, of a grid over phenotypes.
 
-Bodies are told apart by the cells of a grid over the six phenotype values: all that lie in a cell with one of
-PartBench's people are held out. ``python -m warp_partdr.synthetic.split MOCAP_FOLDER`` makes the file.
+Clips that none is trained on are ``mocap.HELD_OUT``.
 """
 
 from __future__ import annotations
 
-import json
-import sys
-from collections.abc import Sequence
 from functools import lru_cache
-from importlib import resources
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .mocap import is_held_out
-from .mocap_files import load_clips
-from .partbench_people import NUM_PEOPLE, SEED
+from .partbench_people import NUM_PEOPLE, draw_phenotypes
 from .people import PHENOTYPE_RANGES
 
 LEVELS = 4  # of each phenotype value
 NUM_CELLS = LEVELS ** len(PHENOTYPE_RANGES)
-
-_FILE = "split.json"
 
 
 def cell_of(phenotypes: np.ndarray) -> np.ndarray:
@@ -38,33 +27,7 @@ def cell_of(phenotypes: np.ndarray) -> np.ndarray:
     return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (LEVELS,) * len(PHENOTYPE_RANGES))
 
 
+@lru_cache(maxsize=1)
 def held_out_cells() -> np.ndarray:
     """Cells that training leaves to PartBench, ascending, int64."""
-    return np.array(_split()["cells"])
-
-
-def held_out_clips() -> frozenset[str]:
-    """Names of the clips that training leaves to tests."""
-    return frozenset(_split()["clips"])
-
-
-@lru_cache(maxsize=1)
-def _split() -> dict[str, list[Any]]:
-    split: dict[str, list[Any]] = json.loads(resources.files(__package__).joinpath(_FILE).read_text())
-    return split
-
-
-def make_split(clips: Sequence[str]) -> dict[str, list[Any]]:
-    """Content of the file.
-
-    Args:
-        clips: Names of the clips that are held out.
-    """
-    # The first numbers that `make_person` draws.
-    drawn = [np.random.default_rng([SEED, index]).uniform(*PHENOTYPE_RANGES.T) for index in range(NUM_PEOPLE)]
-    return {"clips": sorted(clips), "cells": np.unique(cell_of(np.array(drawn))).tolist()}
-
-
-if __name__ == "__main__":
-    held_out = [clip.name for clip in load_clips(sys.argv[1]) if is_held_out(clip)]
-    Path(__file__).with_name(_FILE).write_text(json.dumps(make_split(held_out), indent=1) + "\n")
+    return np.unique(cell_of(np.array([draw_phenotypes(index)[0] for index in range(NUM_PEOPLE)])))

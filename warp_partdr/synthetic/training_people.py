@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,29 +11,16 @@ import torch
 
 from ..body.labels import IGNORE
 from ..body.rotations import rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, SHAPE_INDICES
+from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..inputs.observation import CROP_MARGIN
 from ..network.landmarks import LANDMARKS
 from ..render.mesh import draw_mesh
+from . import people
 from .keypoint_noise import KeypointNoise
 from .label_noise import LabelNoise, draw_absent, draw_strengths
 from .occluders import draw_occluders
-from .people import (
-    BONE_STARTS,
-    PHENOTYPE_RANGES,
-    anny_mesh,
-    behind_something,
-    coco_landmarks,
-    cover_of,
-    pixel_indices,
-    pose_anny,
-    rotations_along,
-    seen_by_camera,
-    statures,
-    upright,
-)
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng, exact_float32
@@ -97,17 +85,16 @@ class _Crop:
         """Crop coordinates of points (B, N, 2)."""
         return (flat - self.centre[:, None]) / self.half[:, None, None]
 
-    def holds(self, points: torch.Tensor) -> torch.Tensor:
-        """True for points (B, N, 2) in crop coordinates that are in the picture, shape (B, N), bool."""
-        return ((points > self.low[:, None]) & (points < self.high[:, None])).all(-1)
-
     def unseen(self, size: int) -> torch.Tensor:
         """True for pixels beyond the picture's border, shape (B, size, size), bool."""
         centres = (torch.arange(size, device=self.half.device) + 0.5) * (2 / size) - 1
-        columns, rows = (
-            (centres < self.low[:, i, None]) | (centres > self.high[:, i, None]) for i in range(2)
-        )  # (B, size) each
-        return rows[:, :, None] | columns[:, None, :]
+        beyond = (centres < self.low[..., None]) | (centres > self.high[..., None])  # (B, 2, size)
+        return beyond[:, 1, :, None] | beyond[:, 0, None, :]
+
+
+def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+    """True for points (B, N, 2) between corners (B, 2), shape (B, N), bool."""
+    return ((points > low[:, None]) & (points < high[:, None])).all(-1)
 
 
 class PeopleMaker:
@@ -135,26 +122,23 @@ class PeopleMaker:
         pool: int = 8192,
     ) -> None:
         self.size, self.device = size, torch.device(device)
-        self.model = anny(self.device)
-        self.mesh = anny_mesh(self.device)
+        self.model, self.mesh = anny(self.device), people.anny_mesh(self.device)
         # Seeds lie so far apart because each pool of poses takes one of its own, from this one upward.
         self._poses = PoseSampler(poses, device=device, seed=seed << 20, pool=pool)
         self._rng = TorchRng(seed << 20, self.device)
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
-        levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(PHENOTYPE_RANGES)), axis=1)
+        levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
         self._cells = self._numbers(np.stack([levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == 3)]))
-        self._ranges = self._numbers(PHENOTYPE_RANGES)
-        groups = (LANDMARKS, coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
+        self._ranges = self._numbers(people.PHENOTYPE_RANGES)
+        groups = (LANDMARKS, people.coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
         rows = [self.model.landmark_names.index(name) for group in groups for name in group]
         self._landmark_weights = self.model.landmark_weights[rows]
         self._landmark_counts = [len(group) for group in groups]
-        self._cover = self._numbers(cover_of(LANDMARKS))
+        self._cover = self._numbers(people.cover_of(LANDMARKS))
         self._cut_odds = self._numbers(np.array(_CUT_SIDES))
-        of_length = np.zeros((len(LENGTH_NAMES), NUM_PARTS))
-        for part, (length, _, _) in enumerate(SHAPE_INDICES):
-            of_length[length, part] = 1.0
-        self._bone_starts = torch.tensor(BONE_STARTS, device=self.device)
+        of_length = np.array([[row[0] == length for row in SHAPE_INDICES] for length in range(len(LENGTH_NAMES))])
+        self._bone_starts = torch.tensor(people.BONE_STARTS, device=self.device)
         self._length_weights = self._numbers(of_length / of_length.sum(1, keepdims=True))
 
     def _numbers(self, values: np.ndarray) -> torch.Tensor:
@@ -183,17 +167,17 @@ class PeopleMaker:
         return least + (most - least) * levels / LEVELS
 
     def _make(self, count: int) -> PeopleBatch:
-        rng = self._rng
+        rng, size = self._rng, (self.size, self.size)
         vectors, ups = self._poses.draw(count)
         orientation = self.orientations(ups)
         shape = anny_shape(self.phenotypes(count))
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
-        body, stature = pose_anny(self.model, shape, posed), statures(self.model, shape)
+        body, stature = people.pose_anny(self.model, shape, posed), people.statures(self.model, shape)
         known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
 
-        vertices, (noted, plain) = self._seen(body.vertices, (noted, plain))
+        vertices, noted, plain = self._seen(body.vertices, noted, plain)
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
@@ -201,36 +185,34 @@ class PeopleMaker:
 
         screen = (crop(vertices[..., :2]) + 1) * (self.size / 2)
         on_screen, camera = torch.cat([screen, vertices[..., 2:]], dim=-1), ScreenCamera(perspective=True)
-        picture = draw_mesh(on_screen, self.mesh, camera, (self.size, self.size), validate=False)
-        labels, depth = picture.labels, picture.depth
+        picture = draw_mesh(on_screen, self.mesh, camera, size, validate=False)
         unseen = crop.unseen(self.size)
-        parts = labels.masked_fill(unseen, IGNORE)
+        parts = picture.labels.masked_fill(unseen, IGNORE)
 
         some = rng.integers(vertices.shape[1], count, 6)
         places = screen.gather(1, some[..., None].expand(-1, -1, 2)) * (2 / self.size) - 1
         occluders = draw_occluders(rng, parts, self._labels.tables(label_sets), places, strength)
         points = crop(noted[..., :2])
-        pixels = pixel_indices((points + 1) * (self.size / 2), (self.size, self.size))
+        pixels = people.pixel_indices((points + 1) * (self.size / 2), size)
         cover = self._cover * (stature / MEAN_STATURE)[:, None]
-        hidden = behind_something(noted[..., 2], pixels, depth, cover)
+        hidden = people.behind_something(noted[..., 2], pixels, picture.depth, cover)
         hidden |= occluders.hiding.flatten(1).gather(1, pixels)
         keypoints = self._detectors.keypoints(points, hidden, detected, stature / crop.half, strength)
-        keypoints = keypoints * crop.holds(keypoints[..., :2])[..., None]
+        keypoints = keypoints * _inside(keypoints[..., :2], crop.low, crop.high)[..., None]
 
-        groups = self._labels.groups(labels, label_sets, strength)
+        groups = self._labels.groups(picture.labels, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
-        groups = groups.masked_fill(unseen | no_labels[:, None, None], IGNORE)
         bones = joints[:, 1:] - joints[:, self._bone_starts]
         lengths = bones.norm(dim=-1)
         return PeopleBatch(
-            groups=groups,
+            groups=groups.masked_fill(unseen | no_labels[:, None, None], IGNORE),
             label_sets=label_sets,
             keypoints=keypoints,
             parts=parts,
             points=crop(plain[..., :2]),
             joints=joints - joints[:, :1],
             orientation=orientation,
-            rotations=rotations_along(bones / lengths[..., None], orientation, posed.rotations),
+            rotations=people.rotations_along(bones / lengths[..., None], orientation, posed.rotations),
             lengths=lengths @ self._length_weights.T,
         )
 
@@ -243,23 +225,18 @@ class PeopleMaker:
         count, rng = len(ups), self._rng
         yaw = rng.uniform(count, low=-np.pi, high=np.pi)
         pitch, roll = (torch.deg2rad(mean + spread * rng.normal(count)) for mean, spread in (_PITCH, _ROLL))
-        return seen_by_camera(upright(ups, yaw), pitch, roll)
+        return people.seen_by_camera(people.upright(ups, yaw), pitch, roll)
 
-    def _seen(
-        self, vertices: torch.Tensor, landmarks: tuple[torch.Tensor, ...]
-    ) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
+    def _seen(self, *groups: torch.Tensor) -> Iterator[torch.Tensor]:
         """Points as a random camera sees them: places at the pelvis' depth [m], and depth [m], shape (B, N, 3) each."""
-        count, rng = len(vertices), self._rng
+        count, rng = len(groups[0]), self._rng
         weak = rng.chance(_WEAK, count, 1, 1)
         distance = rng.uniform(count, 1, 1, low=_DISTANCE[0], high=_DISTANCE[1])
         aside = distance * _ASIDE * rng.normal(count, 1, 2)
-
-        def seen(points: torch.Tensor) -> torch.Tensor:
+        for points in groups:
             flat, depth = points[..., :2], points[..., 2:] + distance
             near = torch.cat([(flat + aside) * (distance / depth), depth], dim=-1)
-            return torch.where(weak, torch.cat([flat, points[..., 2:] + _FAR_AWAY], dim=-1), near)
-
-        return seen(vertices), tuple(seen(points) for points in landmarks)
+            yield torch.where(weak, torch.cat([flat, points[..., 2:] + _FAR_AWAY], dim=-1), near)
 
     def _crop(
         self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
@@ -283,16 +260,11 @@ class PeopleMaker:
         beyond = torch.where(cut, -share * (high - low).repeat(1, 2), beyond)
         first, last = low - beyond[:, :2], high + beyond[:, 2:]
 
-        def bounds(places: torch.Tensor, counted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            inside = ((places > first[:, None]) & (places < last[:, None])).all(-1) & counted
-            return (
-                torch.where(inside[..., None], places, torch.inf).amin(1),
-                torch.where(inside[..., None], places, -torch.inf).amax(1),
-            )
-
-        shown = bounds(vertices, labelled[:, None])
-        found = bounds(points, detected)
-        start, end = torch.minimum(shown[0], found[0]), torch.maximum(shown[1], found[1])
+        places = torch.cat([vertices, points], dim=1)
+        counted = torch.cat([labelled[:, None].expand(-1, vertices.shape[1]), detected], dim=1)
+        counted = (counted & _inside(places, first, last))[..., None]
+        start = torch.where(counted, places, torch.inf).amin(1)
+        end = torch.where(counted, places, -torch.inf).amax(1)
         empty = ~(end - start).isfinite()
         start, end = torch.where(empty, low, start), torch.where(empty, high, end)
         extent = (end - start).amax(1).clamp(min=0.1)
