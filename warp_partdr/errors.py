@@ -29,6 +29,12 @@ def shown(value: object) -> str:
     return " ".join(_REPR.repr(value).split())
 
 
+def cause(error: Exception) -> str:
+    """An error's own message for another one: a line of at most 200 characters; of a file, what the system says."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(text.split())[:200]
+
+
 def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> None:
     """Raise TypeError unless an argument is of a type.
 

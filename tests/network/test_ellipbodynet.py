@@ -16,17 +16,17 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.kernels.launch import get_num_threads, set_num_threads
+from warp_partdr.network.checkpoint import load_ellipbodynet, save_ellipbodynet
 from warp_partdr.network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig
 from warp_partdr.network.heads import soft_argmax
 from warp_partdr.network.landmarks import LANDMARKS
-from warp_partdr.network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
 from warp_partdr.network.predicted import Predicted
 from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
 from warp_partdr.training.config_files import make_config, read_config
 from warp_partdr.training.loop import run_training
-from warp_partdr.training.picture_data import JOINTS, Examples, Feed, Source, make_example
+from warp_partdr.training.picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, seg_term
 from warp_partdr.training.picture_task import PictureTask
 from warp_partdr.training.predicted_bodies import posed_landmarks
@@ -315,15 +315,15 @@ def test_mirrored_example_is_of_a_mirrored_person(people):
 
 def test_feed_goes_on_where_it_was(people):
     """Orders and augmentation hang on seed and place alone: a new feed from the same place gives the same."""
-    options = {"size": 32, "augmentation": Augmentation(), "batch_size": 3, "seed": 5}
-    feed = Feed(people, **options)
+    everybody = ExampleDataset(people, 32, Augmentation(), seed=5)
+    feed = Feed(everybody, 3)
     batches = [next(feed) for _ in range(4)]
-    again = Feed(people, **options, consumed=6)
+    again = Feed(everybody, 3, consumed=6)
     for batch in batches[2:]:
         other = next(again)
         assert torch.equal(batch.pictures, other.pictures)
     assert again.consumed == feed.consumed == 12
-    two = [Feed(people, **options, rank=rank, processes=2) for rank in range(2)]
+    two = [Feed(everybody, 3, rank=rank, processes=2) for rank in range(2)]
     both = torch.stack([next(part).pictures for part in two], dim=1).flatten(0, 1)
     assert torch.equal(both, torch.cat([batch.pictures for batch in batches[:2]]))
 
@@ -337,18 +337,18 @@ def test_unreadable_samples_are_skipped_and_named(people, tmp_path):
         sample_with(people, name="small", picture=tmp_path / "small.png"),
         sample_with(people, name="blind", keypoints=Keypoints2D("coco17", np.zeros((17, 2), "f4"), np.zeros(17, "f4"))),
     ]
-    feed = Feed([*people, *bad], size=32, augmentation=STILL, batch_size=8)
+    feed = Feed(ExampleDataset([*people, *bad], 32, STILL), 8)
     assert len(next(feed).pictures) == 8
     assert sorted(text.split(":")[0] for text in feed.skipped) == [
         f"shaded {one.name}" for one in sorted(bad, key=lambda one: one.name)
     ]
     with pytest.raises(InputError, match="none of 4 samples can be read"):
-        next(Feed(bad, size=32, augmentation=STILL, batch_size=2))
+        next(Feed(ExampleDataset(bad, 32, STILL), 2))
 
 
 def test_worker_processes_give_the_same(people):
-    options = {"size": 32, "augmentation": Augmentation(), "batch_size": 4, "seed": 1}
-    assert torch.equal(next(Feed(people, **options)).pictures, next(Feed(people, **options, workers=1)).pictures)
+    everybody = ExampleDataset(people, 32, Augmentation(), seed=1)
+    assert torch.equal(next(Feed(everybody, 4)).pictures, next(Feed(everybody, 4, workers=1)).pictures)
 
 
 @pytest.mark.parametrize(

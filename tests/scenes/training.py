@@ -70,9 +70,6 @@ class TinyTask:
         self.made += 1
         return TinyBatch(inputs.to(device), wanted.to(device))
 
-    def samples(self, batch: TinyBatch) -> int:
-        return len(batch.inputs)
-
     def loss(self, model: torch.nn.Module, batch: TinyBatch) -> dict[str, torch.Tensor]:
         error = model(batch.inputs) - batch.wanted
         weights = self.config.weights

@@ -18,8 +18,7 @@ from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.synthetic.training_people import PeopleBatch
 from warp_partdr.training.config import Phase, TrainingConfig
 from warp_partdr.training.config_files import make_config
-from warp_partdr.training.label_losses import body_losses
-from warp_partdr.training.label_task import LabelTask
+from warp_partdr.training.label_task import LabelTask, body_losses
 
 SIZE = 64
 SMALL = {
@@ -161,5 +160,5 @@ def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     assert all(torch.equal(read[name], value) for name, value in weights.items())
     with pytest.raises(InputError, match="initial: packaged: a network of"):
         task.read("packaged")
-    packaged = LabelTask(make_config({"task": "label-network", "steps": 1}), rank=0, processes=1, device=task._device)
+    packaged = LabelTask(make_config({"task": "label-network", "steps": 1}), rank=0, processes=1, device=task.device)
     packaged.model().load_state_dict(packaged.read("packaged"))

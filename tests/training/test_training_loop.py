@@ -27,7 +27,6 @@ from warp_partdr.training.config import Phase
 from warp_partdr.training.config_files import make_config, packaged_configs, read_config
 from warp_partdr.training.ema import RunningMean
 from warp_partdr.training.loop import run_training
-from warp_partdr.training.schedule import learning_rate, phase_at
 
 
 def newest(out: Path):
@@ -346,10 +345,10 @@ def test_validation_and_log_change_nothing(tmp_path):
 def test_schedule(tmp_path):
     numbers = config(tmp_path, warm_up=4, floor=0.1, phases=[{"until": 0.7}, {"learning_rate": 0.001}])
     first, second = numbers.phases
-    assert [phase_at(numbers, share) for share in (0.0, 0.69, 0.7, 1.0)] == [first, first, second, second]
-    assert learning_rate(numbers, first, 1, 0.0) == pytest.approx(0.005)
-    assert learning_rate(numbers, first, 9, 0.5) == pytest.approx(0.0055)
-    assert learning_rate(numbers, second, 9, 1.0) == pytest.approx(0.0001)
+    assert [numbers.phase_at(share) for share in (0.0, 0.69, 0.7, 1.0)] == [first, first, second, second]
+    assert numbers.learning_rate_at(1, 0.0) == pytest.approx(0.005)
+    assert numbers.learning_rate_at(9, 0.5) == pytest.approx(0.0055)
+    assert numbers.learning_rate_at(9, 1.0) == pytest.approx(0.0001)
 
 
 def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):

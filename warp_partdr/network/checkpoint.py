@@ -1,25 +1,115 @@
-"""Loading of label networks: the packaged one, and those of ``partdr train``."""
+"""Files of networks: safetensors, with sizes and the record of the training in the file's metadata."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import torch
 
-from .files import NetworkFiles
+from ..errors import InputError, cause
+from ..files.json_files import parse_json
+from ..files.sections import read_section
+from .ellipbodynet import EllipBodyNet, EllipBodyNetConfig
 from .label_network import LabelNetwork, LabelNetworkConfig
 
-PACKAGED = "label_network.safetensors"
+MAX_BYTES = 1 << 30
 
-_FILES = NetworkFiles(
-    "warp-partdr label network 1", LabelNetworkConfig, "a network of `partdr train label-network` (safetensors)"
+Config = TypeVar("Config")
+Network = TypeVar("Network", bound=torch.nn.Module)
+
+
+@dataclass(frozen=True)
+class NetworkFiles(Generic[Network, Config]):
+    """Files of one kind of network.
+
+    Attributes:
+        kind: Name and version, in the file.
+        make: From sizes to a network.
+        sizes: Dataclass of the sizes.
+        expected: Description of such a file, for messages.
+    """
+
+    kind: str
+    make: Callable[[Config], Network]
+    sizes: type[Config]
+    expected: str
+
+    def save(
+        self,
+        path: Path | str,
+        weights: Mapping[str, torch.Tensor],
+        config: Config,
+        about: Mapping[str, Any],
+        *,
+        half: bool = False,
+    ) -> None:
+        """Write a network.
+
+        Args:
+            path: A ``.safetensors`` file.
+            weights: Its ``state_dict``.
+            config: Its sizes.
+            about: Record of its training, JSON.
+            half: Store weights in float16: half the size. Statistics of batch normalisation stay as they are.
+        """
+        from safetensors.torch import save_file
+
+        def stored(name: str, tensor: torch.Tensor) -> torch.Tensor:
+            tensor = tensor.detach().cpu().contiguous()
+            return tensor.half() if half and tensor.is_floating_point() and "running" not in name else tensor
+
+        values = asdict(config)  # type: ignore[call-overload]  # a dataclass
+        metadata = {"format": self.kind, "config": json.dumps(values), "about": json.dumps(dict(about))}
+        save_file({name: stored(name, tensor) for name, tensor in weights.items()}, path, metadata)
+
+    def load(self, path: Path | str, *, device: torch.device | str = "cpu") -> Network:
+        """Load a network in evaluation mode.
+
+        Raises:
+            InputError: If the file can't be read or is no such network.
+        """
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            if Path(path).stat().st_size > MAX_BYTES:
+                raise InputError(f"{path}: more than {MAX_BYTES >> 20} MiB; expected {self.expected}")
+            with safe_open(path, framework="pt") as file:
+                metadata = file.metadata() or {}
+                if metadata.get("format") != self.kind:
+                    raise InputError(f"{path}: format {metadata.get('format')!r}; expected {self.expected}")
+                weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  no mapping
+            if not all(torch.isfinite(tensor).all() for tensor in weights.values()):
+                raise InputError(f"{path}: weights hold NaN or infinity; expected {self.expected}")
+            config = read_section(self.sizes, parse_json(metadata["config"], f"{path}: config", self.expected))
+            network = self.make(config)
+            network.load_state_dict(weights)
+        except (OSError, SafetensorError, KeyError, ValueError, TypeError, RuntimeError) as error:
+            if isinstance(error, InputError) and str(error).startswith(str(path)):
+                raise
+            raise InputError(f"{path}: {cause(error)}; expected {self.expected}") from None
+        return network.eval().requires_grad_(False).to(device)
+
+
+_LABEL_NETWORKS = NetworkFiles(
+    "warp-partdr label network 1",
+    LabelNetwork,
+    LabelNetworkConfig,
+    "a network of `partdr train label-network` (safetensors)",
 )
-save_label_network = _FILES.save
+_ELLIPBODYNETS = NetworkFiles(
+    "warp-partdr ellipbodynet 1",
+    EllipBodyNet,
+    EllipBodyNetConfig,
+    "an EllipBodyNet of `partdr train ellipbodynet` (safetensors)",
+)
+save_label_network, save_ellipbodynet = _LABEL_NETWORKS.save, _ELLIPBODYNETS.save
+load_ellipbodynet = _ELLIPBODYNETS.load
 
 
 def load_label_network(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> LabelNetwork:
@@ -32,28 +122,12 @@ def load_label_network(path: Path | str | None = None, *, device: torch.device |
     Raises:
         InputError: If the file can't be read or isn't such a network.
     """
-    with _place(path) as place:
-        return _FILES.load(place, LabelNetwork).to(device)
-
-
-def about_network(path: Path | str | None = None) -> dict[str, Any]:
-    """Read a network file's record of its training.
-
-    Raises:
-        InputError: If the file can't be read or isn't such a network.
-    """
-    with _place(path) as place:
-        return _FILES.read(place)[2]
+    packaged = resources.files("warp_partdr").joinpath("assets", "label_network.safetensors")
+    with resources.as_file(packaged) as default:
+        return _LABEL_NETWORKS.load(default if path is None else path, device=device)
 
 
 @lru_cache(maxsize=4)
 def packaged_network(device: str) -> LabelNetwork:
     """The packaged network, loaded once for each device; not to be changed."""
     return load_label_network(device=device)
-
-
-@contextmanager
-def _place(path: Path | str | None) -> Iterator[Path]:
-    packaged = resources.files("warp_partdr").joinpath("assets", PACKAGED)
-    with resources.as_file(packaged) as default:
-        yield default if path is None else Path(path)

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from ..body.template import NUM_PARTS
-from ..errors import InputError
+from ..errors import InputError, cause
 from ..interop.checks import check_tensor
 from .heads import DeconvolutionHead, soft_argmax
 from .landmarks import LANDMARKS
@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from transformers import PreTrainedConfig
 
 RESNET50 = "microsoft/resnet-50"
+# Of an architecture: what the kind and its sizes say already, and what heads for other tasks need.
+_NOT_STORED = (
+    *("architectures", "dtype", "torch_dtype", "transformers_version"),
+    *("id2label", "label2id", "stage_names", "out_features"),
+)
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, as backbones were trained
 
 
@@ -70,7 +75,7 @@ class PicturePrediction:
 
     def part_labels(self, size: int) -> torch.Tensor:
         """Most likely part of each pixel at ``size`` pixels a side, 0 = background, shape (B, size, size), uint8."""
-        logits = nn.functional.interpolate(self.parts.float(), size=(size, size), mode="bilinear", antialias=False)
+        logits = nn.functional.interpolate(self.parts.float(), size=(size, size), mode="bilinear")
         return logits.argmax(1).to(torch.uint8)
 
 
@@ -100,8 +105,8 @@ class EllipBodyNet(nn.Module):
         self.part_head = DeconvolutionHead(channels, NUM_PARTS + 1, config.head_width)
         features = channels + 3 * len(LANDMARKS) + (NUM_PARTS + 1) * config.part_cells**2
         self.regressor = Regressor(features, config.regressor)
-        self.register_buffer("mean", torch.tensor(_MEAN).view(3, 1, 1), persistent=False)
-        self.register_buffer("deviation", torch.tensor(_DEVIATION).view(3, 1, 1), persistent=False)
+        for name, colour in (("mean", _MEAN), ("deviation", _DEVIATION)):
+            self.register_buffer(name, torch.tensor(colour).view(3, 1, 1), persistent=False)
 
     def forward(self, pictures: torch.Tensor) -> PicturePrediction:
         """Bodies, keypoints and parts of one person a picture.
@@ -135,11 +140,14 @@ def _make_backbone(config: EllipBodyNetConfig) -> tuple[nn.Module, dict[str, Any
     try:
         backbone = AutoBackbone.from_config(architecture)
         if config.pretrained:  # by its own class: AutoBackbone asks the hub first, also about a folder
-            backbone = type(backbone).from_pretrained(_place(config), config=architecture)
+            place = Path(config.backbone).expanduser()
+            backbone = type(backbone).from_pretrained(str(place), config=architecture)
     except Exception as error:  # of many kinds: of the connection, the files, and each model's own
-        reason = _no_files("weights") if config.pretrained else " ".join(str(error).split())[:200]
+        reason = _no_files("weights") if config.pretrained else cause(error)
         raise InputError(f"backbone: {config.backbone!r} ({architecture.model_type}): {reason}") from error
-    return backbone, _stored(architecture)
+    differing = architecture.to_diff_dict().items()
+    stored = {name: value for name, value in differing if not name.startswith("_") and name not in _NOT_STORED}
+    return backbone, {**stored, "model_type": architecture.model_type}
 
 
 def _architecture(config: EllipBodyNetConfig) -> PreTrainedConfig:
@@ -151,18 +159,17 @@ def _architecture(config: EllipBodyNetConfig) -> PreTrainedConfig:
         try:
             found = AutoConfig.for_model(values.pop("model_type"), **values)
         except Exception as error:  # of many kinds: each model checks its own values
-            reason = " ".join(str(error).split())[:200]
             raise InputError(
-                f"architecture: {reason}; expected a backbone's configuration with its model_type, such as resnet"
+                f"architecture: {cause(error)}; expected a backbone's configuration with its model_type, such as resnet"
             ) from error
     elif config.backbone == RESNET50:
         found = ResNetConfig()
     else:
-        place = _place(config)
-        if place.startswith((".", "/")) and not Path(place).is_dir():
+        place = Path(config.backbone).expanduser()
+        if str(place).startswith((".", "/")) and not place.is_dir():
             raise InputError(f"backbone: {config.backbone}: no such folder; expected one with a config.json")
         try:
-            found = AutoConfig.from_pretrained(place)
+            found = AutoConfig.from_pretrained(str(place))
         except Exception as error:  # as above
             raise InputError(f"backbone: {config.backbone!r}: {_no_files('config.json')}") from error
     if not hasattr(found, "stage_names"):
@@ -174,10 +181,6 @@ def _architecture(config: EllipBodyNetConfig) -> PreTrainedConfig:
     return found
 
 
-def _place(config: EllipBodyNetConfig) -> str:
-    return str(Path(config.backbone).expanduser())
-
-
 def _no_files(what: str) -> str:
     return (
         f"no {what} found; expected a name on huggingface.co and a connection, or a local folder: download it once "
@@ -186,30 +189,16 @@ def _no_files(what: str) -> str:
     )
 
 
-def _stored(architecture: PreTrainedConfig) -> dict[str, Any]:
-    """Settings of an architecture that differ from its kind's defaults, without the path that it came from."""
-    differing = architecture.to_diff_dict()
-    kept = {name: value for name, value in differing.items() if not name.startswith(("_", "transformers_version"))}
-    unneeded = ("architectures", "dtype", "torch_dtype", "id2label", "label2id", "stage_names", "out_features")
-    return {name: value for name, value in kept.items() if name not in unneeded} | {
-        "model_type": architecture.model_type
-    }
-
-
+@torch.no_grad()
 def _feature_channels(backbone: nn.Module, config: EllipBodyNetConfig) -> int:
     """C of the last feature map, by trying."""
     was_training = backbone.training
-    backbone.eval()
     try:
-        with torch.no_grad():
-            maps = backbone(torch.zeros(1, 3, config.size, config.size)).feature_maps
+        maps = backbone.eval()(torch.zeros(1, 3, config.size, config.size)).feature_maps[-1]
     except (RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"size: {config.size} px does not suit the backbone {config.backbone!r}: {reason}") from error
-    finally:
-        backbone.train(was_training)
-    if maps[-1].ndim != 4:
-        raise InputError(
-            f"backbone: {config.backbone!r}: feature map of shape {tuple(maps[-1].shape)}; expected (B, C, h, w)"
-        )
-    return int(maps[-1].shape[1])
+        where = f"the backbone {config.backbone!r}"
+        raise InputError(f"size: {config.size} px does not suit {where}: {cause(error)}") from error
+    backbone.train(was_training)
+    if maps.ndim != 4:
+        raise InputError(f"backbone: {config.backbone!r}: feature map of {tuple(maps.shape)}; expected (B, C, h, w)")
+    return int(maps.shape[1])

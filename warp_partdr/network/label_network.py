@@ -6,7 +6,6 @@ its label, of background and of unknown; keypoints are those of ``LANDMARKS`` th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -57,11 +56,6 @@ def label_table(labels: LabelSet) -> torch.Tensor:
     table[BACKGROUND] = 0.0
     table[BACKGROUND, NUM_PARTS] = 1.0
     return torch.from_numpy(table)
-
-
-def label_tables(sets: Sequence[LabelSet]) -> torch.Tensor:
-    """Tables of several sets, shape (N, 256, 22)."""
-    return torch.stack([label_table(labels) for labels in sets])
 
 
 def label_shares(groups: torch.Tensor, tables: torch.Tensor, which: torch.Tensor) -> torch.Tensor:

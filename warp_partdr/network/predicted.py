@@ -41,6 +41,10 @@ class Predicted:
         """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
 
+    def select(self, index: torch.Tensor | slice) -> Predicted:
+        """Some of the bodies."""
+        return Predicted(**{name: value[index] for name, value in vars(self).items()})
+
     def parameters(self) -> BodyParameters:
         """Parameters for a fit, detached."""
         return BodyParameters(

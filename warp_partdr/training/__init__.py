@@ -1,9 +1,9 @@
 """Training of the networks.
 
-The loop (``loop``, with ``config``, ``schedule``, ``ema``, ``checkpoints``, ``tensor_tree``, ``watch``, ``guards``,
-``logs``) knows its ``task`` by a protocol alone. There are two:
+The loop (``loop``, with ``config``, ``ema``, ``checkpoints``, ``guards``, ``logs``) knows its ``task`` by an interface
+alone. There are two:
 
-* ``label_task``, ``label_losses``: the label network, on people made on the fly (``synthetic.training_people``).
+* ``label_task``: the label network, on people made on the fly (``synthetic.training_people``).
 * ``picture_task``, ``picture_losses``: EllipBodyNet, on ``picture_data`` of data sets, changed by ``augment``, or on
   shaded people (``synthetic.shaded``).
 """

@@ -77,9 +77,8 @@ class Similarity:
     @property
     def turn(self) -> np.ndarray:
         """R F in the camera frame, shape (3, 3)."""
-        cosine, sine = math.cos(self.angle), math.sin(self.angle)
-        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        return turn @ np.diag([-1.0, 1.0, 1.0]) if self.mirrored else turn
+        cosine, sine, side = math.cos(self.angle), math.sin(self.angle), -1.0 if self.mirrored else 1.0
+        return np.array([[side * cosine, -sine, 0.0], [side * sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
     def points(self, points: np.ndarray, names: Sequence[str]) -> np.ndarray:
         """Points in the crop (L, 2), or (L, 3) with confidences, of landmarks in the same order."""
@@ -120,37 +119,33 @@ class Similarity:
         Returns:
             Shape (size, size, 3), uint8.
         """
-        image = Image.fromarray(picture)
         reduced = max(int((box[2] - box[0]) / size / self.zoom), 1)  # so that no pixel is passed over
-        if reduced > 1:
-            image = image.reduce(reduced)
-        return np.asarray(self._warp(image, box, size, reduced, Image.Resampling.BILINEAR, 0))
+        image = Image.fromarray(picture)
+        image = image.reduce(reduced) if reduced > 1 else image
+        return self._warp(image, box, size, Image.Resampling.BILINEAR, 0, reduced)
 
     def labels(self, groups: np.ndarray, labels: LabelSet, box: Box, size: int) -> np.ndarray:
         """The crop of group ids (H, W), uint8, each pixel from the nearest one, shape (size, size).
 
         Beyond the picture, and where a mirrored group is none of the set's, 255.
         """
-        image = self._warp(Image.fromarray(groups), box, size, 1, Image.Resampling.NEAREST, IGNORE)
-        warped = np.asarray(image)
+        warped = self._warp(Image.fromarray(groups), box, size, Image.Resampling.NEAREST, IGNORE)
         return mirror_groups(labels)[warped] if self.mirrored else warped
 
     def _order(self, names: tuple[str, ...]) -> np.ndarray:
         return mirror_order(names) if self.mirrored else np.arange(len(names))
 
     def _warp(
-        self, image: Image.Image, box: Box, size: int, reduced: int, resample: Image.Resampling, fill: int
-    ) -> Image.Image:
-        half = (box[2] - box[0]) / 2
-        middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
+        self, image: Image.Image, box: Box, size: int, resample: Image.Resampling, fill: int, reduced: int = 1
+    ) -> np.ndarray:
+        half, middle = (box[2] - box[0]) / 2, np.array([box[0] + box[2], box[1] + box[3]]) / 2
         # From the result's pixels to crop coordinates, through the inverse, and to the picture's pixels.
         inverse = np.linalg.inv(self.zoom * self.turn[:2, :2])
         linear = half * inverse * (2 / size)
         offset = middle - half * inverse @ (1 + np.array(self.shift))
-        values = np.concatenate([linear, offset[:, None]], axis=1) / reduced
         # Pillow, too, has pixels' centres at a half.
-        data = tuple(values.ravel().tolist())
-        return image.transform((size, size), Image.Transform.AFFINE, data, resample, fillcolor=fill)
+        data = tuple((np.column_stack([linear, offset]) / reduced).ravel().tolist())
+        return np.asarray(image.transform((size, size), Image.Transform.AFFINE, data, resample, fillcolor=fill))
 
 
 def mirror_groups(labels: LabelSet) -> np.ndarray:

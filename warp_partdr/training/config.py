@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -117,6 +118,19 @@ class TrainingConfig:
             raise InputError(f"phases: until {ends}; expected rising shares of the run, the last one 1")
         for index, phase in enumerate(self.phases):
             _check(f"phases[{index}].learning_rate", phase.learning_rate, lambda value: value > 0, "a positive number")
+
+    def phase_at(self, share: float) -> Phase:
+        """The phase that holds after ``share`` of the run, 0 to 1."""
+        return next((phase for phase in self.phases if share < phase.until), self.phases[-1])
+
+    def learning_rate_at(self, step: int, share: float) -> float:
+        """Learning rate after ``step`` steps and ``share`` of the run, 0 to 1."""
+        own = self.phase_at(share).learning_rate
+        peak = self.learning_rate if own is None else own
+        rise = min(1.0, (step + 1) / self.warm_up) if self.warm_up else 1.0
+        if self.schedule == "constant":
+            return peak * rise
+        return peak * rise * (self.floor + (1 - self.floor) * 0.5 * (1 + math.cos(math.pi * min(share, 1.0))))
 
     def to_json(self) -> dict[str, Any]:
         """All numbers, also the defaults, as JSON gives them back."""

@@ -1,17 +1,23 @@
-"""Guards around a training run: signals, and memory that runs out."""
+"""Guards of a training run: signals, memory that runs out, and losses that are no numbers."""
 
 from __future__ import annotations
 
+import json
 import signal
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import torch
 
 from ..errors import InputError
+from .checkpoints import split_tensors
 from .config import TrainingConfig
+
+_LAG = 4  # steps that the device may be behind when a loss is looked at
 
 
 @contextmanager
@@ -56,3 +62,55 @@ def memory_errors(config: TrainingConfig) -> Iterator[None]:
             f"batch_size: {config.batch_size}: out of memory; expected a smaller one (with accumulation, now "
             f"{config.accumulation}, raised as much the step's batch stays), precision 'bf16', or smaller pictures"
         ) from error
+
+
+class FiniteWatch:
+    """Looks at each step's losses and gradient a few steps later, when the device has long been through with them.
+
+    Args:
+        path: File for the batches of a step that went wrong.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._waiting: deque[tuple[int, torch.Tensor, torch.cuda.Event | None, list[Any]]] = deque()
+
+    def see(self, step: int, numbers: list[torch.Tensor], batches: list[Any]) -> None:
+        """Take in a step.
+
+        Args:
+            step: Which one, counted from 1.
+            numbers: Losses and gradient norm, shape () each, that must be finite.
+            batches: From which they come.
+
+        Raises:
+            InputError: If an earlier step's are not.
+        """
+        finite = torch.isfinite(torch.stack(numbers)).all()
+        event = None
+        if finite.is_cuda:
+            finite = finite.to("cpu", non_blocking=True)
+            event = torch.cuda.Event()
+            event.record()
+        self._waiting.append((step, finite, event, batches))
+        self.settle(_LAG if event else 0)
+
+    def settle(self, left: int = 0) -> None:
+        """Look at all steps but the last ``left``.
+
+        Raises:
+            InputError: If one's losses or gradient are not finite.
+        """
+        from safetensors.torch import save_file
+
+        while len(self._waiting) > left:
+            step, finite, event, batches = self._waiting.popleft()
+            if event is not None:
+                event.synchronize()
+            if not finite:
+                tensors, rest = split_tensors(batches[0] if len(batches) == 1 else batches, "batch")
+                save_file(tensors, self._path, {"step": str(step), "rest": json.dumps(rest, default=str)})
+                raise InputError(
+                    f"step {step}: loss or gradient is NaN or infinite; expected finite numbers. {self._path} holds "
+                    "the batch, the last checkpoint is from before; a lower learning_rate or clip may help"
+                )

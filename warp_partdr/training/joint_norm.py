@@ -17,39 +17,30 @@ from ..interop.derivatives import once
 
 
 def normalise_jointly(model: nn.Module) -> nn.Module:
-    """The model with a ``JointBatchNorm`` in the place of each batch normalisation, with the same parameters."""
-    if isinstance(model, _BatchNorm):
-        return JointBatchNorm(model)
-    for name, child in model.named_children():
-        setattr(model, name, normalise_jointly(child))
+    """Make each batch normalisation within a model a ``JointBatchNorm``, in place, and return the model."""
+    for module in model.modules():
+        if isinstance(module, _BatchNorm):
+            assert module.affine
+            assert module.track_running_stats
+            module.__class__ = JointBatchNorm  # of its attributes nothing changes
     return model
 
 
-class JointBatchNorm(nn.Module):
-    """Batch normalisation as ``norm`` does it, but with the statistics of all processes' samples while training.
-
-    Args:
-        norm: With weight, bias, running statistics and a momentum; this module takes them over, under the same names.
-    """
+class JointBatchNorm(_BatchNorm):
+    """Batch normalisation with the statistics of all processes' samples while training."""
 
     running_mean: torch.Tensor
     running_var: torch.Tensor
     num_batches_tracked: torch.Tensor
+    momentum: float
 
-    def __init__(self, norm: _BatchNorm) -> None:
-        super().__init__()
-        assert norm.affine
-        assert norm.track_running_stats
-        assert norm.momentum is not None
-        self.weight, self.bias, self.eps, self.momentum = norm.weight, norm.bias, norm.eps, norm.momentum
-        for name, buffer in norm.named_buffers(recurse=False):
-            self.register_buffer(name, buffer)
-        self.training = norm.training
+    def _check_input_dim(self, input: torch.Tensor) -> None:
+        pass  # of any number
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """Shape (B, C, ...), of any dtype; statistics are float32."""
         if not self.training:
-            return _normalise(values, self.weight, self.bias, self.running_mean, self.running_var, self.eps)
+            return super().forward(values)
         mean, variance, count = self._joint_statistics(values.detach())
         with torch.no_grad():
             self.running_mean.lerp_(mean, self.momentum)
@@ -74,15 +65,9 @@ class JointBatchNorm(nn.Module):
         return mean, variance, count
 
 
-def _normalise(
-    values: torch.Tensor,
-    weight: torch.Tensor,
-    bias: torch.Tensor,
-    mean: torch.Tensor,
-    variance: torch.Tensor,
-    eps: float,
-) -> torch.Tensor:
+def _normalise(values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *statistics: Any) -> torch.Tensor:
     """``weight * (values - mean) / sqrt(variance + eps) + bias``, in one kernel."""
+    mean, variance, eps = statistics
     return torch.native_batch_norm(values, weight, bias, mean, variance, False, 0.0, eps)[0]
 
 

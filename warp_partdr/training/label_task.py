@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -14,24 +15,25 @@ import torch
 
 from ..body.labels import label_set
 from ..body.skeletons import MPJPE_SKELETON, skeleton
-from ..body.template import JOINT_NAMES, NUM_PARTS
+from ..body.template import JOINT_NAMES, NUM_PARTS, template
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_label_network, save_label_network
-from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_tables
+from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table
+from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted
+from ..render.ellipsoids import ellipsoid_label_loss
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
 from ..synthetic.training_people import PeopleBatch, PeopleMaker
-from .label_losses import body_losses
-from .predicted_bodies import draw_bodies, weighted_losses
-from .task import PACKAGED_NETWORK
+from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
+from .task import PACKAGED_NETWORK, Task
 
 if TYPE_CHECKING:
     from PIL import Image
 
-    from .config import Phase, TrainingConfig
+    from .config import TrainingConfig
 
 _VALIDATION_SEED = 7  # the same people in every run
 _BATCH = 256  # of validation
@@ -54,7 +56,7 @@ class LabelData:
     validation: int = 1024
 
 
-class LabelTask:
+class LabelTask(Task):
     """The ``Task`` of the label network."""
 
     MODEL: ClassVar[type[Any]] = LabelNetworkConfig
@@ -62,43 +64,32 @@ class LabelTask:
     WEIGHTS: ClassVar[Mapping[str, float]] = MappingProxyType(
         {"joints": 20.0, "rotations": 1.0, "proj": 10.0, "seg": 4.0, "lengths": 0.5, "thicknesses": 0.5}
     )
-    epoch: int | None = None
 
     def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
-        self._config = config
-        self._device = device
-        self._left_out: frozenset[str] = frozenset()
+        super().__init__(config, rank=rank, processes=processes, device=device)
         # As the first layer takes them, so that nothing is converted.
         kind = torch.bfloat16 if config.precision == "bf16" and device.type == "cuda" else torch.float32
-        self._tables = label_tables([label_set(name) for name in TRAINING_LABEL_SETS]).to(device, kind)
+        self._tables = torch.stack([label_table(label_set(name)) for name in TRAINING_LABEL_SETS]).to(device, kind)
         # Processes differ in their seeds; those of one process follow one another.
         self._maker = self._make_maker(config.seed * processes + rank, held_out=False)
 
     def _make_maker(self, seed: int, *, held_out: bool) -> PeopleMaker:
-        source = self._config.data.poses
+        source = self.config.data.poses
         poses = PoseBank.read(source, held_out=held_out) if source else PoseBank.of_prior(seed=seed)
-        return PeopleMaker(poses, size=self._config.model.size, device=self._device, seed=seed, held_out=held_out)
+        return PeopleMaker(poses, size=self.config.model.size, device=self.device, seed=seed, held_out=held_out)
 
     def model(self) -> torch.nn.Module:
         """A new network."""
-        return LabelNetwork(self._config.model).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    def begin(self, phase: Phase) -> None:
-        """Leave out some terms from now on."""
-        self._left_out = frozenset(phase.without)
+        return LabelNetwork(self.config.model).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def batch(self, device: torch.device) -> PeopleBatch:
         """New people."""
-        return self._maker(self._config.batch_size)
-
-    def samples(self, batch: PeopleBatch) -> int:
-        """Number of people."""
-        return len(batch.groups)
+        return self._maker(self.config.batch_size)
 
     def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:
         """The weighted terms of ``body_losses``, and their sum."""
         terms = body_losses(self._predict(model, batch), batch)
-        return weighted_losses(terms, self._config.weights, self._left_out)
+        return weighted_losses(terms, self.config.weights, self.left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on held-out bodies in held-out poses."""
@@ -121,34 +112,26 @@ class LabelTask:
         """Rows of what is seen, the truth, and the prediction."""
         from PIL import Image
 
-        people = _first(self._held_out[0], _SHOWN)
+        people = self._held_out[0]
         drawn = draw_bodies(self._predict(model, people), people.parts.shape[-1])
         names = list(TRAINING_LABEL_SETS)
-        sets = [names[which] for which in people.label_sets[:_SHOWN].tolist()]
-        rows = ((people.groups, sets), (people.parts, [_PARTS] * _SHOWN), (drawn, [_PARTS] * _SHOWN))
-        return Image.fromarray(np.concatenate([_coloured(images, names) for images, names in rows]))
+        seen = [names[index] for index in people.label_sets.tolist()]
+        rows = []
+        for images, sets in ((people.groups, seen), (people.parts, repeat(_PARTS)), (drawn, repeat(_PARTS))):
+            shown = zip(images[:_SHOWN].cpu().numpy(), sets, strict=False)
+            rows.append(np.concatenate([group_colours(label_set(of).part_groups)[ids] for ids, of in shown], axis=1))
+        return Image.fromarray(np.concatenate(rows))
 
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
         """Write the network."""
-        save_label_network(path, weights, self._config.model, about, half=half)
+        save_label_network(path, weights, self.config.model, about, half=half)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
-        """Weights of a trained network.
-
-        Args:
-            source: Its file, or "packaged".
-
-        Raises:
-            InputError: If it can't be read, or its sizes are others than the config's.
-        """
+        """Weights of a trained network; see ``Task``."""
         network = load_label_network(None if source == PACKAGED_NETWORK else source)
-        if network.config != self._config.model:
-            raise InputError(f"initial: {source}: a network of {network.config}; expected {self._config.model}")
+        if network.config != self.config.model:
+            raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
         return network.state_dict()
-
-    def skipped(self) -> Sequence[str]:
-        """Nobody: people are made."""
-        return ()
 
     def state_dict(self) -> dict[str, Any]:
         """Of what makes people."""
@@ -168,16 +151,33 @@ class LabelTask:
     @cached_property
     def _held_out(self) -> list[PeopleBatch]:
         maker = self._make_maker(_VALIDATION_SEED, held_out=True)
-        count = self._config.data.validation
+        count = self.config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
 
 
-def _coloured(images: torch.Tensor, sets: Sequence[str]) -> np.ndarray:
-    """Group ids (N, S, S), each of its label set, side by side, RGB."""
-    ids = images[: len(sets)].cpu().numpy()
-    tables = [group_colours(label_set(name).part_groups) for name in sets]
-    return np.concatenate([table[image] for table, image in zip(tables, ids, strict=True)], axis=1)
+def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:
+    """Loss terms by comparison with the truth of the same people, each a mean over the batch, without weights.
 
+    L_3D, L_proj, L_seg through PartDR, L_l and L_t (paper, section 3.4), and rotations.
 
-def _first(people: PeopleBatch, count: int) -> PeopleBatch:
-    return PeopleBatch(**{field.name: getattr(people, field.name)[:count] for field in fields(people)})
+    * joints: mean absolute error of coordinates [m];
+    * rotations: squared difference of a rotation matrix, mean over the parts;
+    * proj: mean absolute error of projected landmarks [half-sides of the crop];
+    * seg: L_seg as a share of the picture's pixels, with the "edges" gradient;
+    * lengths: mean absolute logarithm of the ratio to the true ones;
+    * thicknesses: mean squared logarithm of the ratio to the mean body's.
+    """
+    posed = predicted.posed()
+    size = people.parts.shape[-1]
+    turns, true_turns = (torch.cat([each.orientation[:, None], each.rotations], 1) for each in (predicted, people))
+    seen = predicted.camera(2).project(posed_landmarks(posed, LANDMARKS))[..., :2] - 1
+    seg, _ = ellipsoid_label_loss(posed, predicted.camera(size), people.parts, gradient="edges", validate=False)
+    mean_thicknesses = torch.as_tensor(template().mean_thicknesses).to(predicted.thicknesses)
+    return {
+        "joints": (posed.joints - people.joints).abs().mean(),
+        "rotations": (turns - true_turns).square().sum((2, 3)).mean(),
+        "proj": (seen - people.points).abs().mean(),
+        "seg": seg.mean() / size**2,
+        "lengths": (predicted.lengths / people.lengths).log().abs().mean(),
+        "thicknesses": (predicted.thicknesses / mean_thicknesses).log().square().mean(),
+    }

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
     from PIL import Image
 
 
-class RunLog:
+class RunLog(ExitStack):
     """The log of a run, in its folder; silent in all processes but the first.
 
     Args:
@@ -26,22 +26,15 @@ class RunLog:
     """
 
     def __init__(self, out: Path, step: int, steps: int, *, silent: bool) -> None:
-        self._silent = silent
-        self._out = out
-        self._steps = steps
+        super().__init__()
+        self._silent, self._out, self._steps = silent, out, steps
         console = Console(stderr=True, quiet=silent, highlight=False)
-        self._terminal = console.is_terminal
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-            console=console,
-            disable=silent or not console.is_terminal,
-            transient=True,
-        )
-        self._task = self._bar.add_task("the first step", total=1.0, left="")
+        columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+        unseen = silent or not console.is_terminal
+        bar = Progress(TextColumn("{task.description}"), *columns, console=console, disable=unseen, transient=True)
+        self._bar = self.enter_context(bar)
+        self._task = self._bar.add_task("the first step", total=1.0)
+        self.advance(step / steps)
         self._board: Any = None
         if silent:
             return
@@ -54,40 +47,26 @@ class RunLog:
         except ImportError:
             self.say("no TensorBoard here: its logs are left out (pip install tensorboard)")
         else:
-            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
-
-    def __enter__(self) -> RunLog:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-        if self._board is not None:
-            self._board.close()
+            self._board = self.enter_context(SummaryWriter(str(out / "tensorboard"), purge_step=step + 1))
 
     def say(self, text: str) -> None:
         """A line on stderr."""
         self._bar.console.print(text, markup=False, soft_wrap=True)
 
-    def advance(self, share: float, seconds: float) -> None:
-        """Move the bar: ``share`` of the run, 0 to 1, took ``seconds``."""
-        left = f"{_clock(seconds * (1 - share) / share)} left" if share > 0 else ""
-        self._bar.update(self._task, completed=share, left=left)
+    def advance(self, share: float) -> None:
+        """Move the bar to a share of the run, 0 to 1."""
+        self._bar.update(self._task, completed=share)
 
     def losses(self, step: int, terms: dict[str, float], rates: dict[str, float]) -> None:
         """Means since the last such line, and learning rate, samples a second and the like."""
         text = f"step {step}/{self._steps}  loss {terms['total']:.4g}  {rates['samples/s']:,.0f} samples/s"
         self._bar.update(self._task, description=text)
-        if not self._terminal:
+        if self._bar.disable:
             self.say(text)
         self._write(step, {"loss": terms, "rate": rates})
 
     def errors(self, step: int, errors: dict[str, float], sheet: Image.Image | None) -> None:
-        """Write the errors of a validation."""
-        if self._silent:
-            return
+        """Write the errors of a validation, and its pictures."""
         self.say(f"step {step}  " + "  ".join(f"{name} {value:.4g}" for name, value in errors.items()))
         self._write(step, {"validation": errors})
         if sheet is not None:
@@ -108,11 +87,6 @@ class RunLog:
             for group, values in groups.items():
                 for name, value in values.items():
                     self._board.add_scalar(f"{group}/{name}", value, step)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def _step_of(line: str) -> float:

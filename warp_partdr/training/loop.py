@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from ..errors import InputError
+from ..errors import InputError, cause
 from ..interop.precision import matmul_precision
 from .checkpoints import (
     Checkpoint,
@@ -21,21 +21,18 @@ from .checkpoints import (
     load_checkpoint,
     load_optimizer,
     optimizer_tensors,
-    process_state,
-    restore_process,
     save_checkpoint,
 )
 from .config import Phase, TrainingConfig
 from .ema import RunningMean
-from .guards import memory_errors, signals
+from .guards import FiniteWatch, memory_errors, signals
 from .joint_norm import normalise_jointly
 from .logs import RunLog
-from .schedule import learning_rate, phase_at
 from .task import find_task
-from .watch import FiniteWatch
 
 MODEL_FILE = "model.safetensors"
 REPORT_FILE = "report.json"
+_KEPT = ("step", "summed", "errors", "validated")  # attributes of a run, in its checkpoints
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class _Run:
 
         from ..results.result_sets import check_folder
 
-        self.config = config
+        self.config, self.accelerator = config, accelerator
         self.checkpoints = config.out / "checkpoints"
         found = list_checkpoints(self.checkpoints)
         if found and not resume:
@@ -113,11 +110,8 @@ class _Run:
         check_folder(config.out)
         config.out.mkdir(parents=True, exist_ok=True)
 
-        self.accelerator = accelerator
         self.device: torch.device = accelerator.device
-        self.processes = self.accelerator.num_processes
-        rank = self.accelerator.process_index
-
+        self.processes, rank = accelerator.num_processes, accelerator.process_index
         task = find_task(config.task)
         self.task = task(config, rank=rank, processes=self.processes, device=self.device)
         self.steps = _count_steps(config, self.task.epoch, self.processes)
@@ -127,9 +121,8 @@ class _Run:
             self.bare.load_state_dict(self.task.read(config.initial))
         set_seed(config.seed, device_specific=True)
         self.mean = RunningMean(self.bare, config.ema)
-        said: list[str] = []
         if self.processes > 1 and config.joint_normalisation:
-            self.bare = normalise_jointly(self.bare)
+            normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
         _check_frozen(config, self.names.values())
         self.optimizer = torch.optim.AdamW(
@@ -138,45 +131,43 @@ class _Run:
             betas=config.betas,
             fused=self.device.type == "cuda",
         )
-        self.model, self.stepper = self.accelerator.prepare(self.bare, self.optimizer)
+        self.model = accelerator.prepare(self.bare)
 
         self.step = 0
-        self.seconds = 0.0  # of earlier parts of the run
         self.share = 0.0  # how much of the run is over, the larger of steps and time
-        self.samples = 0  # of this process in this part of the run
         self.sums: dict[str, torch.Tensor] = {}  # of the terms since the last line of the log
-        self.summed = 0
+        self.summed = 0  # steps in these
         self.phase: Phase | None = None
         self.errors: dict[str, float] = {}
-        self.validated = self.saved = 0  # steps
+        self.validated = 0  # the step
         self.told: int | None = None  # the signal that this process was sent
         self.stopped: int | None = None  # the same, once all processes know of it
+        self.seconds = 0.0  # of earlier parts of the run
         self.aside = 0.0  # seconds of this part that went into validation and checkpoints
         self.began = time.monotonic()
         suffix = f"-rank-{rank}" if self.processes > 1 else ""
         self.watch = FiniteWatch(config.out / f"nan-batch{suffix}.safetensors")
-        if found:
-            said += self._resume(found[-1], rank)
-        self.log = RunLog(config.out, self.step, self.steps, silent=not self.accelerator.is_main_process)
+        said = self._resume(found[-1], rank) if found else []
         if resume:
             said.append(f"goes on from step {self.step}" if found else f"no checkpoint in {config.out}: begins anew")
+        self.first = self.saved = self.step
+        self.logged = 0.0, self.step  # when, in seconds of this part
+        self.log = RunLog(config.out, self.step, self.steps, silent=not accelerator.is_main_process)
         for line in said:
             self.log.say(line)
 
     def go(self, half: bool) -> Trained:
-        first = self.step
         self.began = time.monotonic()
-        logged = 0.0, 0
         with signals(self._tell), self.log:
             self._agree()
             while self.step < self.steps and self.share < 1 and self.stopped is None:
                 self._train_step()
                 if self.step % self.config.log_every == 0:
                     self._agree()
-                    logged = self._say(*logged)
+                    self._say()
                 elif self.processes == 1:
                     self._agree()
-                self.log.advance(self.share, self.elapsed)
+                self.log.advance(self.share)
                 if self.config.validate_every and self.step % self.config.validate_every == 0:
                     self._validate()
                 if self.step % self.config.checkpoint_every == 0:
@@ -185,9 +176,10 @@ class _Run:
                 self._validate()
             if self.saved < self.step:
                 self._save()
-            report = self._report(first)
+            report = self._report()
             if self.stopped is None and report:
-                self._export(report, half)
+                self.task.save(self.config.out / MODEL_FILE, self.mean.module.state_dict(), report, half=half)
+                (self.config.out / REPORT_FILE).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         self.accelerator.wait_for_everyone()
         return Trained(self.step, self.stopped, report)
 
@@ -195,52 +187,57 @@ class _Run:
     def elapsed(self) -> float:
         return self.seconds + time.monotonic() - self.began
 
+    @property
+    def working(self) -> float:
+        """Seconds of this part that went into steps."""
+        return time.monotonic() - self.began - self.aside
+
+    @property
+    def step_size(self) -> int:
+        """Samples of a step, of all processes."""
+        return self.config.batch_size * self.config.accumulation * self.processes
+
     def _tell(self, number: int) -> None:
         self.told = number
 
     def _agree(self) -> None:
         """Let all processes know how much is over, and whether one of them was told to stop."""
         limit = self.config.minutes
-        timed = self.elapsed / (60 * limit) if limit else 0.0
-        self.stopped = self.told
+        told = [self.elapsed / (60 * limit) if limit else 0.0, self.told or 0]
         if self.processes > 1:
-            mine = torch.tensor([timed, self.told or 0.0], device=self.device)
-            told = self.accelerator.gather(mine[None])
-            timed, number = told.amax(0).tolist()
-            self.stopped = int(number) or None
-        self.share = max(self.step / self.steps, timed)
+            told = self.accelerator.gather(torch.tensor([told], device=self.device)).amax(0).tolist()
+        self.share = max(self.step / self.steps, told[0])
+        self.stopped = int(told[1]) or None
 
     def _train_step(self) -> None:
-        phase = phase_at(self.config, self.share)
+        config = self.config
+        phase, rate = config.phase_at(self.share), config.learning_rate_at(self.step, self.share)
         if phase != self.phase:
             self.task.begin(phase)
             self.phase = phase
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(self.config, phase, self.step, self.share)
+            group["lr"] = rate
         self.model.train()
         totals, batches = [], []
-        for _ in range(self.config.accumulation):
-            with self.accelerator.accumulate(self.model):
+        for _ in range(config.accumulation):
+            with self.accelerator.accumulate(self.model):  # gradients are exchanged after the last one alone
                 batch = self.task.batch(self.device)
-                with matmul_precision("high" if self.config.tf32 and self.device.type == "cuda" else "highest"):
+                with matmul_precision("high" if config.tf32 and self.device.type == "cuda" else "highest"):
                     terms = self.task.loss(self.model, batch)
                     self.accelerator.backward(terms["total"])
-                terms = {name: term.detach() for name, term in terms.items()}
-                if self.accelerator.sync_gradients:
-                    terms["gradient"] = self._clip(phase)
-                self.stepper.step()
-                self.stepper.zero_grad()
             for name, term in terms.items():
-                weight = 1 if name == "gradient" else 1 / self.config.accumulation
-                self.sums[name] = self.sums.get(name, 0) + term.float() * weight
-            self.samples += self.task.samples(batch)
-            totals.append(terms["total"].float())
+                self.sums[name] = self.sums.get(name, 0) + term.detach().float() * (1 / config.accumulation)
+            totals.append(terms["total"].detach().float())
             batches.append(batch)
+        gradient = self._clip(phase)
+        self.sums["gradient"] = self.sums.get("gradient", 0) + gradient
+        self.optimizer.step()
+        self.optimizer.zero_grad()
         self.step += 1
         self.summed += 1
         self.mean.update(self.bare, self.step)
         self.share = max(self.step / self.steps, self.share)
-        self.watch.see(self.step, [*totals, terms["gradient"]], batches)
+        self.watch.see(self.step, [*totals, gradient], batches)
 
     def _clip(self, phase: Phase) -> torch.Tensor:
         if phase.frozen:
@@ -249,19 +246,20 @@ class _Run:
                     parameter.grad = None  # AdamW leaves it alone, and the norm doesn't count it
         return torch.nn.utils.clip_grad_norm_(self.bare.parameters(), self.config.clip)
 
-    def _say(self, since: float, samples: int) -> tuple[float, int]:
+    def _say(self) -> None:
         """Write the losses' means since the last time; waits for the device."""
         means = torch.stack([*self.sums.values()]) / self.summed
         if self.processes > 1:
             means = self.accelerator.reduce(means, "mean")
         terms = dict(zip(self.sums, means.tolist(), strict=True))
-        working = time.monotonic() - self.began - self.aside
-        rate = self.optimizer.param_groups[0]["lr"]
-        gradient = terms.pop("gradient")
-        speed = (self.samples - samples) * self.processes / (working - since)
-        self.log.losses(self.step, terms, {"learning_rate": rate, "gradient": gradient, "samples/s": speed})
+        (before, step), self.logged = self.logged, (self.working, self.step)
+        rates = {
+            "learning_rate": self.optimizer.param_groups[0]["lr"],
+            "gradient": terms.pop("gradient"),
+            "samples/s": (self.step - step) * self.step_size / (self.logged[0] - before),
+        }
+        self.log.losses(self.step, terms, rates)
         self.sums, self.summed = {}, 0
-        return working, self.samples
 
     def _validate(self) -> None:
         self.validated = self.step
@@ -281,32 +279,28 @@ class _Run:
         self.aside += time.monotonic() - began
 
     def _save(self) -> None:
-        from accelerate.utils import gather_object
+        from accelerate.utils import gather_object, send_to_device
 
         self.saved = self.step
         with self._set_aside():
-            ranks = gather_object([process_state({"task": self.task.state_dict(), "sums": self.sums}, self.device)])
+            own = send_to_device({"task": self.task.state_dict(), "sums": self.sums}, "cpu")
+            cuda = torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None
+            ranks = gather_object([{"torch": torch.get_rng_state(), "cuda": cuda, "own": own}])
             if not self.accelerator.is_main_process:
                 return
             tensors = {
-                "model": _copies(self.bare),
-                "mean": _copies(self.mean.module),
+                "model": self.bare.state_dict(),
+                "mean": self.mean.module.state_dict(),
                 "optimizer": optimizer_tensors(self.optimizer, self.names),
             }
-            about = {
-                "seconds": self.elapsed,
-                "summed": self.summed,
-                "errors": self.errors,
-                "validated": self.validated,
-                "config": self.config.to_json(),
-            }
-            save_checkpoint(self.checkpoints, self.step, Checkpoint(tensors, about, ranks), self.config.keep)
+            about = {name: getattr(self, name) for name in _KEPT}
+            about |= {"seconds": self.elapsed, "config": self.config.to_json()}
+            save_checkpoint(self.checkpoints, Checkpoint(tensors, about, ranks), self.config.keep)
 
     def _resume(self, place: Path, rank: int) -> list[str]:
         """Take over a checkpoint; says what of the config has changed."""
         checkpoint = load_checkpoint(place)
-        about = checkpoint.about
-        wrong, changed = self.config.changes(about["config"])
+        wrong, changed = self.config.changes(checkpoint.about["config"])
         if wrong:
             raise InputError(f"{place}: {wrong[0]}; expected the same")
         if len(checkpoint.ranks) != self.processes:
@@ -316,22 +310,23 @@ class _Run:
             self.mean.module.load_state_dict(checkpoint.tensors["mean"])
             load_optimizer(self.optimizer, self.names, checkpoint.tensors["optimizer"])
         except (RuntimeError, ValueError, KeyError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise InputError(f"{place}: {reason}; expected a checkpoint of this network") from error
-        self.step, self.seconds = about["step"], about["seconds"]
-        self.summed, self.errors, self.validated = about["summed"], about["errors"], about["validated"]
-        self.saved = self.step
-        own = restore_process(checkpoint.ranks[rank], self.device)
-        self.task.load_state_dict(own["task"])
-        self.sums = {name: value.to(self.device) for name, value in own["sums"].items()}
+            raise InputError(f"{place}: {cause(error)}; expected a checkpoint of this network") from error
+        for name in ("seconds", *_KEPT):
+            setattr(self, name, checkpoint.about[name])
+        state = checkpoint.ranks[rank]
+        torch.set_rng_state(state["torch"])
+        if self.device.type == "cuda" and state["cuda"] is not None:
+            torch.cuda.set_rng_state(state["cuda"], self.device)
+        self.task.load_state_dict(state["own"]["task"])
+        self.sums = {name: value.to(self.device) for name, value in state["own"]["sums"].items()}
         return changed
 
-    def _report(self, first: int) -> dict[str, Any]:
+    def _report(self) -> dict[str, Any]:
         from accelerate.utils import gather_object
 
         from ..bench.machine import about
 
-        working = max(time.monotonic() - self.began - self.aside, 1e-9)
+        working = max(self.working, 1e-9)
         skipped = gather_object(list(self.task.skipped()))
         if not self.accelerator.is_main_process:
             return {}
@@ -341,19 +336,15 @@ class _Run:
             "steps": self.step,
             "seconds": round(self.elapsed, 1),
             "processes": self.processes,
-            "samples_per_step": self.config.batch_size * self.config.accumulation * self.processes,
-            "samples_per_second": round(self.samples * self.processes / working, 1),
-            "resumed_at": first,
+            "samples_per_step": self.step_size,
+            "samples_per_second": round((self.step - self.first) * self.step_size / working, 1),
+            "resumed_at": self.first,
             "skipped": sorted(set(skipped)),
             "commit": _commit(),
             **about(self.device.type),
             **({"gpu_memory_gib": round(torch.cuda.max_memory_allocated() / 2**30, 2)} if on_cuda else {}),
             "config": self.config.to_json(),
         }
-
-    def _export(self, report: dict[str, Any], half: bool) -> None:
-        self.task.save(self.config.out / MODEL_FILE, self.mean.module.state_dict(), report, half=half)
-        (self.config.out / REPORT_FILE).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def _count_steps(config: TrainingConfig, epoch: int | None, processes: int) -> int:
@@ -378,10 +369,6 @@ def _check_frozen(config: TrainingConfig, names: Collection[str]) -> None:
         for prefix in phase.frozen:
             if not any(name.startswith(prefix) for name in names):
                 raise InputError(f"phases[{index}].frozen: {prefix}; expected the beginning of a parameter's name")
-
-
-def _copies(model: torch.nn.Module) -> dict[str, torch.Tensor]:
-    return {name: value.detach().cpu().clone() for name, value in model.state_dict().items()}
 
 
 def _commit() -> str | None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader, Dataset
 
 from ..body.labels import IGNORE, LabelSet, label_set
 from ..body.skeletons import MPJPE_SKELETON, skeleton
@@ -110,17 +110,13 @@ class Examples:
 
     def to(self, device: torch.device | str) -> Examples:
         """The same on another device."""
-        moved = {each.name: getattr(self, each.name).to(device, non_blocking=True) for each in fields(self)}
+        moved = {name: value.to(device, non_blocking=True) for name, value in vars(self).items()}
         return Examples(**{**moved, "part_groups": self.part_groups})
-
-    def rows(self, index: torch.Tensor) -> Examples:
-        """Those of some people, by int64 indices, shape (N,)."""
-        return Examples(**{each.name: getattr(self, each.name)[index] for each in fields(self)})
 
     @classmethod
     def cat(cls, examples: Sequence[Examples]) -> Examples:
         """All in one batch."""
-        return cls(**{each.name: torch.cat([getattr(one, each.name) for one in examples]) for each in fields(cls)})
+        return cls(**{name: torch.cat([vars(one)[name] for one in examples]) for name in vars(examples[0])})
 
 
 def make_example(
@@ -194,62 +190,60 @@ def _square_box(sample: Sample) -> Box:
 
 def _joints(sample: Sample) -> np.ndarray:
     """``JOINTS`` [m], NaN where unknown, shape (14, 3)."""
-    joints = np.full((len(JOINTS), 3), np.nan)
-    if sample.joints is not None:
-        for row, name in enumerate(JOINTS):
-            if name in sample.joint_names:
-                joints[row] = sample.joints[sample.joint_names.index(name)]
-    return joints
+    known = {} if sample.joints is None else dict(zip(sample.joint_names, sample.joints, strict=True))
+    return np.array([known.get(name, (np.nan,) * 3) for name in JOINTS], dtype=np.float64)
 
 
-class _People(Dataset):
-    """Augmented examples by (epoch, index); what went wrong, instead of one that can't be read."""
+@dataclass(frozen=True)
+class ExampleDataset(Dataset):
+    """Augmented examples without end, every person once an epoch in random order.
 
-    def __init__(self, samples: Sequence[Sample], size: int, augmentation: Augmentation, seed: int) -> None:
-        self._samples, self._size, self._augmentation, self._seed = samples, size, augmentation, seed
+    An item is the same whoever asks for it, also on resuming.
 
-    def __getitem__(self, place: tuple[int, int]) -> Examples | str:
-        epoch, index = place
-        sample = self._samples[index]
+    Attributes:
+        samples: The people.
+        size: Side of the crops [px].
+        augmentation: What may change.
+        seed: Of order and augmentation.
+    """
+
+    samples: Sequence[Sample]
+    size: int
+    augmentation: Augmentation
+    seed: int = 0
+
+    def __getitem__(self, place: int) -> Examples | str:
+        """One example, B = 1, or why it can't be made."""
+        epoch, position = divmod(place, len(self.samples))
+        index = int(_order(self.seed, epoch, len(self.samples))[position])
+        sample = self.samples[index]
         try:
-            rng = np.random.default_rng([self._seed, epoch, index])  # the same whoever makes it, also on resuming
-            return make_example(sample, self._size, self._augmentation, rng)
+            rng = np.random.default_rng([self.seed, epoch, index])
+            return make_example(sample, self.size, self.augmentation, rng)
         except InputError as error:
             return f"{sample.source} {sample.name}: {error}"
 
 
-class _Order(Sampler):
-    """(epoch, index) of one process without end: every sample once an epoch, in random order."""
-
-    def __init__(self, count: int, seed: int, *, rank: int, processes: int, consumed: int) -> None:
-        self._count, self._seed, self._rank, self._processes = count, seed, rank, processes
-        self._consumed = consumed  # by this process
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        epoch, order = -1, np.zeros(0, dtype=np.int64)
-        for place in count(self._consumed * self._processes + self._rank, self._processes):
-            if place // self._count != epoch:
-                epoch = place // self._count
-                order = np.random.default_rng([self._seed, epoch]).permutation(self._count)
-            yield epoch, int(order[place % self._count])
+@lru_cache(maxsize=2)
+def _order(seed: int, epoch: int, size: int) -> np.ndarray:
+    return np.random.default_rng([seed, epoch]).permutation(size)
 
 
 def _collate(found: list[Examples | str]) -> tuple[Examples | None, list[str]]:
     """One batch, for a worker hands each tensor over by itself, which takes longer than making it."""
-    read = [one for one in found if isinstance(one, Examples)]
-    return Examples.cat(read) if read else None, [one for one in found if isinstance(one, str)]
+    read, failed = [one for one in found if isinstance(one, Examples)], [one for one in found if isinstance(one, str)]
+    # Where a sample can't be read, another one of the batch takes its place.
+    filled = [read[index % len(read)] for index in range(len(found))] if read else []
+    return Examples.cat(filled) if read else None, failed
 
 
 class Feed:
     """Batches without end, made by worker processes.
 
     Args:
-        samples: The people.
-        size: Side of the crops [px].
-        augmentation: What may change.
-        batch_size: B; where a sample can't be read, another one of the batch takes its place.
+        people: The same in all processes of a run.
+        batch_size: B.
         workers: Processes that read; 0 reads here.
-        seed: Of order and augmentation; all processes of a run have the same.
         rank: Of this process,
         processes: of so many.
         consumed: How many samples this process has had before.
@@ -261,23 +255,20 @@ class Feed:
 
     def __init__(
         self,
-        samples: Sequence[Sample],
-        *,
-        size: int,
-        augmentation: Augmentation,
+        people: ExampleDataset,
         batch_size: int,
+        *,
         workers: int = 0,
-        seed: int = 0,
         rank: int = 0,
         processes: int = 1,
         consumed: int = 0,
     ) -> None:
         self.consumed, self.skipped = consumed, dict[str, None]()
-        self._batch_size, self._count = batch_size, len(samples)
+        self._batch_size, self._count = batch_size, len(people.samples)
         loader = DataLoader(
-            _People(samples, size, augmentation, seed),
+            people,
             batch_size=batch_size,
-            sampler=_Order(len(samples), seed, rank=rank, processes=processes, consumed=consumed),
+            sampler=count(consumed * processes + rank, processes),
             num_workers=workers,
             collate_fn=_collate,
             generator=torch.Generator(),  # or a loader draws from the global one, which a resumed run must not
@@ -290,13 +281,10 @@ class Feed:
         Raises:
             InputError: If none of the samples can be read.
         """
-        empty = 0
-        while True:
+        for _ in range(0, self._count, self._batch_size):
             read, failed = next(self._batches)
             self.consumed += self._batch_size
             self.skipped.update(dict.fromkeys(failed))
             if read is not None:
-                return read.rows(torch.arange(self._batch_size) % len(read.pictures)) if failed else read
-            empty += self._batch_size
-            if empty >= self._count:
-                raise InputError(f"none of {self._count} samples can be read; the first: {failed[0]}")
+                return read
+        raise InputError(f"none of {self._count} samples can be read; the first: {failed[0]}")

@@ -8,14 +8,12 @@ off is pulled about as much as its keypoint. All are means over the batch, in wh
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import nn
 
 from ..body.labels import IGNORE
-from ..body.posing import Posed
 from ..body.template import template
 from ..inputs.observation import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
@@ -61,13 +59,13 @@ def seg_term(prediction: PicturePrediction, examples: Examples, *, size: int, gr
         size: Side of the crops that are drawn [px].
         gradient: The renderer's, see ``ellipsoid_label_loss``.
     """
-    bodies, groups = prediction.bodies, resize_nearest(examples.groups, size)
-    posed, camera = bodies.posed(), bodies.camera(size)
-    total = bodies.log_scale.new_zeros(())
+    groups = resize_nearest(examples.groups, size)
+    total = prediction.bodies.log_scale.new_zeros(())
     for part_groups, chosen in label_sets(examples):
+        bodies = prediction.bodies.select(chosen)
         loss, _ = ellipsoid_label_loss(
-            Posed(**{each.name: getattr(posed, each.name)[chosen] for each in fields(Posed)}),
-            type(camera)(camera.scale[chosen], camera.translation[chosen]),
+            bodies.posed(),
+            bodies.camera(size),
             groups[chosen],
             part_labels=part_groups,
             gradient=gradient,

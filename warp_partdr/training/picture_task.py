@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,17 +16,16 @@ import torch
 from ..body.labels import IGNORE
 from ..errors import InputError
 from ..inputs.observation import REFERENCE_SIZE
-from ..inputs.sample import Sample
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
+from ..network.checkpoint import load_ellipbodynet, save_ellipbodynet
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
-from ..network.picture_checkpoint import load_ellipbodynet, save_ellipbodynet
 from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
-from .picture_data import JOINTS, Examples, Feed, Source, make_example
+from .picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
 from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
-from .task import PACKAGED_NETWORK
+from .task import PACKAGED_NETWORK, Task
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -55,7 +55,7 @@ class PictureData:
     gradient: Gradient = "partdr"
 
 
-class PictureTask:
+class PictureTask(Task):
     """The ``Task`` of EllipBodyNet."""
 
     MODEL: ClassVar[type[Any]] = EllipBodyNetConfig
@@ -73,76 +73,59 @@ class PictureTask:
     )
 
     def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
-        self._config, self._rank, self._processes, self._device = config, rank, processes, device
-        data = config.data
+        super().__init__(config, rank=rank, processes=processes, device=device)
+        sources = [source for source in config.data.sources if not source.validation]
         # Each with the phase from which on it is used.
-        self._samples = [
-            (source.first_phase, sample)
-            for source in data.sources
-            if not source.validation
-            for sample in source.read(device)
-        ]
+        self._samples = [(source.first_phase, sample) for source in sources for sample in source.read(device)]
         if not any(first == 0 for first, _ in self._samples):
             raise InputError("data.sources: none to begin with; expected one at least, with first_phase 0")
-        self.epoch: int | None = len(self._samples)
+        self.epoch = len(self._samples)
         self._saved_config: EllipBodyNetConfig = config.model
-        self._left_out: frozenset[str] = frozenset()
-        self._active: list[Sample] = []
         self._feed: Feed | None = None
         self._consumed = 0
         self._skipped: dict[str, None] = {}
 
     def model(self) -> torch.nn.Module:
         """A new network."""
-        network = EllipBodyNet(self._config.model)
+        network = EllipBodyNet(self.config.model)
         self._saved_config = network.config
         return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def begin(self, phase: Phase) -> None:
         """Leave out some terms from now on, and take in what data sets the phase adds."""
-        self._left_out = frozenset(phase.without)
-        index = self._config.phases.index(phase)
-        self._active = [sample for first, sample in self._samples if first <= index]
-        self._feed = None
+        super().begin(phase)
+        index, data = self.config.phases.index(phase), self.config.data
+        active = [sample for first, sample in self._samples if first <= index]
+        self._feed = Feed(
+            ExampleDataset(active, self.config.model.size, data.augmentation, self.config.seed),
+            self.config.batch_size,
+            workers=data.workers,
+            rank=self.rank,
+            processes=self.processes,
+            consumed=self._consumed,
+        )
 
     def batch(self, device: torch.device) -> Examples:
         """The next people."""
-        if self._feed is None:
-            data = self._config.data
-            self._feed = Feed(
-                self._active,
-                size=self._config.model.size,
-                augmentation=data.augmentation,
-                batch_size=self._config.batch_size,
-                workers=data.workers,
-                seed=self._config.seed,
-                rank=self._rank,
-                processes=self._processes,
-                consumed=self._consumed,
-            )
+        assert self._feed is not None  # the loop begins a phase first
         examples = next(self._feed)
         self._consumed = self._feed.consumed
         self._skipped.update(self._feed.skipped)
         return examples.to(device)
 
-    def samples(self, batch: Examples) -> int:
-        """Number of people."""
-        return len(batch.pictures)
-
     def loss(self, model: torch.nn.Module, batch: Examples) -> dict[str, torch.Tensor]:
         """The weighted terms and their sum."""
         prediction: PicturePrediction = model(batch.pictures)
         terms = {**body_terms(prediction, batch), **head_terms(prediction, batch)}
-        if "seg" not in self._left_out:
-            data = self._config.data
+        if "seg" not in self.left_out:
+            data = self.config.data
             terms["seg"] = seg_term(prediction, batch, size=data.render_size, gradient=data.gradient)
-        return weighted_losses(terms, self._config.weights, self._left_out)
+        return weighted_losses(terms, self.config.weights, self.left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on the sources that are for validation; none without such."""
         joints, places = [], []
-        # Of each label set, confusion counts.
-        body, head = dict[tuple[int, ...], list[np.ndarray]](), dict[tuple[int, ...], list[np.ndarray]]()
+        counts: dict[tuple[str, tuple[int, ...]], list[np.ndarray]] = defaultdict(list)  # by score and label set
         for host in self._held_out:
             examples = host.to(device)
             prediction = model(examples.pictures)
@@ -150,30 +133,29 @@ class PictureTask:
             if whole.any():
                 bodies = posed_landmarks(prediction.bodies.posed(), JOINTS)[whole]
                 points, valid = (bodies, examples.joints[whole]), examples.has_joints[whole] > 0
-                joints.append(
-                    torch.stack([mpjpe(*points, centre_on=HIPS, valid=valid), pa_mpjpe(*points, valid=valid)])
-                )
+                both = mpjpe(*points, centre_on=HIPS, valid=valid), pa_mpjpe(*points, valid=valid)
+                joints.append(torch.stack(both))
             apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
             places.append(apart[examples.keypoints[..., 2] > 0])
             size = examples.groups.shape[-1]
-            drawn, segmented = draw_bodies(prediction.bodies, size), prediction.part_labels(size)
+            shown = {
+                "part F1": draw_bodies(prediction.bodies, size),
+                "segmentation F1": prediction.part_labels(size),
+            }
             for part_groups, chosen in label_sets(examples):
                 table = torch.tensor([0, *part_groups], dtype=torch.uint8, device=device)
                 classes = 1 + max(group for group in part_groups if group != IGNORE)
-                for counts, labels in ((body, drawn), (head, segmented)):
-                    shown = table[labels[chosen].long()]
-                    found = confusion(shown, examples.groups[chosen], classes).sum(0)
-                    counts.setdefault(part_groups, []).append(found)
+                for name, labels in shown.items():
+                    found = confusion(table[labels[chosen].long()], examples.groups[chosen], classes)
+                    counts[name, part_groups].append(found.sum(0))
         errors: dict[str, float] = {}
         if joints:
             means = torch.cat(joints, dim=1).mean(1) * 1000
             errors |= {"MPJPE [mm]": float(means[0]), "PA-MPJPE [mm]": float(means[1])}
         if places:
             errors["keypoints [px of 256]"] = float(torch.cat(places).mean())
-        if body:
-            errors["part F1"], errors["segmentation F1"] = (
-                float(np.mean([part_f1(pooled(matrices)) for matrices in counts.values()])) for counts in (body, head)
-            )
+        for name in dict.fromkeys(name for name, _ in counts):
+            errors[name] = float(np.mean([part_f1(pooled(found)) for key, found in counts.items() if key[0] == name]))
         return errors
 
     def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
@@ -186,11 +168,9 @@ class PictureTask:
         prediction = model(shown)
         size = shown.shape[-1]
         photos = shown.permute(0, 2, 3, 1).cpu().numpy()
-        drawn, segmented = (
-            labels.cpu().numpy() for labels in (draw_bodies(prediction.bodies, size), prediction.part_labels(size))
-        )
+        drawn = draw_bodies(prediction.bodies, size).cpu().numpy()
         over = np.where(drawn[..., None] > 0, PART_COLOURS[drawn] // 4 * 3 + photos // 4, photos)
-        rows = (photos, over, PART_COLOURS[segmented])
+        rows = (photos, over, PART_COLOURS[prediction.part_labels(size).cpu().numpy()])
         return Image.fromarray(np.concatenate([np.concatenate(list(row), axis=1) for row in rows]))
 
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
@@ -198,14 +178,7 @@ class PictureTask:
         save_ellipbodynet(path, weights, self._saved_config, about, half=half)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
-        """Weights of a trained network.
-
-        Args:
-            source: Its file.
-
-        Raises:
-            InputError: If it can't be read, or its sizes are others than the config's.
-        """
+        """Weights of a trained network; see ``Task``."""
         if source == PACKAGED_NETWORK:
             raise InputError("initial: packaged; expected a file: the package has no EllipBodyNet")
         network = load_ellipbodynet(source)
@@ -223,15 +196,15 @@ class PictureTask:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        self._consumed, self._feed = state["consumed"], None
+        self._consumed = state["consumed"]
 
     @cached_property
     def _held_out(self) -> list[Examples]:
         found: list[Examples] = []
-        for source in self._config.data.sources:
-            for sample in source.read(self._device) if source.validation else ():
+        for source in self.config.data.sources:
+            for sample in source.read(self.device) if source.validation else ():
                 try:
-                    found.append(make_example(sample, self._config.model.size))
+                    found.append(make_example(sample, self.config.model.size))
                 except InputError as error:
                     self._skipped[f"{sample.source} {sample.name}: {error}"] = None
         return [Examples.cat(found[first : first + _BATCH]) for first in range(0, len(found), _BATCH)]

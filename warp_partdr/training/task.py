@@ -1,4 +1,4 @@
-"""The protocol between the training loop and its tasks, and the tasks by name."""
+"""The interface between the training loop and its tasks, and the tasks by name."""
 
 from __future__ import annotations
 
@@ -32,26 +32,32 @@ class Task(Protocol):
         DATA: Dataclass of the config's table ``[data]``; ``config.data`` is one.
         WEIGHTS: The loss terms' weights by default; ``config.weights`` has the same names.
         epoch: Samples in an epoch, over all processes; None where samples never end.
+        left_out: Loss terms that the phase leaves out.
     """
 
     MODEL: ClassVar[type[Any]]
     DATA: ClassVar[type[Any]]
     WEIGHTS: ClassVar[Mapping[str, float]]
-    epoch: int | None
+    epoch: int | None = None
+    config: TrainingConfig
+    rank: int
+    processes: int
+    device: torch.device
+    left_out: tuple[str, ...]
 
-    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None: ...
+    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
+        self.config, self.rank, self.processes, self.device = config, rank, processes, device
+        self.left_out = ()
 
     def model(self) -> torch.nn.Module:
         """A new network with random weights, drawn from torch's global generator, on any device."""
 
     def begin(self, phase: Phase) -> None:
         """A phase begins: ``loss`` leaves out the terms ``phase.without`` from now on. Also called on resuming."""
+        self.left_out = phase.without
 
     def batch(self, device: torch.device) -> Any:
         """The next training batch of ``config.batch_size`` samples: tensors in a dataclass, dict, tuple or list."""
-
-    def samples(self, batch: Any) -> int:
-        """Number of samples in a batch."""
 
     def loss(self, model: torch.nn.Module, batch: Any) -> dict[str, torch.Tensor]:
         """The terms, each with its weight, and "total", their sum: means over the batch, shape (), left on the device.
@@ -91,6 +97,7 @@ class Task(Protocol):
 
     def skipped(self) -> Sequence[str]:
         """Samples that could not be read: name and reason, each once."""
+        return ()
 
     def state_dict(self) -> dict[str, Any]:
         """State that makes the next batches what they are: tensors and JSON, in dicts with names as keys."""
