@@ -270,29 +270,29 @@ def test_the_compiled_operations_have_no_second_derivative(device):
     ops = torch.ops.warp_partdr
     target = torch.zeros(1, *SIZE, dtype=torch.uint8, device=device)
     far = float("inf")
-    shown = (list(range(1, 21)), False, "coverage", [-far, far, 1.0, 1.0])
+    shown = ([0, *range(1, 21)], "coverage", [-far, far, 1.0, 1.0])
     rest = (posed.axes, posed.semi_axes, camera.intrinsics)
     drawing = (mesh.faces, mesh.face_labels, mesh.edges)
-    rules = (False, [-far, far, 1.0])
+    rules = ([20, 0], "partdr", [-far, far, 1.0])
     for name, function, given in (
         (
             "draw_ellipsoids",
-            lambda c: ops.ellipsoid_maps(c, *rest, [20, *SIZE], *shown)[0].square().sum(),
+            lambda c: ops.ellipsoid_maps([c, *rest], [20, *SIZE], *shown)[0].square().sum(),
             posed.centres,
         ),
         (
             "ellipsoid_label_loss",
-            lambda c: ops.ellipsoid_label_loss(c, *rest, target, True, *shown)[0].sum(),
+            lambda c: ops.ellipsoid_label_loss([c, *rest], target, True, *shown)[0].sum(),
             posed.centres,
         ),
         (
             "draw_mesh",
-            lambda v: ops.mesh_maps(v, *drawing, [20, *SIZE], *rules)[0].square().sum(),
+            lambda v: ops.mesh_maps([v, *drawing], [20, *SIZE], *rules)[0].square().sum(),
             camera.project(posed.vertices(0)),
         ),
         (
             "mesh_label_loss",
-            lambda v: ops.mesh_label_loss(v, *drawing, target, True, 20, *rules)[0].sum(),
+            lambda v: ops.mesh_label_loss([v, *drawing], target, True, *rules)[0].sum(),
             camera.project(posed.vertices(0)),
         ),
     ):

@@ -39,17 +39,17 @@ def assert_compiled_first_gives_eager_numbers(function, leaf):
 
 def test_opcheck(device):
     leaf, mesh, target = scene(device)
-    arrays = (leaf, mesh.faces, mesh.face_labels, mesh.edges)
+    arrays = [leaf, mesh.faces, mesh.face_labels, mesh.edges]
     # float atomics may differ in the last bits between two runs on CUDA
     torch.library.opcheck(
         torch.ops.warp_partdr.mesh_maps.default,
-        (*arrays, [20, 24, 20], True, [0.01, float("inf"), 1.0]),
+        (arrays, [20, 24, 20], [20, 1], "partdr", [0.01, float("inf"), 1.0]),
         atol=1e-3,
         rtol=1e-4,
     )
     torch.library.opcheck(
         torch.ops.warp_partdr.mesh_label_loss.default,
-        (*arrays, target, True, 20, True, [0.01, float("inf"), 1.0]),
+        (arrays, target, True, [20, 1], "partdr", [0.01, float("inf"), 1.0]),
         atol=1e-3,
         rtol=1e-4,
     )
@@ -63,13 +63,13 @@ def ellipsoids_and_camera(device):
 
 def test_opcheck_of_ellipsoids(device):
     given, camera = ellipsoids_and_camera(device)
-    tensors = (given.centres, given.axes, given.semi_axes, camera.intrinsics)
-    numbers = (list(range(1, 21)), False, "coverage", [-float("inf"), float("inf"), 1.0, 1.0])
+    tensors = [given.centres, given.axes, given.semi_axes, camera.intrinsics]
+    numbers = ([0, *range(1, 21)], "coverage", [-float("inf"), float("inf"), 1.0, 1.0])
     target = torch.zeros(2, *SIZE, dtype=torch.uint8, device=device)
-    torch.library.opcheck(torch.ops.warp_partdr.ellipsoid_maps.default, (*tensors, [20, *SIZE], *numbers))
+    torch.library.opcheck(torch.ops.warp_partdr.ellipsoid_maps.default, (tensors, [20, *SIZE], *numbers))
     torch.library.opcheck(
         torch.ops.warp_partdr.ellipsoid_label_loss.default,
-        (*tensors, target, True, *numbers),
+        (tensors, target, True, *numbers),
     )
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cache
+from types import ModuleType
 
 import torch
 import warp as wp
 
+from ..kernels.launch import launch_in_slices
 from ..kernels.side_stream import branch_on
 
 
@@ -109,6 +111,15 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
     wp.init()  # does nothing the second time; device_from_torch relies on it
     with _gate.launching(), _on_stream(device) as where:
         yield where
+
+
+def launch_bodies_on(
+    device: torch.device, launch: Callable[[slice], None], batch: int, modules: Sequence[ModuleType]
+) -> None:
+    """Call ``launch`` for slices of the batch on torch's current stream, see ``launch_in_slices``; not for 0 bodies."""
+    if batch > 0:
+        with on_torch_stream(device) as where:
+            launch_in_slices(launch, batch, wp.get_device(where), modules=modules)
 
 
 # Warp's current stream and device are the process's, torch's the thread's: without turns, a thread would launch on

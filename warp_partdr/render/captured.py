@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 import warp as wp
 
-from ..interop.arrays import warp_array
 from ..kernels.ellipsoids.forces import make_forces
-from ..kernels.ellipsoids.picture import launch_draw, num_partial_losses
-from ..kernels.ellipsoids.silhouette import Seen, launch_see
-from ..kernels.labels import LabelTarget, launch_find_reach
 from ..kernels.refine.state import Drawn, EllipsoidArrays
-from .ellipsoid_passes import EllipsoidOptions
+from .ellipsoid_passes import ellipsoid_passes, launch_reach
 from .renderers import RendererEllipsoids
 
 
@@ -39,44 +36,23 @@ class CapturedEllipsoids:
         targets: torch.Tensor,
         ellipsoids: EllipsoidArrays,
     ) -> None:
-        device, (count, height, width) = ellipsoids.centres.device, targets.shape
         batch, parts = ellipsoids.centres.shape
-        self._posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
-        self._part_labels = wp.array(list(part_labels), dtype=wp.uint8, device=device)
-        self._seen = Seen.empty(batch, parts, device)
-        self._parts = wp.empty((batch, height, width), dtype=wp.uint8, device=device)
-        self._no_labels = wp.empty((0, 0, 0), dtype=wp.uint8, device=device)
-        self._no_depth = wp.empty((0, 0, 0), dtype=float, device=device)
-        self._nearest = wp.empty((batch, height, width) if device.is_cpu else (0, 0, 0), dtype=float, device=device)
-        target = self._target = LabelTarget()
-        target.target = warp_array(targets)
-        reach = (count, 2, max((label for label in part_labels if label < 255), default=0) + 1, max(height, width))
-        target.reach = wp.empty(reach if renderer.gradient == "partdr" else (0, 0, 0, 0), dtype=wp.vec2i, device=device)
-
+        device, size = ellipsoids.centres.device, targets.shape[1:]
+        posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
+        shown = wp.empty((batch, *size), dtype=wp.uint8, device=device)
+        passes = ellipsoid_passes(tuple(part_labels), False, near=-math.inf, **vars(renderer))
+        target = self._target = passes.label_target(targets)
         drawn = self.drawn = Drawn()
-        drawn.loss = wp.empty((batch, num_partial_losses(device, batch, height, width)), dtype=float, device=device)
+        self._draw, seen, drawn.loss = passes.prepare_picture(posed, target, parts=shown)
         drawn.forces = make_forces(batch, parts, device)
-        self._launch_forces = EllipsoidOptions(**vars(renderer)).launcher()
+        self._push = partial(passes.force_launcher(), posed, seen, shown, gradient=target, forces=drawn.forces)
+        self._bodies = slice(0, batch)
 
     def update(self) -> None:
         """Update what depends on the targets after they were written to."""
-        if self._target.reach.size > 0:
-            launch_find_reach(self._target.target, self._target.reach)
+        launch_reach(self._target)
 
     def launch(self) -> None:
         """Project, draw, compare, sum the forces."""
-        seen = self._seen
-        launch_see(self._posed, self._part_labels, near=-math.inf, perspective=False, seen=seen)
-        launch_draw(
-            seen.silhouettes,
-            perspective=False,
-            target=self._target,
-            nearest=self._nearest,
-            parts=self._parts,
-            labels=self._no_labels,
-            depth=self._no_depth,
-            losses=self.drawn.loss,
-        )
-        self._launch_forces(
-            self._posed, seen, self._parts, perspective=False, gradient=self._target, forces=self.drawn.forces
-        )
+        self._draw(self._bodies)
+        self._push()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from types import ModuleType
 from typing import Any
 
@@ -14,182 +14,211 @@ import warp as wp
 
 from ..interop.arrays import contiguous, warp_array
 from ..interop.loss_graph import Buffers
-from ..interop.streams import on_torch_stream
-from ..kernels.ellipsoids import coverage, edges, partdr
-from ..kernels.ellipsoids import forces as surface_forces
+from ..interop.streams import launch_bodies_on, on_torch_stream
+from ..kernels.ellipsoids import coverage, edges, forces, partdr, silhouette
 from ..kernels.ellipsoids import picture as ellipsoid_picture
-from ..kernels.ellipsoids import silhouette as kernel_ellipsoids
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import DenseGradient, LabelTarget, launch_find_reach
-from ..kernels.launch import launch_in_slices
-from .options import Gradient
+from .options import Gradient, cached
 from .part_mesh import MAX_LABEL
+from .pictures import Picture, Settings, Size, Tensors
 
 _HALVINGS = 4  # of a step at one sample a pixel, to find where on it the cost changes
 _MORE_HALVINGS = 1.6  # for each doubling of the samples
+_ESTIMATORS = {"edges": edges, "coverage": coverage, "partdr": partdr}  # modules of their kernels
 
 Launch = Callable[[slice], None]  # the work of some bodies of the batch
 
 
-@dataclass(frozen=True)
-class View:
-    """Size of the picture, kind of camera, and labels."""
+@dataclass(frozen=True, eq=False)
+class EllipsoidPasses:
+    """The exact renderer's ``Passes``; its inputs are centres, axes, semi-axes and camera."""
 
-    height: int
-    width: int
-    near: float
-    perspective: bool
     labels: tuple[int, ...]  # what each ellipsoid shows
-
-    @property
-    def num_labels(self) -> int:
-        """Highest label that is shown, 255 aside."""
-        return max((label for label in self.labels if label <= MAX_LABEL), default=0)
-
-
-@dataclass(frozen=True)
-class EllipsoidOptions:
-    """Options of the gradient."""
-
+    perspective: bool
     gradient: Gradient
+    near: float
     max_distance: float
     depth_weight: float
     samples_per_pixel: float
 
-    @property
-    def estimator(self) -> ModuleType:
-        """Module of its kernels."""
-        modules = {"edges": edges, "coverage": coverage, "partdr": partdr}
-        return modules[self.gradient]
+    kind, drawing, name = "ellipsoid", "draw_ellipsoids", "ellipsoid_label_loss"
+    constants = ()
 
-    def launcher(self) -> Callable[..., None]:
+    @classmethod
+    def of(
+        cls, constants: Sequence[torch.Tensor], integers: Sequence[int], gradient: Any, numbers: Sequence[float]
+    ) -> EllipsoidPasses:
+        """Inverse of ``settings``."""
+        return ellipsoid_passes(tuple(integers[1:]), bool(integers[0]), gradient, *numbers)
+
+    def settings(self) -> Settings:
+        """Options as custom operations take them."""
+        numbers = [self.near, self.max_distance, self.depth_weight, self.samples_per_pixel]
+        return [int(self.perspective), *self.labels], self.gradient, numbers
+
+    @property
+    def modules(self) -> Sequence[ModuleType]:
+        """Modules of the kernels that it launches."""
+        return silhouette, ellipsoid_picture, _ESTIMATORS[self.gradient], forces
+
+    def force_launcher(self) -> Callable[..., None]:
         """Launcher of the sums of forces on ellipsoids, with one signature for all estimators."""
         if self.gradient == "edges":
-            return edges.launch_edge_forces
-        if self.gradient == "coverage":
-            return partial(
-                coverage.launch_coverage_forces,
-                steps_per_pixel=self.samples_per_pixel,
-                halvings=_HALVINGS + math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0))),
+            launch = edges.launch_edge_forces
+        elif self.gradient == "coverage":
+            halvings = _HALVINGS + math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
+            steps = self.samples_per_pixel
+            launch = partial(coverage.launch_coverage_forces, steps_per_pixel=steps, halvings=halvings)
+        else:
+            launch = partial(
+                partdr.launch_partdr_forces, max_distance=self.max_distance, depth_weight=self.depth_weight
             )
-        return partial(
-            partdr.launch_partdr_forces,
-            max_distance=self.max_distance,
-            depth_weight=self.depth_weight,
-        )
+        return partial(launch, perspective=self.perspective)
+
+    def draw(self, inputs: Tensors, size: Size) -> Picture:
+        """Draw labels, depth and index + 1 of the nearest; the scratch is what cameras see of each ellipsoid."""
+        shape, device = (inputs[0].shape[0], *size), inputs[0].device
+        labels, parts = (torch.empty(shape, dtype=torch.uint8, device=device) for _ in range(2))
+        depth = torch.empty(shape, device=device)
+        with on_torch_stream(device):
+            posed = _arrays(map(contiguous, inputs))
+            images = {"parts": warp_array(parts), "labels": warp_array(labels), "depth": warp_array(depth)}
+            launch, seen, _ = self.prepare_picture(posed, **images)
+        launch_bodies_on(device, launch, shape[0], (silhouette, ellipsoid_picture))
+        return Picture(labels, depth, parts, seen)
+
+    def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
+        """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
+        device, seen = grad_maps.device, picture.scratch
+        grads = tuple(torch.empty(each.shape, device=device) for each in inputs)
+        with on_torch_stream(device):
+            posed = _arrays(map(contiguous, inputs))
+            if seen is None:
+                seen = _empty_seen(posed)
+                self._prepare_see(device)(posed, seen=seen)
+            dense = DenseGradient()
+            dense.maps = warp_array(contiguous(grad_maps.float()))
+            launch = self._prepare_gradients(posed, seen, warp_array(picture.nearest), dense, grads)
+        launch_bodies_on(device, launch, grad_maps.shape[0], (_ESTIMATORS[self.gradient], forces))
+        return grads
+
+    def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
+        """One sum: a kernel adds in a fixed order, the same for any batch."""
+        return 1
+
+    def prepare(self, buffers: Buffers) -> Callable[[], None]:
+        """Launches of loss and gradient for all bodies of the buffers."""
+        inputs, size = buffers.inputs, buffers.target.shape[1:]
+        everything = slice(0, inputs[0].shape[0])
+        with on_torch_stream(buffers.target.device) as where:
+            target = self.label_target(buffers.target, needs_grad=len(buffers.grads) > 0)
+            posed = _arrays(inputs)
+            parts = wp.empty((inputs[0].shape[0], *size), dtype=wp.uint8, device=where)
+            draw, seen, losses = self.prepare_picture(posed, target, parts=parts)
+            totals = warp_array(buffers.losses[:, 0])
+            push = self._prepare_gradients(posed, seen, parts, target, buffers.grads) if buffers.grads else None
+
+        def launch() -> None:
+            draw(everything)
+            forces.launch_sum_rows(losses, totals)
+            launch_reach(target)
+            if push is not None:
+                push(everything)
+
+        return launch
+
+    def prepare_picture(
+        self, posed: Sequence[wp.array], target: LabelTarget | None = None, **images: wp.array
+    ) -> tuple[Launch, Seen, wp.array]:
+        """Launch that fills images, and what else it fills: silhouettes, and sums of L_seg.
+
+        Args:
+            posed: Centres, axes, semi-axes and camera.
+            target: Label images, if L_seg is asked for.
+            images: ``parts``, and if they are asked for ``labels`` and ``depth``, shape (B, H, W).
+        """
+        device, shape = posed[0].device, images["parts"].shape
+        seen, losses, nearest = _empty_seen(posed), _nothing(2, float, device.alias), _nothing(3, float, device.alias)
+        if target is not None:
+            num_losses = ellipsoid_picture.num_partial_losses(device, *shape)
+            losses = wp.empty((shape[0], num_losses), dtype=float, device=device)
+        if device.is_cpu:
+            nearest = wp.empty(shape, dtype=float, device=device)
+        outputs = {"labels": _nothing(3, wp.uint8, device.alias), "depth": _nothing(3, float, device.alias)}
+        outputs |= {"nearest": nearest, "losses": losses, **images}
+        see, compared = self._prepare_see(wp.device_to_torch(device)), LabelTarget() if target is None else target
+
+        def launch(part: slice) -> None:
+            here, cut = seen.cut(part), {name: _cut(array, part) for name, array in outputs.items()}
+            see([_cut(array, part) for array in posed], seen=here)
+            ellipsoid_picture.launch_draw(here.silhouettes, perspective=self.perspective, target=compared, **cut)
+
+        return launch, seen, losses
+
+    def _prepare_see(self, device: torch.device | str) -> Callable[..., None]:
+        """Launcher that fills the silhouettes of ``seen`` from centres, axes, semi-axes and camera."""
+        labels = warp_array(_on_device(self.labels, torch.device(device)))
+        return partial(launch_see, part_labels=labels, near=self.near, perspective=self.perspective)
+
+    def _prepare_gradients(
+        self, posed: Sequence[wp.array], seen: Seen, parts: wp.array, gradient: Any, grads: Tensors
+    ) -> Launch:
+        """Launch that fills ``grads``; ``gradient`` is a LabelTarget or a DenseGradient."""
+        batch, count = posed[0].shape
+        sums, outputs = forces.make_forces(batch, count, posed[0].device), _arrays(grads)
+        names, launch_forces = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera"), self.force_launcher()
+
+        def launch(part: slice) -> None:
+            bodies, here = [_cut(array, part) for array in posed], forces.cut_forces(sums, part)
+            shown = seen.cut(part), _cut(parts, part)
+            launch_forces(bodies, *shown, gradient=_cut_gradient(gradient, part), forces=here)
+            cut = {name: _cut(array, part) for name, array in zip(names, outputs, strict=True)}
+            forces.launch_spread(bodies[1], bodies[2], here, **cut)
+
+        return launch
+
+    def label_target(self, target: torch.Tensor, *, needs_grad: bool = True) -> LabelTarget:
+        """Label images (N, H, W) for the kernels; with ``reach``, to be filled, if the gradient asks for it."""
+        found = LabelTarget()
+        found.target = warp_array(target)
+        num_labels = max((label for label in self.labels if label <= MAX_LABEL), default=0)
+        reach = (len(target), 2, num_labels + 1, max(target.shape[1:]))
+        needed = needs_grad and self.gradient == "partdr"
+        found.reach = wp.empty(reach if needed else (0, 0, 0, 0), dtype=wp.vec2i, device=found.target.device)
+        return found
 
 
-@dataclass(frozen=True)
-class Picture:
-    """Images of shape (B, H, W) that ``draw`` fills; only ``parts`` if the picture is just compared."""
+ellipsoid_passes = cached(EllipsoidPasses)  # the same object, which is a graph's key, for the same options
 
-    seen: Seen
-    parts: torch.Tensor
-    labels: torch.Tensor
-    depth: torch.Tensor
+
+def launch_reach(target: LabelTarget) -> None:
+    """Fill the target's ``reach``, if there is one."""
+    if target.reach.size > 0:
+        launch_find_reach(target.target, target.reach)
 
 
 @lru_cache(maxsize=64)
-def labels_on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
+def _on_device(labels: tuple[int, ...], device: torch.device) -> torch.Tensor:
     """Labels on the device, cached: a copy from the host in every call would wait for it."""
     return torch.tensor(labels, dtype=torch.uint8, device=device)
 
 
-def arrays_of(tensors: Sequence[torch.Tensor]) -> list[wp.array]:
+def _arrays(tensors: Iterable[torch.Tensor]) -> list[wp.array]:
     """Centres, axes, semi-axes and camera, or their gradients, as Warp arrays over the same memory."""
     types = (wp.vec3, wp.mat33, wp.vec3, wp.vec4)
     return [warp_array(tensor, kind) for tensor, kind in zip(tensors, types, strict=True)]
 
 
-def draw(tensors: Sequence[torch.Tensor], view: View) -> Picture:
-    """Draw the picture."""
-    picture, launch = prepare_picture([contiguous(tensor) for tensor in tensors], view)
-    if len(picture.parts):  # Warp cuts nothing out of an empty array
-        modules = (kernel_ellipsoids, ellipsoid_picture)
-        with on_torch_stream(picture.parts.device) as where:
-            launch_in_slices(launch, len(picture.parts), wp.get_device(where), modules=modules)
-    return picture
+@cache  # an allocation takes 10 us
+def _nothing(ndim: int, dtype: type, device: str) -> wp.array:
+    """An empty array for what is not asked for."""
+    return wp.empty((0,) * ndim, dtype=dtype, device=device)
 
 
-def prepare_picture(
-    tensors: Sequence[torch.Tensor], view: View, target: LabelTarget | None = None, loss: torch.Tensor | None = None
-) -> tuple[Picture, Launch]:
-    """Buffers of a picture, and launches that fill them; with a target these fill ``loss`` instead of the labels."""
-    device = tensors[0].device
-    batch, count = tensors[0].shape[:2]
-    shape, none = (batch, view.height, view.width), (0, 0, 0)
-    parts = torch.empty(shape, dtype=torch.uint8, device=device)
-    labels = torch.empty(shape if target is None else none, dtype=torch.uint8, device=device)
-    depth = torch.empty(shape if target is None else none, device=device)
-    with on_torch_stream(device) as where:
-        seen = Seen.empty(batch, count, where)
-        arrays, table = arrays_of(tensors), warp_array(labels_on_device(view.labels, device))
-        sums = ellipsoid_picture.num_partial_losses(table.device, batch, view.height, view.width)
-        losses = torch.empty((0, 0) if target is None else (batch, sums), device=device)
-        outputs = {
-            "nearest": wp.empty(shape if device.type == "cpu" else none, dtype=float, device=where),
-            "parts": warp_array(parts),
-            "labels": warp_array(labels),
-            "depth": warp_array(depth),
-            "losses": warp_array(losses),
-        }
-        totals = None if loss is None else warp_array(loss)
-
-        def launch(part: slice) -> None:
-            cut = {name: _cut(array, part) for name, array in outputs.items()}
-            seen_here = seen.cut(part)
-            posed = [_cut(array, part) for array in arrays]
-            launch_see(posed, table, near=view.near, perspective=view.perspective, seen=seen_here)
-            compared = LabelTarget() if target is None else target
-            ellipsoid_picture.launch_draw(seen_here.silhouettes, perspective=view.perspective, target=compared, **cut)
-            if totals is not None:
-                surface_forces.launch_sum_rows(cut["losses"], totals)
-
-    return Picture(seen, parts, labels, depth), launch
-
-
-def gradients(
-    tensors: Sequence[torch.Tensor], picture: Picture, view: View, options: EllipsoidOptions, gradient: Any
-) -> tuple[torch.Tensor, ...]:
-    """Gradients with respect to centres, axes, semi-axes and camera."""
-    tensors = [contiguous(tensor) for tensor in tensors]
-    grads = tuple(torch.empty_like(tensor) for tensor in tensors)
-    launch = prepare_gradients(tensors, picture, view, options, gradient, grads)
-    if len(picture.parts):
-        modules = (options.estimator, surface_forces)
-        with on_torch_stream(picture.parts.device) as where:
-            launch_in_slices(launch, len(picture.parts), wp.get_device(where), modules=modules)
-    return grads
-
-
-def prepare_gradients(
-    tensors: Sequence[torch.Tensor],
-    picture: Picture,
-    view: View,
-    options: EllipsoidOptions,
-    gradient: Any,
-    grads: Sequence[torch.Tensor],
-) -> Launch:
-    """Prepare launches, and nothing else, that fill ``grads``, laid out as ``tensors``."""
-    batch, count = tensors[0].shape[:2]
-    with on_torch_stream(picture.parts.device) as where:
-        arrays = arrays_of(tensors)
-        forces = surface_forces.make_forces(batch, count, wp.get_device(where))
-        parts = warp_array(picture.parts)
-        names = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera")
-        outputs = dict(zip(names, arrays_of(grads), strict=True))
-        launch_forces = options.launcher()
-
-        def launch(part: slice) -> None:
-            posed = [_cut(array, part) for array in arrays]
-            here = surface_forces.cut_forces(forces, part)
-            of_part = _cut_gradient(gradient, part)
-            shown = picture.seen.cut(part), _cut(parts, part)
-            launch_forces(posed, *shown, perspective=view.perspective, gradient=of_part, forces=here)
-            cut = {name: _cut(array, part) for name, array in outputs.items()}
-            surface_forces.launch_spread(posed[1], posed[2], here, **cut)
-
-    return launch
+def _empty_seen(posed: Sequence[wp.array]) -> Seen:
+    batch, count = posed[0].shape
+    return Seen.empty(batch, count, posed[0].device)
 
 
 def _cut(array: wp.array, part: slice) -> wp.array:
@@ -204,56 +233,3 @@ def _cut_gradient(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGra
     dense = DenseGradient()
     dense.maps = gradient.maps[part]
     return dense
-
-
-def dense_gradient(maps: torch.Tensor) -> DenseGradient:
-    """Gradient with respect to label maps, shape (B, K, H, W), for the kernels."""
-    with on_torch_stream(maps.device):
-        dense = DenseGradient()
-        dense.maps = warp_array(contiguous(maps.float()))
-    return dense
-
-
-@dataclass(frozen=True, eq=False)
-class EllipsoidRecipe:
-    """L_seg and its gradient, for ``loss_graph``; see ``ellipsoid_recipe``."""
-
-    view: View
-    options: EllipsoidOptions
-
-    name = "ellipsoid_label_loss"
-
-    @property
-    def modules(self) -> Sequence[ModuleType]:
-        """Modules of the kernels that it launches."""
-        return kernel_ellipsoids, ellipsoid_picture, self.options.estimator, surface_forces
-
-    def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """One sum: a kernel adds in a fixed order, the same for any batch."""
-        return 1
-
-    def prepare(self, buffers: Buffers) -> Callable[[], None]:
-        """Launches for all bodies of the buffers."""
-        view, options, inputs = self.view, self.options, buffers.inputs
-        target, whole = LabelTarget(), slice(0, len(inputs[0]))
-        reaches = options.gradient == "partdr" and len(buffers.grads) > 0
-        with on_torch_stream(buffers.target.device) as device:
-            target.target = warp_array(buffers.target)
-            reach = (len(buffers.target), 2, view.num_labels + 1, max(view.height, view.width))
-            target.reach = wp.empty(reach if reaches else (0, 0, 0, 0), dtype=wp.vec2i, device=device)
-        picture, launch_picture = prepare_picture(inputs, view, target, buffers.losses[:, 0])
-        launch_gradients: Launch | None = None
-        if buffers.grads:
-            launch_gradients = prepare_gradients(inputs, picture, view, options, target, buffers.grads)
-
-        def launch() -> None:
-            launch_picture(whole)
-            if reaches:
-                launch_find_reach(target.target, target.reach)
-            if launch_gradients is not None:
-                launch_gradients(whole)
-
-        return launch
-
-
-ellipsoid_recipe = lru_cache(maxsize=64)(EllipsoidRecipe)  # the same object for the same options

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import torch
 
@@ -14,28 +13,20 @@ from ..body.posing import Posed
 from ..cameras import Camera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
-from ..interop.derivatives import once, refuse_transforms
-from ..interop.later import DrawnLater
-from ..interop.loss_graph import Shapes, find_label_loss, split_rows
+from ..interop.derivatives import refuse_transforms
 from ..interop.movable import Movable
-from .ellipsoid_ops import ellipsoid_numbers
-from .ellipsoid_passes import EllipsoidOptions, View, dense_gradient, draw, ellipsoid_recipe, gradients
-from .options import (
-    DEFAULT_DEPTH_WEIGHT,
-    Gradient,
-    cached,
-    check_partdr_options,
-    check_target,
-    label_maps,
-)
+from . import compiled as compiled  # registers the operations for torch.compile
+from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient, cached, check_partdr_options, check_target
 from .part_mesh import MAX_LABEL
+from .pictures import DrawnLater, Size, Tensors, draw_picture, find_loss
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 MAX_SAMPLES = 64  # a pixel; the work on creases grows with their square
 
 
 @dataclass(frozen=True)
-class EllipsoidImage:
+class EllipsoidImage(DrawnLater):
     """Picture of B bodies of ellipsoids.
 
     Attributes:
@@ -49,10 +40,6 @@ class EllipsoidImage:
     depth: torch.Tensor
     parts: torch.Tensor
     maps: torch.Tensor | None = None
-
-
-class _LaterImage(DrawnLater, EllipsoidImage):
-    pass
 
 
 @dataclass(frozen=True)
@@ -113,16 +100,9 @@ def draw_ellipsoids(
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
-    options = _options(gradient, max_distance, depth_weight, samples_per_pixel)
-    tensors, view = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, validate)
-    num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
-    if torch.compiler.is_compiling():
-        return _draw_compiled(tensors, view, options, num_maps)
-    if num_maps == 0:
-        with torch.no_grad():
-            picture = draw(tensors, view)
-        return EllipsoidImage(picture.labels, picture.depth, picture.parts)
-    return EllipsoidImage(*_Maps.apply(*tensors, view, options, num_maps))
+    rule = _check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
+    passes, inputs, size = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, rule, validate)
+    return draw_picture(EllipsoidImage, passes, inputs, size, check_whole("num_maps", num_maps, 0, MAX_LABEL))
 
 
 def ellipsoid_label_loss(
@@ -160,40 +140,25 @@ def ellipsoid_label_loss(
         NotImplementedError: As ``draw_ellipsoids``.
     """
     refuse_transforms("ellipsoid_label_loss", target)
-    options = _options(gradient, max_distance, depth_weight, samples_per_pixel)
+    rule = _check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
-    size = tuple(target.shape[1:])
-    tensors, view = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, validate)
-    check_target(target, ("centres", tensors[0]), tensors[0].shape[0])
-    if torch.compiler.is_compiling():
-        needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-        given = (*tensors, target.contiguous(), needs_grad, *ellipsoid_numbers(view, options))
-        loss, _ = torch.ops.warp_partdr.ellipsoid_label_loss(*given)
-        return loss, _draw_compiled(tensors, view, options, 0)
-    loss, rows = find_label_loss(ellipsoid_recipe(view, options), tensors, target)
-    return loss, _LaterImage(partial(_draw_rows, rows, tuple([tensor.shape for tensor in tensors]), view))
+    size = target.shape[1:]
+    passes, inputs, _ = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, rule, validate)
+    check_target(target, ("centres", inputs[0]), inputs[0].shape[0])
+    return find_loss(EllipsoidImage, passes, inputs, target)
 
 
-def _draw_rows(rows: torch.Tensor, shapes: Shapes, view: View) -> dict[str, torch.Tensor]:
-    """Draw the picture of a loss, from its copy of the ellipsoids."""
-    with torch.no_grad():
-        picture = draw(split_rows(rows[0], shapes), view)
-    return {"labels": picture.labels, "depth": picture.depth, "parts": picture.parts}
-
-
-_Tensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+_Rule = tuple[Gradient, float, float, float]  # gradient, max_distance, depth_weight, samples_per_pixel
 
 
 @cached
-def _options(
-    gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float
-) -> EllipsoidOptions:
+def _check_rule(gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float) -> _Rule:
     if gradient not in get_args(Gradient):
         raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(Gradient))}")
     check_partdr_options(max_distance, depth_weight)
     if not 0 < samples_per_pixel <= MAX_SAMPLES:
         raise ValueError(f"samples_per_pixel: {samples_per_pixel}; expected a positive number up to {MAX_SAMPLES}")
-    return EllipsoidOptions(gradient, float(max_distance), float(depth_weight), float(samples_per_pixel))
+    return gradient, float(max_distance), float(depth_weight), float(samples_per_pixel)
 
 
 def _check(
@@ -202,8 +167,9 @@ def _check(
     camera: Camera,
     image_size: tuple[int, ...],
     part_labels: Sequence[int] | None,
+    rule: _Rule,
     validate: bool,
-) -> tuple[_Tensors, View]:
+) -> tuple[EllipsoidPasses, Tensors, Size]:
     """Check the arguments that both entry points share; ``name`` is the one called."""
     check_type("ellipsoids", ellipsoids, Ellipsoids | Posed, "such as those of pose")
     centres, axes, semi_axes = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes
@@ -215,27 +181,15 @@ def _check(
     check_tensor("semi_axes", semi_axes, (batch, count, 3), dtypes=FLOATS, like=like)
     intrinsics = check_camera(camera, batch, like).expand(batch, 4)
     refuse_transforms(name, intrinsics)
-    height, width = check_image_size(image_size, batch)
+    size = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
     labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
     if validate and not torch.compiler.is_compiling():
         numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
         check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
-    view = _view(height, width, camera.near_plane, camera.perspective, labels)
-    tensors = (centres.float(), axes.float(), semi_axes.float(), intrinsics.float())
-    return tensors, view
-
-
-def _draw_compiled(tensors: _Tensors, view: View, options: EllipsoidOptions, num_maps: int) -> EllipsoidImage:
-    """Draw by an operation that ``torch.compile`` removes where the picture is not used."""
-    given = tensors if num_maps else [tensor.detach() for tensor in tensors]
-    shape = [num_maps, view.height, view.width]
-    maps, labels, depth, parts = torch.ops.warp_partdr.ellipsoid_maps(*given, shape, *ellipsoid_numbers(view, options))
-    return EllipsoidImage(labels, depth, parts, maps if num_maps else None)
-
-
-_view = cached(View)
+    passes = ellipsoid_passes(labels, camera.perspective, rule[0], camera.near_plane, *rule[1:])
+    return passes, (centres.float(), axes.float(), semi_axes.float(), intrinsics.float()), size
 
 
 def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
@@ -245,25 +199,3 @@ def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
     if len(labels) != count:
         raise ValueError(f"part_labels: {len(labels)} of them; expected {count}, as ellipsoids")
     return labels
-
-
-class _Maps(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, view, options, num_maps = inputs
-        picture = draw(tensors, view)
-        maps = label_maps(picture.labels, num_maps)
-        ctx.save_for_backward(*tensors)
-        ctx.picture, ctx.view, ctx.options = picture, view, options
-        ctx.mark_non_differentiable(picture.labels, picture.depth, picture.parts)
-        ctx.set_materialize_grads(False)
-        return picture.labels, picture.depth, picture.parts, maps
-
-    @staticmethod
-    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
-        grads: tuple[torch.Tensor | None, ...] = (None,) * 4
-        if incoming[3] is not None:
-            of_maps = dense_gradient(incoming[3])
-            found = gradients(ctx.saved_tensors, ctx.picture, ctx.view, ctx.options, of_maps)
-            grads = once("draw_ellipsoids", found, incoming[3], *ctx.saved_tensors)
-        return *grads, None, None, None

@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import torch
 
 from ..cameras import Camera, ScreenCamera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
-from ..interop.derivatives import once, refuse_transforms
-from ..interop.later import DrawnLater
-from ..interop.loss_graph import find_label_loss
-from .mesh_ops import mesh_numbers
-from .mesh_passes import Geometry, MeshOptions, draw_images, mesh_recipe, vertex_gradient
-from .options import (
-    DEFAULT_DEPTH_WEIGHT,
-    IGNORE_LABEL,
-    check_partdr_options,
-    check_target,
-    label_maps,
-)
+from ..interop.derivatives import refuse_transforms
+from . import compiled as compiled  # registers the operations for torch.compile
+from .mesh_passes import MeshPasses, mesh_passes
+from .options import DEFAULT_DEPTH_WEIGHT, IGNORE_LABEL, check_partdr_options, check_target
 from .part_mesh import MAX_LABEL, PartMesh
+from .pictures import DrawnLater, draw_picture, find_loss
 
 
 @dataclass(frozen=True)
-class PartImage:
+class PartImage(DrawnLater):
     """Picture of B bodies' meshes.
 
     Attributes:
@@ -42,10 +33,6 @@ class PartImage:
     depth: torch.Tensor
     face_index: torch.Tensor
     maps: torch.Tensor | None = None
-
-
-class _LaterImage(DrawnLater, PartImage):
-    pass
 
 
 def draw_mesh(
@@ -84,16 +71,10 @@ def draw_mesh(
         ValueError: If a shape, size, dtype or option is wrong, devices differ, or a number is NaN or infinite.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
-    geometry, options = _project("draw_mesh", vertices, mesh, camera, (max_distance, depth_weight), validate)
-    height, width = check_image_size(image_size, vertices.shape[0])
+    passes, screen = _project("draw_mesh", vertices, mesh, camera, (max_distance, depth_weight), validate)
+    size = check_image_size(image_size, vertices.shape[0])
     num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
-    if torch.compiler.is_compiling():
-        return _draw_compiled(geometry, (height, width), options, num_maps)
-    if num_maps == 0:
-        with torch.no_grad():
-            return PartImage(*draw_images(geometry, (height, width), options))
-    maps, labels, depth, face_index = _PartMaps.apply(*geometry, num_maps, (height, width), options)
-    return PartImage(labels, depth, face_index, maps)
+    return draw_picture(PartImage, passes, (screen,), size, num_maps)
 
 
 def mesh_label_loss(
@@ -128,22 +109,15 @@ def mesh_label_loss(
     """
     refuse_transforms("mesh_label_loss", target)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
-    geometry, options = _project("mesh_label_loss", vertices, mesh, camera, (max_distance, depth_weight), validate)
-    size = check_image_size(target.shape[1:], vertices.shape[0])
+    passes, screen = _project("mesh_label_loss", vertices, mesh, camera, (max_distance, depth_weight), validate)
+    check_image_size(target.shape[1:], vertices.shape[0])
     check_target(target, ("vertices", vertices), vertices.shape[0])
     if validate and not torch.compiler.is_compiling():
         strange = (target > mesh.num_labels) & (target != IGNORE_LABEL)
         if strange.any():
             label = int(target[strange][0])
             raise ValueError(f"target: label {label}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore")
-    screen, *topology = geometry
-    if torch.compiler.is_compiling():
-        needs_grad = torch.is_grad_enabled() and screen.requires_grad
-        given = (*geometry, target.contiguous(), needs_grad, mesh.num_labels, *mesh_numbers(options))
-        loss, _ = torch.ops.warp_partdr.mesh_label_loss(*given)
-        return loss, _draw_compiled(geometry, size, options, 0)
-    loss, rows = find_label_loss(mesh_recipe(*topology, mesh.num_labels, options), (screen,), target)
-    return loss, _LaterImage(partial(_draw_rows, rows, screen.shape, mesh, size, options))
+    return find_loss(PartImage, passes, (screen,), target)
 
 
 def _project(
@@ -153,8 +127,8 @@ def _project(
     camera: Camera | ScreenCamera,
     rule: tuple[float, float],
     validate: bool,
-) -> tuple[Geometry, MeshOptions]:
-    """Check what both entry points share (``name`` is the one called); return screen geometry and options."""
+) -> tuple[MeshPasses, torch.Tensor]:
+    """Check what both entry points share (``name`` is the one called); return passes and vertices on the screen."""
     refuse_transforms(name, vertices)
     check_type("mesh", mesh, PartMesh, "such as ellipbody_mesh()")
     check_tensor("vertices", vertices, (None, None, 3), dtypes=FLOATS)
@@ -170,45 +144,5 @@ def _project(
     screen = camera.project(vertices)
     if validate and not torch.compiler.is_compiling():
         check_numbers({**given, "projected vertices": screen})
-    options = MeshOptions(camera.near_plane, camera.perspective, float(rule[0]), float(rule[1]))
-    return (screen.float(), mesh.faces, mesh.face_labels, mesh.edges), options
-
-
-def _draw_rows(
-    rows: torch.Tensor, shape: torch.Size, mesh: PartMesh, size: tuple[int, int], options: MeshOptions
-) -> dict[str, torch.Tensor]:
-    """Draw the picture of a loss, from its copy of the vertices on the screen."""
-    with torch.no_grad():
-        images = draw_images((rows[0].view(shape), mesh.faces, mesh.face_labels, mesh.edges), size, options)
-    return dict(zip(("labels", "depth", "face_index"), images, strict=True))
-
-
-def _draw_compiled(geometry: Geometry, size: tuple[int, int], options: MeshOptions, num_maps: int) -> PartImage:
-    """Draw by an operation that ``torch.compile`` removes where the picture is not used."""
-    screen, *topology = geometry
-    given = screen if num_maps else screen.detach()
-    shape = [num_maps, *size]
-    found = torch.ops.warp_partdr.mesh_maps(given, *topology, shape, *mesh_numbers(options))
-    maps, labels, depth, face_index = found
-    return PartImage(labels, depth, face_index, maps if num_maps else None)
-
-
-class _PartMaps(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> Any:
-        *geometry, num_maps, size, options = inputs
-        images = draw_images((geometry[0], *geometry[1:]), size, options)
-        ctx.save_for_backward(*geometry, *images)
-        ctx.options = options
-        ctx.mark_non_differentiable(*images)
-        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
-        return label_maps(images[0], num_maps), *images
-
-    @staticmethod
-    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
-        grad_vertices = None
-        if incoming[0] is not None:
-            saved = ctx.saved_tensors
-            found = vertex_gradient(saved[:4], saved[4:], incoming[0], ctx.options)
-            (grad_vertices,) = once("draw_mesh", (found,), incoming[0], saved[0])
-        return grad_vertices, *([None] * 6)
+    options = camera.perspective, camera.near_plane, float(rule[0]), float(rule[1])
+    return mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options), screen.float()

@@ -49,7 +49,7 @@ def cached(function: Callable[..., _T]) -> Callable[..., _T]:
     """``lru_cache``, but not while ``torch.compile`` traces, which would warn."""
     kept = lru_cache(maxsize=64)(function)
 
-    def call(*arguments: Any) -> _T:
-        return function(*arguments) if torch.compiler.is_compiling() else kept(*arguments)
+    def call(*arguments: Any, **options: Any) -> _T:
+        return (function if torch.compiler.is_compiling() else kept)(*arguments, **options)
 
     return call

@@ -1,0 +1,129 @@
+"""The way of both renderers: pictures with differentiable maps, L_seg, and their form under ``torch.compile``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
+
+import torch
+
+from ..interop.derivatives import once
+from ..interop.loss_graph import Recipe, find_label_loss, split_rows
+from .options import label_maps
+
+Tensors = tuple[torch.Tensor, ...]
+Size = tuple[int, int]
+Settings = tuple[list[int], str, list[float]]  # integers, name of the gradient, numbers
+
+
+class Picture(NamedTuple):
+    """Images of B bodies, shape (B, H, W).
+
+    Attributes:
+        labels: Label at each pixel, 0 = background, uint8.
+        depth: Of what is nearest [m], inf = background, float32.
+        nearest: Index of the nearest face or ellipsoid; integers.
+        scratch: Of the launches that drew it, for the gradient; None if it is to be made again.
+    """
+
+    labels: torch.Tensor
+    depth: torch.Tensor
+    nearest: torch.Tensor
+    scratch: Any = None
+
+
+class Passes(Recipe, Protocol):
+    """A renderer's launches, with its options."""
+
+    kind: str  # of the custom operations: "mesh" or "ellipsoid"
+    drawing: str  # name of the public function that draws
+
+    @property
+    def constants(self) -> Tensors:
+        """Tensors that are drawn, too, but have no gradient."""
+
+    def settings(self) -> Settings:
+        """Options as custom operations take them."""
+
+    def draw(self, inputs: Tensors, size: Size) -> Picture:
+        """Draw the picture."""
+
+    def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
+        """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
+
+
+class DrawnLater:
+    """Base of a dataclass of images, in the order of ``Picture``, that may be drawn when one is first read."""
+
+    @classmethod
+    def later(cls, draw: Callable[[], Iterable[torch.Tensor]]) -> Self:
+        """Images that ``draw`` will give."""
+        image = cls.__new__(cls)
+        image.__dict__["_draw"] = draw
+        return image
+
+    if not TYPE_CHECKING:  # or any name would be one of its attributes
+
+        def __getattr__(self, name: str) -> Any:  # Python asks here for what it has not found
+            if name not in self.__dataclass_fields__ or "_draw" not in self.__dict__:
+                raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+            self.__dict__.update(zip(self.__dataclass_fields__, self._draw(), strict=False))
+            return self.__dict__[name]
+
+
+_Image = TypeVar("_Image", bound=DrawnLater)
+
+
+def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, size: Size, num_maps: int) -> _Image:
+    """Draw images, and maps of labels 1 to ``num_maps`` that carry gradients back to the inputs."""
+    if torch.compiler.is_compiling():
+        given = inputs if num_maps else [tensor.detach() for tensor in inputs]
+        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_maps")  # removed where the picture is not used
+        maps, *images = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
+        return image(*images, maps if num_maps else None)
+    if num_maps == 0:
+        with torch.no_grad():
+            return image(*passes.draw(inputs, size)[:3])
+    return image(*_Maps.apply(passes, size, num_maps, *inputs))
+
+
+def find_loss(
+    image: type[_Image], passes: Passes, inputs: Tensors, target: torch.Tensor
+) -> tuple[torch.Tensor, _Image]:
+    """L_seg of each body against label images (N, H, W), and the picture, drawn when it is first looked at."""
+    size = (target.shape[1], target.shape[2])
+    if torch.compiler.is_compiling():
+        needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+        operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
+        loss, _ = operation([*inputs, *passes.constants], target.contiguous(), needs_grad, *passes.settings())
+        return loss, draw_picture(image, passes, inputs, size, 0)
+    loss, rows = find_label_loss(passes, inputs, target)
+    return loss, image.later(partial(_draw_rows, passes, rows, [tensor.shape for tensor in inputs], size))
+
+
+@torch.no_grad()
+def _draw_rows(passes: Passes, rows: torch.Tensor, shapes: Sequence[torch.Size], size: Size) -> Tensors:
+    """Draw the picture of a loss, from its copy of the inputs."""
+    return passes.draw(split_rows(rows[0], tuple(shapes)), size)[:3]
+
+
+class _Maps(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, passes: Passes, size: Size, num_maps: int, *inputs: torch.Tensor) -> Tensors:
+        *images, scratch = passes.draw(inputs, size)
+        ctx.save_for_backward(*inputs, *images)
+        ctx.passes, ctx.scratch = passes, scratch
+        ctx.mark_non_differentiable(*images)
+        ctx.set_materialize_grads(False)  # or autograd would fill three images with zeros in every backward pass
+        return *images, label_maps(images[0], num_maps)
+
+    @staticmethod
+    def backward(ctx: Any, *incoming: torch.Tensor | None) -> Any:
+        inputs, grad_maps = ctx.saved_tensors[:-3], incoming[3]
+        grads: tuple[torch.Tensor | None, ...] = (None,) * len(inputs)
+        if grad_maps is not None:
+            labels, depth, nearest = ctx.saved_tensors[-3:]
+            grads = ctx.passes.gradients(inputs, Picture(labels, depth, nearest, ctx.scratch), grad_maps)
+            grads = once(ctx.passes.drawing, grads, grad_maps, *inputs)
+        return None, None, None, *grads
