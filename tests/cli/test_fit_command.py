@@ -14,7 +14,6 @@ import pytest
 from conftest import HANG
 from PIL import Image
 from scenes import commands
-from scenes.bodies import seen_by, walker
 from scenes.commands import (
     ALONE,
     EVERY_FILE,
@@ -31,12 +30,7 @@ from scenes.commands import (
 from scenes.files import save_npz
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.body.skeletons import convert
-from warp_partdr.cli import fit as command
 from warp_partdr.cli import progress
-from warp_partdr.cli.options import PersonFiles, SettingOptions
-from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.stages import STAGES
 from warp_partdr.results import save
 from warp_partdr.results.body_file import load_body
 
@@ -72,11 +66,6 @@ def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path)
     assert {path.name for path in files.iterdir()} == {"photo.png", "p.png", "k.json", "out"}
 
 
-def openpose() -> None:
-    rows = convert(np.array(keypoints()["keypoints"]), "coco17", "body25", missing=0.0)
-    write("k.json", {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}]})
-
-
 def two_people() -> None:
     me = keypoints()["keypoints"]
     other = [[0.5 * x, 0.5 * y, confidence] for x, y, confidence in me]
@@ -102,16 +91,10 @@ TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     "keypoints alone": ("--keypoints k.json --out out", lambda: None),
     "no photo": (GOOD.replace("photo.png ", ""), lambda: None),
     "no labels": ("photo.png --keypoints k.json --out out", lambda: None),
-    "OpenPose": (GOOD, openpose),
     "soft maps": (GOOD.replace("p.png", "maps.npy"), soft_maps),
-    "soft maps, channels last": (
-        GOOD.replace("p.png", "maps.npy"),
-        lambda: np.save("maps.npy", np.moveaxis(soft_maps(), 0, -1).astype(np.float16)),
-    ),
     "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
     "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
     "labels.json beside the parts": (GOOD.replace(" --labels cdcl14", ""), describe_labels),
-    "16 bits": (GOOD, lambda: Image.fromarray(ids().astype(np.uint16)).save("p.png")),
     "wide picture": (
         GOOD,
         lambda: [Image.open(name).crop((0, 0, 250, 128)).save(name) for name in ("photo.png", "p.png")],
@@ -151,6 +134,8 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
     assert body.image_size.tolist() == list(Image.open("out/overlay.png").size[::-1])
     report = json.loads(Path("out", "report.json").read_text())
     assert np.isfinite(report["energy_total"])
+    if "--labels" in line:
+        assert report["parts"]["label_set"] == Path(line.split("--labels ")[1].split()[0]).stem
     if clothed:
         detailed = json.loads(Path("out", "registration.json").read_text())
         assert detailed["model"] == ("smpl" if "smpl" in line else "anny")
@@ -163,12 +148,10 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
 
 
 def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
-    image = np.zeros(label_set("cdcl14").num_groups + 1, dtype=np.uint8)
-    for group, members in enumerate(label_set("cdcl14").groups.values(), start=1):
-        image[group] = 1 + list(label_set("ellipbody20").groups).index(members[0])
-    np.save("p.npy", image[label_set("cdcl14").to_groups(ids())])
-    line = f"fit photo.png --keypoints k.json --parts p.npy --labels ellipbody20 --out out {ALONE}"
-    assert run(line)[0] == 0
+    cdcl, names = label_set("cdcl14"), label_set("ellipbody20").group_names
+    table = [0, *(1 + names.index(members[0]) for members in cdcl.groups.values())]
+    np.save("p.npy", np.array(table, dtype=np.uint8)[cdcl.to_groups(ids())])
+    assert run(f"fit {GOOD.replace('p.png', 'p.npy').replace('cdcl14', 'ellipbody20')} {ALONE}")[0] == 0
     assert json.loads(Path("out", "report.json").read_text())["parts"]["label_set"] == "ellipbody20"
 
 
@@ -191,12 +174,8 @@ def test_every_stage_is_told(run: Run, files: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(progress, "FitProgress", Recorder)
     assert run(f"fit {GOOD}")[0] == 0
-    assert [name for name, _ in groupby(stage for stage, _, _ in told)] == [
-        *(stage.name for stage in QUICK),
-        "writing results",
-        "registration",
-        "writing results",
-    ]
+    expected = [*(stage.name for stage in QUICK), "writing results", "registration", "writing results"]
+    assert [name for name, _ in groupby(stage for stage, _, _ in told)] == expected
     assert told[-2] == ("registration", 2, 2)
 
 
@@ -210,36 +189,3 @@ def test_a_bar_shows_the_stages(capfd: pytest.CaptureFixture[str], monkeypatch: 
     said = capfd.readouterr().err
     assert "labels, fine" in said
     assert "75%" in said
-
-
-def test_command_takes_a_quality_and_settings_override_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [each.value for each in command.QualityName] == list(STAGES["network"])
-    assert [each.value for each in command.StartName] == list(STAGES)
-    (tmp_path / "points.json").write_text(json.dumps(seen_by(walker())[0].points.tolist()))
-    given: list[FitOptions] = []
-
-    def refuse(*people: object, options: FitOptions, **rest: object) -> None:
-        given.append(options)
-        raise command.InputError("enough")
-
-    monkeypatch.setattr("warp_partdr.fit.fitting.fit_body", refuse)
-    files = PersonFiles(tmp_path / "points.json", "coco17")
-    for flags, overrides in (
-        ({}, []),
-        ({"quality": command.QualityName.fast}, []),
-        ({"quality": command.QualityName.accurate}, ["outline=false"]),
-    ):
-        with pytest.raises(command.InputError, match="enough"):
-            command.fit(
-                files,
-                out=tmp_path / "out",
-                model="none",
-                device="cpu",
-                settings=SettingOptions(None, overrides),
-                **flags,
-            )
-    assert [options.stages for options in given] == [
-        STAGES["network"]["balanced"],
-        STAGES["network"]["fast"],
-        STAGES["network"]["accurate"][:-1],
-    ]

@@ -17,9 +17,11 @@ from scenes.commands import ALONE, EVERY_FILE, GOOD, Run
 from warp_partdr import __version__
 from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
+from warp_partdr.cli import fit
 from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
 from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.stages import STAGES
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 files, run = commands.files, commands.run  # fixtures
@@ -161,3 +163,9 @@ def test_the_outline_stage_is_chosen(quality: str, options_of: Callable[[str], F
     for setting, expected in (("false", usual.without_outline()), ("labels-first", usual.labels_first())):
         assert options_of(f"--quality {quality} --set outline={setting}") == expected
     assert options_of("--set search=[]").search == ()
+
+
+def test_names_of_options_are_those_of_the_stages(options_of: Callable[[str], FitOptions]) -> None:
+    assert [each.value for each in fit.QualityName] == list(STAGES["network"])
+    assert [each.value for each in fit.StartName] == list(STAGES)
+    assert options_of("") == FitOptions.at("balanced")

@@ -78,14 +78,8 @@ def change_keypoints(change: Callable[[list[list[Any]]], object]) -> None:
     write("k.json", data)
 
 
-def set_all(rows: list[list[Any]], column: int, value: float) -> None:
-    for row in rows:
-        row[column] = value
-
-
-def move(rows: list[list[Any]], x: float, y: float) -> None:
-    for row in rows:
-        row[0], row[1] = row[0] + x, row[1] + y
+def move(x: float, y: float) -> None:
+    change_keypoints(lambda rows: [row.__setitem__(slice(2), [row[0] + x, row[1] + y]) for row in rows])
 
 
 def save_ids(image: np.ndarray) -> None:
