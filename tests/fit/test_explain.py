@@ -7,10 +7,12 @@ from importlib import resources
 import numpy as np
 from rich.console import Console
 from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, observation_of
+from typer.testing import CliRunner
 
 from warp_partdr import label_set
 from warp_partdr.body.labels import LabelSet
 from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.cli import main
 from warp_partdr.fit.explain import explain, print_choices
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
@@ -46,13 +48,6 @@ def test_a_fit_says_what_it_models():
     assert choices["an iteration"].left_out == "autograd, Python"
 
 
-def test_a_fit_says_why_it_looks_for_no_depth():
-    keypoints, parts = seen_by(bent_bodies(), label_set("full1"))
-    depth = next(choice for choice in explain(keypoints, parts) if choice.what == "z gradient")
-    assert depth.modelled == ""
-    assert "one label" in depth.why
-
-
 def test_a_fit_without_labels_draws_nothing():
     keypoints, _ = seen_by(bent_bodies(), label_set("body14"))
     last = explain(keypoints)[-1]
@@ -63,11 +58,14 @@ def test_a_fit_without_labels_draws_nothing():
     assert searched[1].left_out == "the label network"
 
 
-def test_a_searching_fit_looks_for_depth_where_parts_hide_one_another():
-    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
-    choices = explain(keypoints, parts, options=FitOptions.at("balanced", "search"))
-    depth = next(choice for choice in choices if choice.what == "z gradient")
-    assert depth.modelled.startswith("stages labels, coarse")
+def test_a_fit_says_where_it_looks_for_depth():
+    for labels, modelled, why in ((WITHOUT_TIPS, "stages labels, coarse", ""), (label_set("full1"), "", "one label")):
+        keypoints, parts = seen_by(bent_bodies(), labels)
+        choices = explain(keypoints, parts, options=FitOptions.at("balanced", "search"))
+        depth = next(choice for choice in choices if choice.what == "z gradient")
+        assert depth.modelled.startswith(modelled)
+        assert bool(depth.modelled) == bool(modelled)
+        assert why in depth.why
 
 
 def test_the_table_holds_every_choice(capsys):
@@ -89,15 +87,9 @@ def test_fits_of_a_few_stages_still_fit():
     )
 
 
-def test_the_commands_run(tmp_path):
-    from typer.testing import CliRunner
-
-    from warp_partdr.cli import main
-
+def test_the_command_explains(tmp_path):
     example = resources.files("warp_partdr") / "assets" / "example"
     inputs = [str(example / "photo.png"), "--keypoints", str(example / "keypoints.json")]
     run = CliRunner().invoke(main.app, ["fit", *inputs, "--explain", "--model", "none", "--out", str(tmp_path / "fit")])
     assert run.exit_code == 0, run.output
     assert "What is modelled" in run.output
-    run = CliRunner().invoke(main.app, ["bench", "savings", "--help"])
-    assert run.exit_code == 0

@@ -92,17 +92,12 @@ def test_a_stage_holds_depth_where_it_starts():
         fit_body(keypoints, parts, options=replace(options, start="search", stages=many))
 
 
-def test_without_outline_leaves_out_that_stage_alone():
-    options = FitOptions()
-    assert [stage.name for stage in options.without_outline().stages] == [s.name for s in options.stages][:-1]
-    assert options.without_outline().weights == options.weights
-
-
-def test_labels_first_ends_with_the_true_gradient_of_the_outlines():
-    usual, first = FitOptions(trust_background=True), FitOptions(trust_background=True).labels_first()
-    assert first.stages[:-1] == usual.without_outline().stages
-    assert first.stages[-1].name == usual.stages[-1].name
-    assert (first.stages[-1].renderer.gradient, first.trust_background) == ("coverage", True)
+def test_the_last_stage_is_left_out_or_follows_the_outlines():
+    usual = FitOptions(trust_background=True)
+    assert usual.without_outline() == replace(usual, stages=usual.stages[:-1])
+    first = usual.labels_first()
+    assert first == replace(usual, stages=(*usual.stages[:-1], first.stages[-1]))
+    assert (first.stages[-1].name, first.stages[-1].renderer.gradient) == (usual.stages[-1].name, "coverage")
 
 
 def test_labels_first_fills_the_labels_better():

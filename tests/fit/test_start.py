@@ -1,4 +1,4 @@
-"""Where fits start: the label network's body, or a search; and when the one gives way to the other."""
+"""Qualities and starts of a fit: the label network's body, or a search, and when the one gives way to the other."""
 
 from __future__ import annotations
 
@@ -90,19 +90,41 @@ def test_the_better_of_both_wins(device, monkeypatch):
     assert result.hypotheses == 2
 
 
-def test_keypoints_alone_start_from_the_network_too(device):
+def test_the_quality_chooses_the_stages_and_options_override_it(device):
     keypoints, _ = seen_by(walker(device))
-    result = fit_body(keypoints, device=device)
-    assert result.start == "network"
-    assert [stage.size for stage in result.stages] == [0]
+    assert FitOptions() == FitOptions.at("balanced")
+    searched = FitOptions.at("fast", "search")
+    own = FitOptions(stages=(Stage("lift", 4, 2, 0.1),))
+    for given, expected in (
+        ({}, [replace(stage, size=0) for stage in STAGES["network"]["balanced"][:-1]]),
+        ({"quality": "fast"}, [replace(stage, size=0) for stage in STAGES["network"]["fast"]]),
+        ({"options": searched}, [stage for stage in STAGES["search"]["fast"] if stage.size == 0]),
+        ({"quality": "fast", "options": own}, own.stages),
+    ):
+        result = fit_body(keypoints, device=device, **given)
+        assert result.stages == tuple(expected)
+        assert result.start == ("search" if given.get("options") is searched else "network")
+
+
+@pytest.mark.parametrize("start", STAGES)
+def test_qualities_are_in_order_of_work(start):
+    """Pixels drawn: bodies times iterations times the area of the picture."""
+    work = {
+        quality: sum(stage.bodies * stage.iterations * stage.size**2 for stage in stages)
+        for quality, stages in STAGES[start].items()
+    }
+    assert 4 * work["fast"] < work["balanced"] < work["accurate"]
 
 
 def test_starts_are_checked():
-    with pytest.raises(ValueError, match="start: 'guess'; expected network, search"):
-        FitOptions(start="guess")
-    with pytest.raises(ValueError, match="start: 'guess'"):
-        FitOptions.at("fast", "guess")
     keypoints, _ = seen_by(walker())
+    for call, message in (
+        (lambda: FitOptions(start="guess"), "start: 'guess'; expected network, search"),
+        (lambda: FitOptions.at("fast", "guess"), "start: 'guess'"),
+        (lambda: fit_body(keypoints, quality="best"), "quality: 'best'; expected fast, balanced, accurate"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
     drawn = replace(FitOptions.at("fast", "search"), stages=STAGES["search"]["fast"][2:])
     with pytest.raises(ValueError, match="none without labels"):
         stages_of(drawn, None)

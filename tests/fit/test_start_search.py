@@ -68,8 +68,6 @@ def test_hypotheses_hold_the_truth():
     starts, targets, known = hypothesize(seen, 4096)
     assert known.all()
     assert starts.batch_size > 1
-    from warp_partdr.fit.start_search import _JOINTS
-
     truth = LandmarkGather(_JOINTS, "cpu")(body.posed())[0]
     truth = (truth - truth[:1])[:, 2] * body.log_scale.exp()
     errors = (targets[:, :, 2] - truth).abs().mean(1)

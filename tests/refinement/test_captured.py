@@ -31,6 +31,14 @@ def energy_of(body: BodyParameters, *, labels: bool = False, **options) -> Energ
     return Energy(unsure_observation(body, labels=LABELS if labels else None), size=SIZE, prior=prior, **options)
 
 
+def check_both_paths(energy: Energy, bodies: BodyParameters, of_terms: float, of_gradient: float) -> tuple[dict, dict]:
+    """Compare terms and gradients; gives the captured ones."""
+    (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
+    assert_same(terms, want_terms, of_terms)
+    assert_same(gradient, want, of_gradient)
+    return terms, gradient
+
+
 def gradient_at(energy: Energy, bodies: BodyParameters) -> tuple[dict, dict]:
     """Terms and gradient of the captured path."""
     captured = CapturedRefinement(energy, bodies.batch_size, iterations=0)
@@ -81,11 +89,7 @@ class FixedForces:
 
 def test_terms_and_gradient_are_those_of_autograd(device):
     body = walker(device)
-    energy = energy_of(body)
-    bodies = moved_bodies(body, 5, amount=0.3)
-    (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
-    assert_same(terms, want_terms, 1e-6)
-    assert_same(gradient, want, 1e-5)
+    _, gradient = check_both_paths(energy_of(body), moved_bodies(body, 5, amount=0.3), 1e-6, 1e-5)
     assert (gradient["rotations"][:, :2] == 0).all()  # the hips are locked
     assert all(tensor.abs().max() > 0 for tensor in gradient.values())
 
@@ -113,18 +117,14 @@ def test_depth_is_held_as_in_torch(device):
 def test_every_format_of_keypoints(device, fmt):
     body = walker(device)
     energy = Energy(unsure_observation(body, fmt), weights=Weights(length=0.0, thickness=0.0))
-    bodies = moved_bodies(body, 3)
-    (terms, gradient), (want_terms, want) = gradient_at(energy, bodies), autograd_at(energy, bodies)
-    assert_same(terms, want_terms, 1e-6)
-    assert_same(gradient, want, 1e-5)
+    check_both_paths(energy, moved_bodies(body, 3), 1e-6, 1e-5)
 
 
 def test_given_forces_reach_every_parameter(device, monkeypatch):
     """Forces in any direction, moments and camera forces, as a renderer may send them."""
     body = walker(device)
-    energy = energy_of(
-        body, labels=True, weights=Weights(proj=0.0, seg=1.0, length=0.0, thickness=0.0, prior=0.0, limits=0.0)
-    )
+    alone = Weights(proj=0.0, seg=1.0, length=0.0, thickness=0.0, prior=0.0, limits=0.0)
+    energy = energy_of(body, labels=True, weights=alone)
     bodies = moved_bodies(body, 4, amount=0.5)
     made = []
 
@@ -151,21 +151,14 @@ def test_given_forces_reach_every_parameter(device, monkeypatch):
 def test_labels_cost_and_pull_as_in_torch(device, gradient):
     body = walker(device)
     energy = energy_of(body, labels=True, weights=Weights(seg=0.5), renderer=RendererEllipsoids(gradient, 9.0))
-    bodies = moved_bodies(body, 3)
-    have, have_gradient = gradient_at(energy, bodies)
-    want, want_gradient = autograd_at(energy, bodies)
-    assert_same(have, want, 1e-6)
-    assert_same(have_gradient, want_gradient, 1e-4)
+    check_both_paths(energy, moved_bodies(body, 3), 1e-6, 1e-4)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-5, 1e-3, 0.49, 0.51, math.pi - 1e-4, math.pi, 6.5])
 def test_rotations_of_any_size(device, angle):
     body = walker(device)
     axes = torch.nn.functional.normalize(noise(np.random.default_rng(0), body.rotations, 1), dim=-1)
-    bodies = replace(moved_bodies(body, 1), rotations=angle * axes)
-    (terms, gradient), (want_terms, want) = (path(energy_of(body), bodies) for path in (gradient_at, autograd_at))
-    assert_same(terms, want_terms, 1e-5)
-    assert_same(gradient, want, 2e-5)
+    check_both_paths(energy_of(body), replace(moved_bodies(body, 1), rotations=angle * axes), 1e-5, 2e-5)
 
 
 @pytest.mark.parametrize(
@@ -333,20 +326,18 @@ def test_bad_calls_name_the_argument(device):
     body = walker(device)
     energy = energy_of(body)
     captured = CapturedRefinement(energy, 2)
-    with pytest.raises(ValueError, match="shape"):
-        captured.refine(body)
-    with pytest.raises(ValueError, match="float64"):
-        captured.refine(replace(moved_bodies(body, 2), shift=torch.zeros(2, 2, dtype=torch.float64, device=device)))
-    with pytest.raises(ValueError, match="weights"):
-        captured.observe(replace(energy, weights=Weights(proj=2.0)))
-    with pytest.raises(ValueError, match="energies: 2; expected 1"):
-        captured.observe([energy, energy])
-    with pytest.raises(ValueError, match="labels"):
-        captured.observe(replace(energy, observation=unsure_observation(body, labels=LABELS)))
-    with pytest.raises(ValueError, match=r"RendererMesh.*expected exact ellipsoids"):
-        CapturedRefinement(energy_of(body, labels=True, renderer=RendererMesh()), 1)
-    soft = replace(
-        unsure_observation(body, labels=LABELS), maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE)
-    )
-    with pytest.raises(ValueError, match="probabilities"):
-        CapturedRefinement(Energy(soft), 1)
+    seen = unsure_observation(body, labels=LABELS)
+    double = BodyParameters(**{name: tensor.double() for name, tensor in moved_bodies(body, 2).tensors().items()})
+    soft = replace(seen, maps=torch.zeros(14, SIZE, SIZE), known=torch.ones(SIZE, SIZE))
+    mesh = energy_of(body, labels=True, renderer=RendererMesh())
+    for call, given, message in (
+        (captured.refine, body, "shape"),
+        (captured.refine, double, "float64"),
+        (captured.observe, replace(energy, weights=Weights(proj=2.0)), "weights"),
+        (captured.observe, [energy, energy], "energies: 2; expected 1"),
+        (captured.observe, replace(energy, observation=seen), "labels"),
+        (lambda energy: CapturedRefinement(energy, 1), mesh, r"RendererMesh.*expected exact ellipsoids"),
+        (lambda energy: CapturedRefinement(energy, 1), Energy(soft), "probabilities"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call(given)

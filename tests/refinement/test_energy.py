@@ -72,21 +72,6 @@ def test_each_weight_weighs_its_own_term(device, name):
         torch.testing.assert_close(changed[other], term * (3.0 if other == name else 1.0))
 
 
-def test_what_is_not_known_of_maps_does_not_count(device):
-    body = walker(device)
-    seen = observation_of(body)
-    maps = (seen.labels[None] == torch.arange(1, 21, device=device)[:, None, None]).float()
-    known = torch.ones(256, 256, device=device)
-    known[:, 128:] = 0.0
-    strange = torch.where(known > 0, maps, 0.7)
-    moved = replace(body, shift=body.shift + 0.05)
-    costs = [Energy(replace(seen, maps=each, known=known))(moved)["seg"] for each in (maps, strange)]
-    assert costs[0].item() > 1
-    torch.testing.assert_close(costs[0], costs[1])
-    half = Energy(replace(seen, maps=maps, known=0.5 * known))(moved)["seg"]
-    torch.testing.assert_close(half, 0.5 * costs[0])
-
-
 def test_energy_of_the_truth_is_its_prior_alone(device):
     body = walker(device)
     energy = Energy(observation_of(body), prior=PosePrior().to(device))
@@ -103,7 +88,6 @@ def test_losses_have_the_stated_units(device):
     weights = Weights(proj=1.0, seg=1.0, length=1.0, thickness=1.0)
     energy = Energy(seen, weights=weights)
     shifted = replace(body, shift=body.shift + torch.tensor([4 / 128, 0.0], device=device))
-    assert energy(shifted)["proj"].item() == pytest.approx(4 * energy.votes.sum().item(), rel=1e-3)
     longer = replace(body, lengths=body.lengths + 0.002)
     assert energy(longer)["length"].item() == pytest.approx(12 * 4, rel=1e-3)
     # the same shift costs about the same, whatever size is drawn
@@ -112,16 +96,23 @@ def test_losses_have_the_stated_units(device):
     assert coarse == pytest.approx(fine, rel=0.15)
 
 
-def test_soft_maps_of_certain_labels_are_the_labels_loss(device):
+def test_maps_cost_what_labels_do_where_they_are_known(device):
     body = walker(device)
     seen = observation_of(body)
     maps = (seen.labels[None] == torch.arange(1, 21, device=device)[:, None, None]).float()
-    soft = replace(seen, maps=maps, known=torch.ones(256, 256, device=device))
+    known = torch.ones(256, 256, device=device)
     moved = replace(body, shift=body.shift + 0.05).leaves()
     values, gradients = [], []
-    for observation in (seen, soft):
+    for observation in (seen, replace(seen, maps=maps, known=known)):
         term = Energy(observation)(moved)["seg"]
         values.append(term.item())
         gradients.append(torch.autograd.grad(term.sum(), moved.shift)[0])
     assert values[0] == pytest.approx(values[1], rel=1e-4)
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-3, atol=1e-2)
+    known[:, 128:] = 0.0
+    strange = torch.where(known > 0, maps, 0.7)
+    costs = [Energy(replace(seen, maps=each, known=known))(moved)["seg"] for each in (maps, strange)]
+    assert costs[0].item() > 1
+    torch.testing.assert_close(costs[0], costs[1])
+    half = Energy(replace(seen, maps=maps, known=0.5 * known))(moved)["seg"]
+    torch.testing.assert_close(half, 0.5 * costs[0])

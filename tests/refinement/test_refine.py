@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 from scenes.bodies import WITHOUT_TIPS, bent_bodies, observation_of, refine_by_autograd, walker
 
-from warp_partdr.body.labels import label_set
+from warp_partdr.body.labels import LabelSet, label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.refinement.captured import CapturedRefinement
@@ -18,15 +19,22 @@ from warp_partdr.refinement.stepper import SIZES
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = 96
+PATHS = [refine_by_autograd, refine]
+EXACT_AND_MESH = pytest.mark.parametrize("renderer", [RendererEllipsoids(), RendererMesh()], ids=["exact", "mesh"])
 
 
-def test_refinement_brings_a_moved_body_back(device):
+def energy_of(body: BodyParameters, labels: LabelSet | str = "body14", **options: Any) -> Energy:
+    return Energy(observation_of(body, label_set(labels), SIZE), SIZE, **options)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_refinement_brings_a_moved_body_back(device, path):
     body = walker(device)
     energy = Energy(observation_of(body), prior=PosePrior().to(device))
     generator = torch.Generator().manual_seed(0)
     noise = (0.12 * torch.randn(1, 20, 3, generator=generator)).to(device)
     start = replace(body, rotations=body.rotations + noise, shift=body.shift + 0.06, log_scale=body.log_scale + 0.05)
-    refined = refine(start, energy, iterations=60, learning_rate=0.02)
+    refined = path(start, energy, iterations=60, learning_rate=0.02)
     before = sum(term.item() for term in energy(start).values())
     assert refined.energy.item() < 0.35 * before
     assert refined.terms["seg"].item() < 0.4 * energy(start)["seg"].item()
@@ -36,41 +44,31 @@ def test_refinement_brings_a_moved_body_back(device):
     assert again == pytest.approx(refined.energy.item(), rel=1e-4)
 
 
-def test_bodies_of_a_batch_do_not_influence_one_another(device):
-    body = walker(device)
-    energy = Energy(observation_of(body), size=64, prior=PosePrior().to(device))
-    first = replace(body, shift=body.shift + 0.05)
-    second = replace(body, log_scale=body.log_scale + 0.1)
-    both = BodyParameters(**{n: torch.cat([t, second.tensors()[n]]) for n, t in first.tensors().items()})
-    together = refine(both, energy, iterations=5)
-    alone = refine(first, energy, iterations=5)
-    torch.testing.assert_close(together.energy[:1], alone.energy, rtol=1e-3, atol=1e-3)
-
-
-def test_sizes_stay_within_human_bounds():
+@pytest.mark.parametrize("path", PATHS)
+def test_sizes_stay_within_human_bounds(path):
     """A target that no human fills (everything is the head) must not blow the body up."""
     seen = observation_of(walker())
     flooded = replace(seen, labels=torch.full_like(seen.labels, 8))
-    refined = refine(walker(), Energy(flooded, size=64, weights=Weights(seg=1.0)), iterations=40, learning_rate=0.1)
+    refined = path(walker(), Energy(flooded, size=64, weights=Weights(seg=1.0)), iterations=40, learning_rate=0.1)
     mean = BodyParameters.mean(1)
     assert (refined.parameters.thicknesses <= mean.thicknesses * SIZES["thicknesses"][1] + 1e-6).all()
     assert (refined.parameters.lengths >= mean.lengths * SIZES["lengths"][0] - 1e-6).all()
     assert refined.parameters.thicknesses[0, 6] > 1.2 * mean.thicknesses[0, 6]
 
 
-@pytest.mark.parametrize("renderer", [RendererEllipsoids(), RendererMesh()], ids=["exact", "mesh"])
+@EXACT_AND_MESH
 def test_a_label_set_without_hands_and_feet_is_fitted(device, renderer):
     body = bent_bodies(device, 1)
-    energy = Energy(observation_of(body, WITHOUT_TIPS, SIZE), SIZE, prior=PosePrior().to(device), renderer=renderer)
+    energy = energy_of(body, WITHOUT_TIPS, prior=PosePrior().to(device), renderer=renderer)
     assert energy(body)["seg"] < (1e-6 if isinstance(renderer, RendererEllipsoids) else 20.0)
     moved = replace(body, shift=body.shift + 0.05)
     assert refine(moved, energy, iterations=20).energy < energy(moved)["seg"] + energy(moved)["proj"]
 
 
-@pytest.mark.parametrize("path", [refine_by_autograd, refine])
+@pytest.mark.parametrize("path", PATHS)
 def test_frozen_parameters_stay(device, path):
     body = bent_bodies(device, 1)
-    energy = Energy(observation_of(body, label_set("body14"), SIZE), SIZE, prior=PosePrior().to(device))
+    energy = energy_of(body, prior=PosePrior().to(device))
     start = replace(body, rotations=0.9 * body.rotations, lengths=3.0 * body.lengths)  # beyond what is human
     refined = path(start, energy, iterations=3, frozen=("lengths", "thicknesses", "shift"))
     for name, tensor in refined.parameters.tensors().items():
@@ -86,11 +84,9 @@ def test_frozen_parameters_have_no_gradient():
 
 def test_both_paths_agree_where_sizes_are_frozen(device):
     body = bent_bodies(device, 1)
-    energy = Energy(observation_of(body, label_set("body14"), SIZE), SIZE, prior=PosePrior().to(device))
+    energy = energy_of(body, prior=PosePrior().to(device))
     start = replace(body, rotations=0.9 * body.rotations)
-    runs = [
-        path(start, energy, iterations=5, frozen=("thicknesses",)).parameters for path in (refine_by_autograd, refine)
-    ]
+    runs = [path(start, energy, iterations=5, frozen=("thicknesses",)).parameters for path in PATHS]
     torch.testing.assert_close(runs[0].rotations, runs[1].rotations, rtol=0, atol=2e-3)
 
 
@@ -103,32 +99,26 @@ def test_both_paths_agree_where_sizes_are_frozen(device):
     ],
 )
 def test_what_cannot_be_frozen_is_refused(frozen, message):
-    energy = Energy(observation_of(bent_bodies(), label_set("body14"), SIZE), SIZE)
-    for path in (refine_by_autograd, refine):
+    energy = energy_of(bent_bodies())
+    for path in (*PATHS, lambda start, energy, **rule: CapturedRefinement(energy, 2, **rule)):
         with pytest.raises(ValueError, match=message):
             path(bent_bodies(), energy, frozen=frozen)
-    with pytest.raises(ValueError, match=message):
-        CapturedRefinement(energy, 2, frozen=frozen)
 
 
-@pytest.mark.parametrize("renderer", [RendererEllipsoids(), RendererMesh()], ids=["exact", "mesh"])
+@EXACT_AND_MESH
 def test_one_label_has_no_z_gradient_and_none_is_looked_for(device, renderer):
     """Leaving it out is no approximation: looked for, it is exactly zero."""
     body = bent_bodies(device, 1)
-    energy = Energy(observation_of(body, label_set("full1"), SIZE), SIZE, renderer=renderer)
+    energy = energy_of(body, "full1", renderer=renderer)
     assert energy.renderer == replace(renderer, depth_weight=0.0)
     gradients = []
     for weight in (0.0, 1.0):
-        energy = Energy(observation_of(body, label_set("full1"), SIZE), SIZE)
+        energy = energy_of(body, "full1")
         energy.renderer = replace(renderer, depth_weight=weight)
         leaves = replace(body, shift=body.shift + 0.1, rotations=1.3 * body.rotations).leaves()
         energy.segmentation(leaves, leaves.posed()).sum().backward()
         gradients.append(leaves.rotations.grad)
     # The mesh's sums on CUDA are atomic, in no fixed order.
-    tolerance = (
-        {"rtol": 0, "atol": 0}
-        if isinstance(renderer, RendererEllipsoids) or device == "cpu"
-        else {"rtol": 1e-4, "atol": 1e-3}
-    )
-    torch.testing.assert_close(*gradients, **tolerance)
-    assert Energy(observation_of(body, label_set("body14"), SIZE), SIZE).renderer.depth_weight == 1.0
+    exact = isinstance(renderer, RendererEllipsoids) or device == "cpu"
+    torch.testing.assert_close(*gradients, rtol=0 if exact else 1e-4, atol=0 if exact else 1e-3)
+    assert energy_of(body).renderer.depth_weight == 1.0
