@@ -45,17 +45,6 @@ def test_bones_are_the_mean_bodys_shares_of_its_height(bone):
     assert torch.isfinite(posed.joints).all()
 
 
-@pytest.mark.parametrize(
-    ("count", "name"), [(17, "coco17"), (25, "body25"), (33, "blazepose33"), (14, "lsp14"), (16, "mpii16")]
-)
-def test_the_number_of_keypoints_tells_their_format(count, name):
-    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint, 0.5] for joint in range(count)]
-    for data in (rows, [value for row in rows for value in row]):
-        (keypoints,) = parse_keypoints(data)
-        assert keypoints.skeleton == name
-        assert len(SKELETONS[name]) == count
-
-
 def test_keypoints_on_the_pictures_border_are_there():
     """Without confidences, (0, 0) alone says that a keypoint is missing."""
     rows = [[10.0 + 3 * joint, 20.0 + 5 * joint] for joint in range(17)]

@@ -28,13 +28,6 @@ def column(keypoints: Keypoints2D, landmark: str) -> float:
     return float(keypoints.points[keypoints.format.landmarks.index(landmark), 0])
 
 
-def confidence(keypoints: Keypoints2D, landmark: str, value: float) -> Keypoints2D:
-    """The same keypoints with another confidence in one of them."""
-    changed = keypoints.confidence.copy()
-    changed[keypoints.format.landmarks.index(landmark)] = value
-    return replace(keypoints, confidence=changed)
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("limb", LIMBS)
 def test_background_along_a_missing_limb_is_ignored(limb: str, side: str) -> None:
@@ -77,14 +70,9 @@ def test_a_limb_behind_another_part_or_person_stays(limb: str) -> None:
 @pytest.mark.parametrize("limb", LIMBS)
 def test_keypoints_of_low_confidence_change_nothing(limb: str, value: float) -> None:
     keypoints, parts = standing_adult(f"right_{limb}")
-    doubtful = confidence(keypoints, f"right_{LIMBS[limb]}", value)
+    doubtful = replace(keypoints, confidence=keypoints.confidence.copy())
+    doubtful.confidence[keypoints.format.landmarks.index(f"right_{LIMBS[limb]}")] = value
     np.testing.assert_array_equal(ignore_missing_limbs(parts.groups, doubtful), parts.groups)
-
-
-def test_a_limb_beyond_the_border_stays() -> None:
-    keypoints, parts = standing_adult("left_forearm")
-    groups = parts.groups[:, : int(column(keypoints, "left_elbow"))]  # The person's left arm is at the picture's right.
-    np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)
 
 
 def test_a_small_gap_stays() -> None:
@@ -120,11 +108,10 @@ def test_a_fit_keeps_an_arm_whose_labels_are_lost() -> None:
     assert np.isin(shown[arm], [label("left_upper_arm"), label("left_forearm")]).mean() > 0.7
 
 
-def test_a_limb_that_the_border_cuts_off_stays() -> None:
+@pytest.mark.parametrize(("share", "stays"), [(0.0, True), (0.25, True), (0.6, False)])
+def test_a_limb_that_the_border_cuts_off_stays(share: float, stays: bool) -> None:
     """What the camera never saw is no background: of this forearm a quarter is, and that is too little."""
-    keypoints, parts = standing_adult("left_forearm", "left_hand")
+    keypoints, parts = standing_adult("left_forearm", "left_hand")  # the left arm is at the picture's right
     elbow, wrist = column(keypoints, "left_elbow"), column(keypoints, "left_wrist")
-    groups = parts.groups[:, : round(elbow + 0.25 * (wrist - elbow))]
-    np.testing.assert_array_equal(ignore_missing_limbs(groups, keypoints), groups)
-    groups = parts.groups[:, : round(elbow + 0.6 * (wrist - elbow))]
-    assert (ignore_missing_limbs(groups, keypoints) != groups).any()
+    groups = parts.groups[:, : round(elbow + share * (wrist - elbow))]
+    assert (ignore_missing_limbs(groups, keypoints) == groups).all() == stays

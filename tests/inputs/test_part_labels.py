@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +22,11 @@ NAN = math.nan
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
 
 
-def label_picture() -> np.ndarray:
+def label_picture(value: int = 0) -> np.ndarray:
     picture = np.zeros((12, 16), dtype=np.uint8)
     picture[2:6, 4:9] = 2
     picture[6:11, 4:6] = 9
-    picture[0, 0] = 255
+    picture[0, 0], picture[3, 3] = 255, value
     return picture
 
 
@@ -35,16 +38,12 @@ def save_palette(path: Path, picture: np.ndarray) -> None:
     image.save(path)
 
 
-def save_16_bit(path: Path, picture: np.ndarray) -> None:
-    Image.fromarray(picture.astype(np.uint16)).save(path)
-
-
 @pytest.mark.parametrize(
     ("name", "save"),
     [
         ("gray.png", lambda path, picture: Image.fromarray(picture).save(path)),
         ("palette.png", save_palette),
-        ("deep.png", save_16_bit),
+        ("deep.png", lambda path, picture: Image.fromarray(picture.astype(np.uint16)).save(path)),
         ("LABELS.PNG", lambda path, picture: Image.fromarray(picture).save(path, "PNG")),
         ("bytes.npy", np.save),
         ("longs.npy", lambda path, picture: np.save(path, picture.astype(np.int64))),
@@ -85,16 +84,6 @@ def test_probability_maps(layout: tuple[int, int, int], dtype: type, tmp_path: P
     np.testing.assert_array_equal(parts.groups[sure], parts.maps.argmax(axis=0)[sure])
 
 
-def with_value(value: int) -> np.ndarray:
-    picture = label_picture()
-    picture[3, 3] = value
-    return picture
-
-
-def one_part(picture: np.ndarray) -> np.ndarray:
-    return (picture > 0).astype(np.uint8) * 2
-
-
 def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
     return np.full((channels, 4, 5), scale / channels, dtype=np.float32)
 
@@ -102,11 +91,14 @@ def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (with_value(15), "labels: ids 15 not in cdcl14; expected 0 to 14 (255 = ignore)"),
-        (with_value(0).astype(np.int16) - 1, "labels: ids -1, 254 not in cdcl14; expected 0 to 14"),
+        (label_picture(15), "labels: ids 15 not in cdcl14; expected 0 to 14 (255 = ignore)"),
+        (label_picture().astype(np.int16) - 1, "labels: ids -1, 254 not in cdcl14; expected 0 to 14"),
         (np.zeros((4, 5), dtype=np.uint8), "empty, no pixel of a body part; expected a person in the labels of cdcl14"),
         (np.full((4, 5), 255, dtype=np.uint8), "empty, no pixel of a body part"),
-        (one_part(label_picture()), "one part only (torso); expected several of cdcl14, or the label set full1"),
+        (
+            (label_picture() > 0).astype(np.uint8) * 2,
+            "one part only (torso); expected several of cdcl14, or the label set full1",
+        ),
         (np.full((4, 5), 1, dtype=np.uint8), "one part only (head); expected several"),
         (np.zeros((0, 5), dtype=np.uint8), "shape (0, 5); expected pixels"),
         (np.zeros(5, dtype=np.uint8), "shape (5,); expected (H, W), or (K, H, W) probabilities"),
@@ -142,19 +134,17 @@ def test_coloured_labels(mode: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".npy"])
-def test_unreadable_label_files(suffix: str, tmp_path: Path) -> None:
-    labels = label_set("cdcl14")
-    path = tmp_path / f"parts{suffix}"
-    with pytest.raises(InputError, match=rf"parts\{suffix}: No such file or directory; expected a"):
-        read_parts(path, labels)
-    path.write_bytes(b"not at all")
-    with pytest.raises(InputError, match=rf"parts\{suffix}: .*; expected a"):
-        read_parts(path, labels)
-    picture = np.random.default_rng(0).integers(0, 15, (64, 64)).astype(np.uint8)
+def test_unreadable_label_files(suffix: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    path, picture = tmp_path / f"parts{suffix}", rng.integers(0, 15, (64, 64)).astype(np.uint8)
     Image.fromarray(picture).save(path) if suffix == ".png" else np.save(path, picture)
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match=rf"parts\{suffix}: .*; expected a"):
-        read_parts(path, labels)
+    for content, reason in (
+        (path.read_bytes()[:200], ".*"),
+        (b"not at all", ".*"),
+        (None, "No such file or directory"),
+    ):
+        path.unlink() if content is None else path.write_bytes(content)
+        with pytest.raises(InputError, match=rf"parts\{suffix}: {reason}; expected a"):
+            read_parts(path, label_set("cdcl14"))
 
 
 def test_other_label_files_and_sets(tmp_path: Path) -> None:
@@ -184,9 +174,6 @@ def test_photo_and_sizes(tmp_path: Path) -> None:
 
 
 def test_importing_inputs_loads_no_picture_library() -> None:
-    import subprocess
-    import sys
-
     code = "import warp_partdr.inputs, sys; sys.exit(bool({'PIL', 'torch', 'pyvista'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=HANG).returncode == 0
 
@@ -198,8 +185,6 @@ def test_probabilities_add_up_to_one_but_for_rounding(total, taken, tmp_path):
         maps[channel, rows] = 0.72
     maps[:, 1, 1] *= total  # at one pixel
     np.save(tmp_path / "soft.npy", maps)
-    if taken:
+    says = pytest.raises(InputError, match=r"class probabilities add up to .*; expected 1 at each pixel")
+    with nullcontext() if taken else says:
         assert read_parts(tmp_path / "soft.npy", label_set("cdcl14")).maps is not None
-    else:
-        with pytest.raises(InputError, match=r"class probabilities add up to .*; expected 1 at each pixel"):
-            read_parts(tmp_path / "soft.npy", label_set("cdcl14"))
