@@ -105,10 +105,8 @@ class KeypointNoise:
 
 
 def _seen_by(detector: str) -> torch.Tensor:
-    if detector in ("every", "no face"):
-        names = [name for name in LANDMARKS if detector == "every" or name not in _FACE]
-    else:
-        names = list(skeleton(detector).landmarks)
+    everything = {"every": LANDMARKS, "no face": tuple(name for name in LANDMARKS if name not in _FACE)}
+    names = everything[detector] if detector in everything else skeleton(detector).landmarks
     return network_keypoints(names, torch.zeros(len(names), 2), torch.ones(len(names)))[:, 2] > 0
 
 

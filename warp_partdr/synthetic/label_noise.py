@@ -6,12 +6,13 @@ Strength 1 is about a good network on a clear photo; each sample has one of its 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet
+from ..body.landmarks import mirror_name
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
 from .noise import LIMBS
 from .rng import TorchRng
@@ -46,6 +47,16 @@ _MISSING = 0.1  # of a limb's labels
 _GROWTH = 0.007  # most that labels grow or shrink, of the crop's side
 _WAVES = ((0.004, 50), (0.005, 12))  # deviation of boundaries, of the crop's side, and how many waves fit into it
 
+_CLOTHES = {  # ends of the names of parts: chance that these are under clothes
+    ("hip", "abdomen", "chest", "shoulder"): 0.95,
+    ("upper_arm",): 0.7,
+    ("forearm",): 0.5,
+    ("upper_leg",): 0.8,
+    ("lower_leg",): 0.65,
+    ("foot",): 0.1,
+    ("hand",): 0.05,
+}
+
 _SOFT = 0.6  # standard deviation of what one wave spreads over, of its width
 
 _UNKNOWN = NUM_PARTS + 1  # stands for 255 in tables of part labels
@@ -78,27 +89,17 @@ class LabelNoise:
         self._clothed = torch.tensor(["ignore" in labels.ids.values() for labels in sets], device=device)
         self._identity = torch.arange(_UNKNOWN + 1, device=device)
         self._heirs = torch.tensor([0, *(max(parent, 2) + 1 for parent in PARENTS), _UNKNOWN], device=device)
-        self._limb_swaps = torch.stack([_table(_both(limb), _both(limb, swap=True)) for limb in LIMBS]).to(device)
-        self._limbs = torch.stack(
-            [_mask([f"{side}_{part}" for part in limb]) for limb in LIMBS for side in ("left", "right")]
-        ).to(device)
-        self._ends = {
-            kind: torch.stack(
-                [_table(_both((kind,)), names) for names in (_both((kind,), swap=True), *_one_sided(kind))]
-            ).to(device)
-            for kind in ("hand", "foot")
-        }
-        clothes = (
-            ("left_hip", "right_hip", "abdomen", "chest", "left_shoulder", "right_shoulder"),
-            _both(("upper_arm",)),
-            _both(("forearm",)),
-            _both(("upper_leg",)),
-            _both(("lower_leg",)),
-            _both(("foot",)),
-            _both(("hand",)),
-        )
-        self._clothes = torch.stack([_mask(names) for names in clothes]).to(device)
-        self._clothes_odds = torch.tensor([0.95, 0.7, 0.5, 0.8, 0.65, 0.1, 0.05], device=device)
+        limbs = [[[f"{side}_{part}" for part in limb] for side in ("left", "right")] for limb in LIMBS]
+        swaps = [_table({name: mirror_name(name) for side in sides for name in side}) for sides in limbs]
+        self._limb_swaps = torch.stack(swaps).to(device)
+        self._limbs = torch.stack([_mask(side) for sides in limbs for side in sides]).to(device)
+        self._ends = []  # exchanged, both taken for the left one, or both for the right one
+        for left, right in (("left_hand", "right_hand"), ("left_foot", "right_foot")):
+            confused = ({left: right, right: left}, {right: left}, {left: right})
+            self._ends.append(torch.stack([_table(taken_for) for taken_for in confused]).to(device))
+        worn = [[name for name in PART_NAMES if name.endswith(ends)] for ends in _CLOTHES]
+        self._clothes = torch.stack([_mask(names) for names in worn]).to(device)
+        self._clothes_odds = torch.tensor(list(_CLOTHES.values()), device=device)
 
     def label_sets(self, count: int) -> torch.Tensor:
         """Index into ``TRAINING_LABEL_SETS`` for each sample, shape (B,), int64."""
@@ -132,7 +133,7 @@ class LabelNoise:
         lost = small & rng.chance(scale * _LOSS, count, _UNKNOWN + 1)
         heirs = torch.where(rng.chance(0.5, count, 1), self._heirs, BACKGROUND)
         table = torch.where(lost, heirs, self._identity)
-        for tables in self._ends.values():
+        for tables in self._ends:
             mistaken = tables[rng.integers(len(tables), count)].gather(1, table)
             table = torch.where(rng.chance(scale * _CONFUSED, count, 1), mistaken, table)
         swapped = self._limb_swaps[rng.integers(len(self._limb_swaps), count)].gather(1, table)
@@ -217,30 +218,17 @@ def look_up(table: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
 
 def _group_table(labels: LabelSet) -> torch.Tensor:
     """Group ids that a data set gives each part, 255 where no id stands for its group, shape (22,), uint8."""
-    groups = torch.from_numpy(labels.part_groups).clone()
     said = {BACKGROUND, *(labels.group_names.index(name) + 1 for name in labels.ids.values() if name in labels.groups)}
-    for part, group in enumerate(groups.tolist()):
-        if group not in said:
-            groups[part] = IGNORE
-    return torch.cat([groups, groups.new_tensor([IGNORE])])
+    groups = [group if group in said else IGNORE for group in labels.part_groups.tolist()]
+    return torch.tensor([*groups, IGNORE], dtype=torch.uint8)
 
 
-def _both(parts: tuple[str, ...], *, swap: bool = False) -> tuple[str, ...]:
-    return tuple(f"{side}_{part}" for part in parts for side in (("right", "left") if swap else ("left", "right")))
-
-
-def _one_sided(kind: str) -> tuple[tuple[str, str], ...]:
-    return tuple((f"{side}_{kind}",) * 2 for side in ("left", "right"))
-
-
-def _mask(names: tuple[str, ...] | list[str]) -> torch.Tensor:
+def _mask(names: Collection[str]) -> torch.Tensor:
     """True for the labels of these parts, shape (22,), bool."""
     return torch.tensor([False, *(name in names for name in PART_NAMES), False])
 
 
-def _table(names: tuple[str, ...], taken_for: tuple[str, ...]) -> torch.Tensor:
+def _table(taken_for: Mapping[str, str]) -> torch.Tensor:
     """Labels of parts, some of which are taken for others, shape (22,), int64."""
-    table = torch.arange(_UNKNOWN + 1)
-    for name, other in zip(names, taken_for, strict=True):
-        table[PART_NAMES.index(name) + 1] = PART_NAMES.index(other) + 1
-    return table
+    parts = [PART_NAMES.index(taken_for.get(name, name)) + 1 for name in PART_NAMES]
+    return torch.tensor([BACKGROUND, *parts, _UNKNOWN])

@@ -1,7 +1,7 @@
 """PartBench's noise: keypoints jitter and go missing, boundaries of labels wander, parts get lost.
 
-Levels say how much of it there is. At strength 1, ``noisy_keypoints`` and ``noisy_labels`` are about as good as a good
-network on a clear photo; ``spoil_keypoints`` and ``spoil_labels`` add what goes wrong altogether.
+Levels say how much of it there is. Strength 1 is about a good network on a clear photo; the rest is what goes wrong
+altogether.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import numpy as np
 from PIL import Image, ImageFilter
 
 from ..body.labels import BACKGROUND, LabelSet
-from ..body.landmarks import mirror_name
 from ..inputs.person import lower_near
 
 KEYPOINT_NOISE = 0.01  # standard deviation of u and of v, of the person's height in the picture
@@ -72,103 +71,103 @@ LEVELS: dict[str, Level] = {
 
 
 def noisy_keypoints(
-    points: np.ndarray, hidden: np.ndarray, person_height: float, rng: np.random.Generator, strength: float = 1.0
+    points: np.ndarray,
+    hidden: np.ndarray,
+    landmarks: tuple[str, ...],
+    person_height: float,
+    size: tuple[int, ...],
+    *,
+    level: Level,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """Keypoints as a detector gives them, shape (J, 3): u, v [px] and confidence.
+    """Keypoints as a detector gives them, shape (J, 3): u, v [px] and confidence, all 0 where missing.
 
     Args:
         points: True positions [px], shape (J, 2).
         hidden: Those that are occluded, shape (J,), bool.
-        person_height: Stature in the picture [px].
-        rng: Source of the noise.
-        strength: Factor of the noise.
-    """
-    spread = strength * KEYPOINT_NOISE * person_height * np.where(hidden, HIDDEN_NOISE, 1.0)
-    noisy = points + spread[:, None] * rng.standard_normal(points.shape)
-    return np.column_stack([noisy, np.where(hidden, HIDDEN_CONFIDENCE, 1.0)])
-
-
-def spoil_keypoints(
-    keypoints: np.ndarray, landmarks: tuple[str, ...], size: tuple[int, int], level: Level, rng: np.random.Generator
-) -> np.ndarray:
-    """Keypoints with some missing (confidence 0, at 0) and some on the wrong side, shape (J, 3).
-
-    Args:
-        keypoints: u, v [px] and confidence, shape (J, 3).
         landmarks: Their names.
+        person_height: Stature in the picture [px].
         size: Of the picture, (H, W); nothing beyond it is found.
-        level: How much.
+        level: Amount of noise.
         rng: Source of chance.
     """
-    spoiled = keypoints.copy()
+    spread = level.strength * KEYPOINT_NOISE * person_height * np.where(hidden, HIDDEN_NOISE, 1.0)
+    noisy = points + spread[:, None] * rng.standard_normal(points.shape)
+    noisy = np.column_stack([noisy, np.where(hidden, HIDDEN_CONFIDENCE, 1.0)])
     for joints in SWAPPED_KEYPOINTS:
         if rng.random() < level.swap / len(SWAPPED_KEYPOINTS):
             left = [landmarks.index(f"left_{joint}") for joint in joints]
-            right = [landmarks.index(mirror_name(landmarks[joint])) for joint in left]
-            spoiled[[*left, *right]] = spoiled[[*right, *left]]
-    lost = rng.random(len(keypoints)) < level.dropout * np.where(keypoints[:, 2] < 1.0, 2.0, 1.0)
-    beyond = (spoiled[:, :2] < _OUTSIDE) | (spoiled[:, :2] > np.array(size[::-1]) - _OUTSIDE)
-    spoiled[lost | beyond.any(axis=1)] = 0.0
-    return spoiled
+            right = [landmarks.index(f"right_{joint}") for joint in joints]
+            noisy[left + right] = noisy[right + left]
+    lost = rng.random(len(points)) < level.dropout * np.where(hidden, 2.0, 1.0)
+    beyond = (noisy[:, :2] < _OUTSIDE) | (noisy[:, :2] > np.array(size[::-1]) - _OUTSIDE)
+    noisy[lost | beyond.any(axis=1)] = 0.0
+    return noisy
 
 
-def noisy_labels(groups: np.ndarray, labels: LabelSet, rng: np.random.Generator, strength: float = 1.0) -> np.ndarray:
+def noisy_labels(
+    groups: np.ndarray, labels: LabelSet, person_height: float, level: Level, rng: np.random.Generator
+) -> np.ndarray:
     """Group ids as a segmentation network gives them, shape (H, W), uint8.
 
     Args:
         groups: True group ids, shape (H, W), uint8.
-        labels: Their label set; it must have hands and feet.
-        rng: Source of the noise.
-        strength: Factor of chances and distances.
-    """
-    noisy = _lose_small_parts(groups, rng, strength * LOSS)
-    for kind in ("hand", "foot"):
-        if rng.random() < strength * CONFUSION:
-            pair = [labels.group_names.index(f"{side}_{kind}") + 1 for side in ("left", "right")]
-            # Exchanged, both taken for the left one, or both for the right one.
-            taken_for = ((pair[1], pair[0]), (pair[0], pair[0]), (pair[1], pair[1]))[rng.integers(3)]
-            table = np.arange(256, dtype=np.uint8)
-            table[pair] = taken_for
-            noisy = table[noisy]
-    height, width = noisy.shape
-    v, u = np.mgrid[:height, :width]
-    dv, du = (sum(strength * _wave(noisy.shape, *wave, rng) for wave in WAVES) for _ in range(2))
-    rows = np.clip(np.rint(v + dv), 0, height - 1).astype(int)
-    columns = np.clip(np.rint(u + du), 0, width - 1).astype(int)
-    moved = Image.fromarray(noisy[rows, columns])
-    return np.array(moved.filter(ImageFilter.ModeFilter(SMOOTHING)))
-
-
-def spoil_labels(
-    groups: np.ndarray, labels: LabelSet, person_height: float, level: Level, rng: np.random.Generator
-) -> np.ndarray:
-    """Group ids with limbs on the wrong side or missing, holes, and an outline too wide or too narrow, shape (H, W).
-
-    Args:
-        groups: Group ids, shape (H, W), uint8.
         labels: Their label set, with left and right limbs of three parts.
         person_height: Stature in the picture [px].
-        level: How much.
+        level: Amount of noise.
         rng: Source of chance.
     """
+    if level.strength:
+        groups = _wander(_confuse(groups, labels, level.strength, rng), level.strength, rng)
     table = np.arange(256, dtype=np.uint8)
     if rng.random() < level.swap:
-        parts = LIMBS[rng.integers(len(LIMBS))]
-        left, right = ([labels.group_names.index(f"{side}_{part}") + 1 for part in parts] for side in ("left", "right"))
-        table[[*left, *right]] = [*right, *left]
+        left, right = _sides(labels, LIMBS[rng.integers(len(LIMBS))])
+        table[left + right] = right + left
     if rng.random() < level.missing:
-        parts, side = LIMBS[rng.integers(len(LIMBS))], ("left", "right")[rng.integers(2)]
-        lost = [labels.group_names.index(f"{side}_{part}") + 1 for part in parts]
-        table[np.isin(table, lost)] = BACKGROUND
-    spoiled = table[groups]
-    rows, columns = np.nonzero(spoiled)
-    holes = np.zeros(spoiled.shape, dtype=bool)
+        limb = LIMBS[rng.integers(len(LIMBS))]
+        table[np.isin(table, _sides(labels, limb)[rng.integers(2)])] = BACKGROUND
+    noisy = table[groups]
+    rows, columns = np.nonzero(noisy)
+    holes = np.zeros(noisy.shape, dtype=bool)
     for _ in range(rng.poisson(level.holes) if rows.size else 0):
         at = rng.integers(rows.size)
         centre = np.array([columns[at], rows[at]] * 2) + 0.5
         lower_near(holes, centre, rng.uniform(*_HOLE) * person_height)
-    spoiled[holes] = BACKGROUND
-    return _grow(spoiled, int(rng.integers(-level.growth, level.growth + 1)))
+    noisy[holes] = BACKGROUND
+    return _grow(noisy, int(rng.integers(-level.growth, level.growth + 1)))
+
+
+def _confuse(groups: np.ndarray, labels: LabelSet, strength: float, rng: np.random.Generator) -> np.ndarray:
+    """Small parts get lost, and hands and feet are taken for the other side's, now and then."""
+    noisy = groups.copy()
+    for group in np.unique(groups[groups > 0]):
+        mask = groups == group
+        if rng.random() < strength * LOSS and mask.sum() < SMALL_PART * (groups > 0).sum():
+            grown = np.array(Image.fromarray(mask.astype(np.uint8)).filter(ImageFilter.MaxFilter(5)), dtype=bool)
+            noisy[mask] = np.bincount(groups[grown & ~mask]).argmax()  # the label that is most common around it
+    for kind in ("hand", "foot"):
+        if rng.random() < strength * CONFUSION:
+            left, right = _sides(labels, (kind,))
+            table = np.arange(256, dtype=np.uint8)
+            # Exchanged, both taken for the left one, or both for the right one.
+            table[left + right] = (right + left, left + left, right + right)[rng.integers(3)]
+            noisy = table[noisy]
+    return noisy
+
+
+def _wander(groups: np.ndarray, strength: float, rng: np.random.Generator) -> np.ndarray:
+    """Labels taken from a little beside, so that boundaries wander; smooth in the end."""
+    height, width = groups.shape
+    v, u = np.mgrid[:height, :width]
+    dv, du = (sum(strength * _wave(groups.shape, *wave, rng) for wave in WAVES) for _ in range(2))
+    rows = np.clip(np.rint(v + dv), 0, height - 1).astype(int)
+    columns = np.clip(np.rint(u + du), 0, width - 1).astype(int)
+    return np.array(Image.fromarray(groups[rows, columns]).filter(ImageFilter.ModeFilter(SMOOTHING)))
+
+
+def _sides(labels: LabelSet, parts: tuple[str, ...]) -> list[list[int]]:
+    """Group ids of the left parts and of the right ones."""
+    return [[labels.group_names.index(f"{side}_{part}") + 1 for part in parts] for side in ("left", "right")]
 
 
 def _grow(groups: np.ndarray, pixels: int) -> np.ndarray:
@@ -182,17 +181,6 @@ def _grow(groups: np.ndarray, pixels: int) -> np.ndarray:
         else:
             grown = np.where(beside.min(0) == BACKGROUND, BACKGROUND, grown)
     return grown.astype(np.uint8)
-
-
-def _lose_small_parts(groups: np.ndarray, rng: np.random.Generator, chance: float) -> np.ndarray:
-    """Give small parts, now and then, the label that is most common around them."""
-    noisy = groups.copy()
-    for group in np.unique(groups[groups > 0]):
-        mask = groups == group
-        if rng.random() < chance and mask.sum() < SMALL_PART * (groups > 0).sum():
-            grown = np.array(Image.fromarray(mask.astype(np.uint8)).filter(ImageFilter.MaxFilter(5)), dtype=bool)
-            noisy[mask] = np.bincount(groups[grown & ~mask]).argmax()
-    return noisy
 
 
 def _wave(shape: tuple[int, ...], deviation: float, period: float, rng: np.random.Generator) -> np.ndarray:

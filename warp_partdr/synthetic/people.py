@@ -40,8 +40,8 @@ def pose_anny(model: DetailedModel, shape: torch.Tensor, posed: PosedBones) -> D
 
 def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
     """Heights of standing people of shape values (B, S), shape (B,) [m]."""
-    heights = model.rest(shape).vertices[..., 1]
-    return heights.amax(1) - heights.amin(1)
+    low, high = model.rest(shape).vertices[..., 1].aminmax(dim=1)
+    return high - low
 
 
 def coco_landmarks(model: DetailedModel, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -115,13 +115,9 @@ def cover_of(landmarks: tuple[str, ...]) -> np.ndarray:
 
     Joints lie inside the body: what hides one must be nearer by more than the thickness of the bone that ends there.
     """
-    thicknesses = template().mean_thicknesses
-    return np.array(
-        [
-            thicknesses[SHAPE_INDICES[JOINT_NAMES.index(name) - 1][1]] if name in JOINT_NAMES else _FACE_COVER
-            for name in landmarks
-        ]
-    )
+    first = [template().mean_thicknesses[indices[1]] for indices in SHAPE_INDICES]
+    thickness = dict(zip(JOINT_NAMES[1:], first, strict=True))
+    return np.array([thickness.get(name, _FACE_COVER) for name in landmarks])
 
 
 def pixel_indices(points: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:

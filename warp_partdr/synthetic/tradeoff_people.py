@@ -15,6 +15,7 @@ from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
 from ..body.skeletons import MPJPE_SKELETON, skeleton
 from ..cameras import Crop, WeakPerspective
 from ..inputs.observation import REFERENCE_SIZE, Observation
+from ..interop.movable import Movable
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
 from ..render.ellipsoids import draw_ellipsoids
@@ -39,7 +40,7 @@ _TURNS = 8  # orientations that the search for a person's EllipBody starts from
 
 
 @dataclass(frozen=True)
-class People:
+class People(Movable):
     """N people in a square crop each.
 
     Attributes:
@@ -60,12 +61,6 @@ class People:
         """N."""
         return len(self.labels)
 
-    def to(self, device: torch.device | str) -> People:
-        """The same on another device."""
-        bodies = BodyParameters(**{name: tensor.to(device) for name, tensor in self.bodies.tensors().items()})
-        moved = (tensor.to(device) for tensor in (self.labels, self.points, self.joints))
-        return People(self.name, bodies, *moved)
-
     def observation(self, person: int | None = None) -> Observation:
         """Input of a fit to a person; of None, to all: points (N, 17, 2) and labels (N, ...), a body each."""
         points, labels = (self.points, self.labels) if person is None else (self.points[person], self.labels[person])
@@ -79,16 +74,15 @@ class People:
         generator = torch.Generator().manual_seed(_SEED)
         true = mean_sized(self.bodies)
 
-        def noise(like: torch.Tensor, scale: float) -> torch.Tensor:
-            return (scale * torch.randn(like.shape, generator=generator)).to(like)
+        def noise(like: torch.Tensor, scale: float = 1.0) -> torch.Tensor:
+            return (scale * distance * torch.randn(like.shape, generator=generator)).to(like)
 
-        turn = rotation_from_axis_angle(noise(true.shift.new_empty(len(self), 3), distance))
         return replace(
             true,
-            orientation=rotation_to_6d(turn @ true.global_orient()),
-            rotations=true.rotations + noise(true.rotations, distance),
-            log_scale=true.log_scale + noise(true.log_scale, _SCALE_PER_RADIAN * distance),
-            shift=true.shift + noise(true.shift, _SHIFT_PER_RADIAN * distance),
+            orientation=rotation_to_6d(rotation_from_axis_angle(noise(self.joints[:, 0])) @ true.global_orient()),
+            rotations=true.rotations + noise(true.rotations),
+            log_scale=true.log_scale + noise(true.log_scale, _SCALE_PER_RADIAN),
+            shift=true.shift + noise(true.shift, _SHIFT_PER_RADIAN),
         )
 
 
@@ -100,7 +94,9 @@ def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
     persons = [make_person(index) for index in range(max(num_ellipbodies, num_annys))]
     generator = torch.Generator().manual_seed(_SEED)
     crops = [_crop(person) for person in persons]
-    points = torch.stack([_in_crop(person.keypoints, crop) for person, crop in zip(persons, crops, strict=True)])
+    keypoints = [torch.from_numpy(person.keypoints).float() for person in persons]
+    points = torch.stack([crop.to_crop(each) for each, crop in zip(keypoints, crops, strict=True)])
+    points = points / (TRUTH_SIZE / 2) - 1
     joints = torch.stack([torch.from_numpy(person.joints).float() for person in persons])
     bodies = _lift(persons, crops, points, joints)
     noise = KEYPOINT_NOISE * torch.randn(points.shape, generator=generator)
@@ -108,14 +104,12 @@ def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
     own = mean_sized(bodies.select(torch.arange(num_ellipbodies)))
     own = replace(own, lengths=_spread(own.lengths, _STATURE, generator))
     own = replace(own, thicknesses=_spread(own.thicknesses, _GIRTH, generator))
-    posed = own.posed()
-    seen = own.camera(2).project(LandmarkGather(KEYPOINTS, "cpu")(posed))[..., :2] - 1
-    drawn = draw_truth(own)
-    ellipbodies = People(ELLIPBODY, own, drawn, seen + noise[:num_ellipbodies], LandmarkGather(JOINTS, "cpu")(posed))
-    parts = torch.cat([_draw_anny(person, crop) for person, crop in zip(persons[:num_annys], crops, strict=False)])
-    return ellipbodies, People(
-        ANNY, bodies.select(torch.arange(num_annys)), parts, (points + noise)[:num_annys], joints[:num_annys]
-    )
+    posed, some = own.posed(), slice(num_annys)
+    seen = own.camera(2).project(LandmarkGather(KEYPOINTS, "cpu")(posed))[..., :2] - 1 + noise[:num_ellipbodies]
+    ellipbodies = People(ELLIPBODY, own, draw_truth(own), seen, LandmarkGather(JOINTS, "cpu")(posed))
+    parts = torch.cat([_draw_anny(*each) for each in zip(persons[some], crops[some], strict=True)])
+    annys = bodies.select(torch.arange(num_annys))
+    return ellipbodies, People(ANNY, annys, parts, (points + noise)[some], joints[some])
 
 
 def mean_sized(bodies: BodyParameters) -> BodyParameters:
@@ -137,17 +131,11 @@ def draw_truth(bodies: BodyParameters, size: int = TRUTH_SIZE) -> torch.Tensor:
 
 def _crop(person: Person) -> Crop:
     """A square around the whole person, whatever the picture's border cut off."""
-    vertices = torch.from_numpy(person.vertices)[None]
-    points = person.camera.project(vertices)[0, :, :2]
+    points = person.camera.project(torch.from_numpy(person.vertices)[None])[0, :, :2]
     low, high = points.min(0).values, points.max(0).values
     half = float((high - low).max()) * (0.5 + _MARGIN)
     left, top = ((low + high) / 2 - half).tolist()
     return Crop(left, top, TRUTH_SIZE / (2 * half), (TRUTH_SIZE, TRUTH_SIZE))
-
-
-def _in_crop(points: object, crop: Crop) -> torch.Tensor:
-    """Places in the picture [px] as -1 to 1 of the crop."""
-    return crop.to_crop(torch.as_tensor(points, dtype=torch.float32)) / (TRUTH_SIZE / 2) - 1
 
 
 def _draw_anny(person: Person, crop: Crop) -> torch.Tensor:

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
 from ...inputs.sample import Sample
-from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels, spoil_keypoints, spoil_labels
+from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels
 from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, make_person
 from . import VERSION
 
@@ -46,14 +46,14 @@ def make_sample(index: int, name: str) -> Sample:
     groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
     if rng.random() < level.stranger:
         groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE), rng)
-    if level.strength:
-        groups = noisy_labels(groups, LABELS, rng, level.strength)
-    groups = spoil_labels(groups, LABELS, person.height, level, rng)
-    keypoints = noisy_keypoints(person.keypoints, hidden, person.height, rng, level.strength)
+    groups = noisy_labels(groups, LABELS, person.height, level, rng)
+    keypoints = noisy_keypoints(
+        person.keypoints, hidden, COCO.landmarks, person.height, truth.shape, level=level, rng=rng
+    )
     return Sample(
         source=source_name(name),
         name=f"{person.name}, {person.kind}",
-        keypoints=_keypoints(spoil_keypoints(keypoints, COCO.landmarks, truth.shape, level, rng)),
+        keypoints=_keypoints(keypoints),
         parts=PartLabels(LABELS, groups),
         others=(_keypoints(others),) if np.count_nonzero(others[:, 2]) > 1 else (),
         target=truth,
