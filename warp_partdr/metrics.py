@@ -6,7 +6,7 @@ Counts come back as NumPy, for they are small, and are pooled and resampled ther
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,8 +107,7 @@ def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid:
         ValueError: If shapes differ, a joint that counts is NaN or infinite, or one of ``centre_on`` is not valid.
     """
     points, target, weights = _checked(points, target, valid)
-    if centre_on:
-        joints = list(centre_on)
+    if joints := list(centre_on):
         if not all(0 <= joint < points.shape[-2] for joint in joints):
             raise ValueError(f"centre_on: {joints}; expected some of {points.shape[-2]} joints")
         if not bool((weights[..., joints] > 0).all()):
@@ -170,16 +169,15 @@ def _tensor(name: str, values: Array) -> torch.Tensor:
 def _checked(points: Array, target: Array, valid: Array | None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Both as tensors of one kind, 0 where invalid, and the weight of each point, 0 or 1, shape (..., J)."""
     have = _tensor("points", points)
-    have = have.to(have.dtype if have.dtype in (torch.float32, torch.float64) else torch.float32)
+    have = have if have.dtype == torch.float64 else have.float()
     want = _tensor("target", target).to(have)
     if have.shape != want.shape or have.ndim < 1 or have.shape[-1] != 3:
         raise ValueError(f"points: shape {tuple(have.shape)}; expected (..., 3), as target: {tuple(want.shape)}")
-    if valid is None:
-        weights = have.new_ones(have.shape[:-1])
-    else:
+    weights = have.new_ones(have.shape[:-1])
+    if valid is not None:
         kept = _tensor("valid", valid).to(have.device, torch.bool)
-        if kept.shape != have.shape[:-1]:
-            raise ValueError(f"valid: shape {tuple(kept.shape)}; expected {tuple(have.shape[:-1])}")
+        if kept.shape != weights.shape:
+            raise ValueError(f"valid: shape {tuple(kept.shape)}; expected {tuple(weights.shape)}")
         weights = kept.to(have.dtype)
         have, want = (values.masked_fill(~kept[..., None], 0.0) for values in (have, want))
     check_finite(points=have, target=want)
@@ -204,63 +202,31 @@ def _aligned(points: torch.Tensor, target: torch.Tensor, weights: torch.Tensor) 
     return scale[..., None, None] * (source @ rotation.mT) + target_centre
 
 
-def bootstrap(values: np.ndarray, statistic: Callable[..., np.ndarray], seed: int = 0) -> tuple[float, float]:
-    """Percentile interval (95 %) of a statistic of independent values, one a person.
-
-    Args:
-        values: Shape (N, ...).
-        statistic: Such as ``np.mean``: of values (R, N, ...) and ``axis=1`` to R numbers.
-        seed: Of the resampling.
-
-    Raises:
-        ValueError: If there are no values, or one is NaN or infinite.
-    """
-    values = _finite(values)
-    return _interval([statistic(values[drawn], axis=1) for drawn in _draws(values, seed)])
-
-
 def bootstrap_sum(
     values: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], seed: int = 0
 ) -> tuple[float, float]:
-    """The same for a statistic of what people add up to, such as ``part_f1`` of pooled counts: much faster.
+    """Percentile interval (95 %) of a statistic of what people add up to, such as ``part_f1`` of pooled counts.
+
+    Resamples in which the statistic is not defined (no class occurs) do not count.
 
     Args:
-        values: Shape (N, ...).
+        values: Of people that are independent, shape (N, ...).
         statistic: Of sums (R, ...) to R numbers.
         seed: Of the resampling.
 
     Raises:
         ValueError: If there are no values, or one is NaN or infinite.
     """
-    values = _finite(values)
-    people = len(values)
-    flat = values.reshape(people, -1).astype(np.float64)
-    results = []
-    for drawn in _draws(values, seed):
-        rows = len(drawn)
-        index = drawn + people * np.arange(rows)[:, None]
-        times = np.bincount(index.ravel(), minlength=rows * people).reshape(rows, people)
-        results.append(statistic((times @ flat).reshape(rows, *values.shape[1:])))
-    return _interval(results)
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    values = np.asarray(values)
+    values = np.asarray(values, dtype=np.float64)
     if not values.size or not np.isfinite(values).all():
         raise ValueError(f"values: shape {values.shape}, or NaN or infinity in them; expected finite numbers")
-    return values
-
-
-def _draws(values: np.ndarray, seed: int) -> Iterator[np.ndarray]:
-    """Whom each resample has, some resamples at a time, shape (rows, N)."""
-    people, rng = len(values), np.random.default_rng(seed)
+    people, rng, results = len(values), np.random.default_rng(seed), []
     resamples = min(RESAMPLES, max(_ENOUGH, RESAMPLES * _MANY // people))
-    rows = max(_BLOCK // values.size, 1)
-    for start in range(0, resamples, rows):
-        yield rng.integers(0, people, (min(rows, resamples - start), people))
-
-
-def _interval(statistics: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Resamples in which the statistic is not defined (no class occurs) do not count."""
-    low, high = np.nanquantile(np.concatenate(statistics), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    step = max(_BLOCK // values.size, 1)
+    for start in range(0, resamples, step):
+        rows = min(step, resamples - start)
+        drawn = rng.integers(0, people, (rows, people)) + people * np.arange(rows)[:, None]
+        times = np.bincount(drawn.ravel(), minlength=rows * people).reshape(rows, people)
+        results.append(statistic((times @ values.reshape(people, -1)).reshape(rows, *values.shape[1:])))
+    low, high = np.nanquantile(np.concatenate(results), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)

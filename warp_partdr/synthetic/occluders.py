@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 
@@ -11,12 +12,19 @@ from ..body.template import NUM_PARTS
 from .label_noise import look_up
 from .rng import TorchRng
 
-# At strength 1.
-_HOLES = 0.2  # of each of four, whose radius is, in crop coordinates:
-_HOLE = (0.02, 0.09)
-_OCCLUDERS = 0.12  # of each of two, whose half sides are, in crop coordinates:
-_OCCLUDER = (0.06, 0.4)
-_STRANGER = 0.12
+_STRANGER = 0.12  # chance at strength 1
+
+
+class _Thing(NamedTuple):
+    chance: float  # of each, at strength 1
+    radii: tuple[float, float]  # or half sides of a box, crop coordinates
+    aside: float  # standard deviation from a point of the person
+    unknown: float  # chance of labels to say so; else they say background
+    hides: bool
+
+
+_HOLE = _Thing(0.2, (0.02, 0.09), 0.0, 0.3, hides=False)
+_OCCLUDER = _Thing(0.12, (0.06, 0.4), 0.2, 0.6, hides=True)
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ def draw_occluders(
         parts: True part labels, 255 beyond the border, shape (B, S, S), uint8; a sample's stranger is the one
             before it.
         tables: Group id of each part label in the samples' label sets, of ``LabelNoise.tables``, shape (B, 22).
-        places: Six points of each person in the crop, shape (B, 6, 2).
+        places: Points of each person in the crop, for four holes and two things, shape (B, 6, 2).
         strength: Shape (B,).
     """
     count, size, _ = parts.shape
@@ -59,21 +67,20 @@ def draw_occluders(
 
     hiding = mask.clone()
     centres = (torch.arange(size, device=rng.device) + 0.5) * (2 / size) - 1
-    for index in range(places.shape[1]):
-        hole = index < 4
-        place = places[:, index] + (0.0 if hole else 0.2) * rng.normal(count, 2)
-        radii = rng.uniform(count, 2, low=(_HOLE if hole else _OCCLUDER)[0], high=(_HOLE if hole else _OCCLUDER)[1])
-        radii = radii[:, :1].expand(-1, 2) if hole else radii
+    for place, thing in zip(places.unbind(1), (*[_HOLE] * 4, *[_OCCLUDER] * 2), strict=True):
+        place = place + thing.aside * rng.normal(count, 2)
+        radii = rng.uniform(count, 2, low=thing.radii[0], high=thing.radii[1])
+        radii = radii if thing.hides else radii[:, :1].expand(-1, 2)
         across, down = ((centres - place[:, i, None]).div(radii[:, i, None]).square() for i in range(2))
         inside = across[:, None, :] + down[:, :, None] < 1
-        if not hole:
+        if thing.hides:
             box = (across[:, None, :] < 1) & (down[:, :, None] < 1)
             inside = torch.where(rng.chance(0.5, count)[:, None, None], box, inside)
-        inside &= rng.chance(strength * (_HOLES if hole else _OCCLUDERS), count)[:, None, None]
-        shown = torch.where(rng.chance(0.3 if hole else 0.6, count), IGNORE, BACKGROUND).to(torch.uint8)
+        inside &= rng.chance(strength * thing.chance, count)[:, None, None]
+        shown = torch.where(rng.chance(thing.unknown, count), IGNORE, BACKGROUND).to(torch.uint8)
         groups = torch.where(inside, shown[:, None, None], groups)
         mask |= inside
-        if not hole:
+        if thing.hides:
             hiding |= inside
     return Occluders(mask, hiding, groups)
 

@@ -6,7 +6,7 @@ the left arm, which points to +x at rest, comes down about -z and forward about 
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import torch
 
@@ -21,19 +21,15 @@ def _parts(*names: str) -> list[int]:
 
 
 _TRUNK = _parts("abdomen", "chest", "neck", "head")
-_LEFT_ARM, _RIGHT_ARM = (
-    _parts(*(f"{side}_{part}" for part in ("shoulder", "upper_arm", "forearm", "hand"))) for side in ("left", "right")
-)
-_LEFT_LEG, _RIGHT_LEG = (
-    _parts(*(f"{side}_{part}" for part in ("upper_leg", "lower_leg", "foot"))) for side in ("left", "right")
-)
+_LEFT_ARM = _parts("left_shoulder", "left_upper_arm", "left_forearm", "left_hand")
+_LEFT_LEG = _parts("left_upper_leg", "left_lower_leg", "left_foot")
+_RIGHT_ARM, _RIGHT_LEG = ([part + 1 for part in parts] for parts in (_LEFT_ARM, _LEFT_LEG))
 LIMBS = (_TRUNK, _LEFT_ARM, _RIGHT_ARM, [*_LEFT_LEG, *_RIGHT_LEG])
 
 _Span = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class _Leg:
+class _Leg(NamedTuple):
     """Ranges [degrees]: of the thigh from hanging, forward and outward, of the knee, and of the foot, toes down."""
 
     forward: _Span
@@ -42,8 +38,7 @@ class _Leg:
     foot: _Span
 
 
-@dataclass(frozen=True)
-class _Stance:
+class _Stance(NamedTuple):
     """Ranges of both legs; ``lean`` is the pelvis' [degrees] forward, ``alike`` the chance that both do the same."""
 
     weight: float
@@ -83,10 +78,10 @@ def draw_procedural(count: int, rng: TorchRng) -> Poses:
     rotations = torch.zeros(count, NUM_PARTS, 3, device=rng.device)
     lean, rotations[:, _LEFT_LEG], rotations[:, _RIGHT_LEG] = _legs(count, rng)
     ups = rotation_from_axis_angle(torch.stack([lean, _between(count, rng, -4, 4), 0.1 * rng.normal(count)], 1))[:, 1]
-    lying, any_legs = rng.chance(_LYING, count), [_one_leg(_LOOSE, count, rng) for _ in range(2)]
-    for leg, parts, flip in zip(any_legs, (_LEFT_LEG, _RIGHT_LEG), (1.0, -1.0), strict=True):
-        side = leg * leg.new_tensor([1.0, flip, flip])
-        rotations[:, parts] = torch.where(lying[:, None, None], side, rotations[:, parts])
+    lying = rng.chance(_LYING, count)
+    for parts, flip in ((_LEFT_LEG, 1.0), (_RIGHT_LEG, -1.0)):
+        leg = _one_leg(_LOOSE, count, rng) * ups.new_tensor([1.0, flip, flip])
+        rotations[:, parts] = torch.where(lying[:, None, None], leg, rotations[:, parts])
     level = rng.normal(count, 3) * torch.tensor([1.0, 0.25, 1.0], device=rng.device)
     ups = torch.where(lying[:, None], torch.nn.functional.normalize(level, dim=1), ups)
     rotations[:, _TRUNK] = _trunk(count, rng)
@@ -102,7 +97,7 @@ def _between(count: int, rng: TorchRng, low: float, high: float) -> torch.Tensor
 
 def _one_leg(leg: _Leg, count: int, rng: TorchRng) -> torch.Tensor:
     """Rotation vectors of a left leg, shape (count, 3, 3)."""
-    forward, outward, knee, foot = (_between(count, rng, *span) for span in astuple(leg))
+    forward, outward, knee, foot = (_between(count, rng, *span) for span in leg)
     turn, toes = _between(count, rng, -12, 28), _between(count, rng, -10, 20)
     zero = torch.zeros_like(turn)
     return torch.stack([-forward, turn, outward, knee, zero, zero, foot, toes, zero], dim=1).unflatten(1, (3, 3))

@@ -37,31 +37,18 @@ _NOISE = ((2, 0.5), (6, 0.25), (24, 0.15), (96, 0.1))  # cells a side, and how m
 _BOXES = 4
 _GRAIN = 0.02
 _KEYPOINTS = "body25"
-_CLOTHES = {  # part of a name: piece of clothing
-    "head": 0,
-    "neck": 0,
-    "hand": 0,
-    "abdomen": 1,
-    "chest": 1,
-    "shoulder": 1,
-    "upper_arm": 1,
-    "forearm": 2,
-    "hip": 3,
-    "upper_leg": 3,
-    "lower_leg": 4,
-    "foot": 5,
-}
-_PIECES = 6  # skin, shirt, sleeves, trousers, legs, shoes
+_CLOTHES = (  # ends of the names of parts: skin, shirt, sleeves, trousers, legs, shoes
+    ("head", "neck", "hand"),
+    ("abdomen", "chest", "shoulder", "upper_arm"),
+    ("forearm",),
+    ("hip", "upper_leg"),
+    ("lower_leg",),
+    ("foot",),
+)
 
 
 def shaded_people(count: int, *, seed: int, device: torch.device | str = "cpu") -> list[Sample]:
-    """Pictures of random people with the whole truth; the same seed gives the same on one device.
-
-    Args:
-        count: How many.
-        seed: Of everything.
-        device: Where they are drawn.
-    """
+    """Pictures of random people with the whole truth; the same seed gives the same on one device."""
     bank = PoseBank.of_prior(_PRIOR_POSES, seed=seed)
     poses = PoseSampler(bank, device=device, seed=seed, pool=min(max(count, _BATCH), _LARGEST_POOL))
     rng = TorchRng(seed, device)
@@ -97,7 +84,7 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
     lit = (unit(normals, dim=-1) * unit(light, dim=-1)[:, None]).sum(-1).clamp_min(0)
     ambient = rng.uniform(count, 1, low=0.3, high=0.6)
     brightness = (ambient + (1 - ambient) * lit).gather(1, drawn.face_index.clamp_min(0).long().flatten(1))
-    colours = _clothe(rng.uniform(count, _PIECES, 3)).gather(
+    colours = _clothe(rng.uniform(count, len(_CLOTHES), 3)).gather(
         1, drawn.labels.long().flatten(1)[..., None].expand(-1, -1, 3)
     )
     foreground = (colours * brightness[..., None]).unflatten(1, (side, side)).permute(0, 3, 1, 2)
@@ -146,7 +133,7 @@ def _look(vertices: torch.Tensor, rng: TorchRng) -> Perspective:
 
 def _clothe(colours: torch.Tensor) -> torch.Tensor:
     """RGB of each part label of people with pieces of clothing (N, 6, 3), shape (N, 21, 3)."""
-    pieces = [next(piece for word, piece in _CLOTHES.items() if name.endswith(word)) for name in PART_NAMES]
+    pieces = [[name.endswith(ends) for ends in _CLOTHES].index(True) for name in PART_NAMES]
     skin = torch.tensor([0.95, 0.75, 0.62], device=colours.device) * (0.35 + 0.65 * colours[:, :1, :1])
     bare = colours[:, 2:5:2, :1] > 0.5  # sleeves and trousers may be short
     worn = torch.cat([skin, colours[:, 1:]], dim=1)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...metrics import bootstrap
+from ...metrics import bootstrap_sum
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
 from ..renderers import LEVELS
 from ..timing import Timing
@@ -186,5 +186,5 @@ def _gain(fine: np.ndarray | None, coarse: np.ndarray | None) -> str:
     assert fine is not None
     assert coarse is not None
     gain = fine - coarse
-    low, high = bootstrap(gain, np.mean)
+    low, high = bootstrap_sum(gain, lambda sums: sums / len(gain))
     return f"{gain.mean():+.4f} ({low:+.4f} to {high:+.4f})"

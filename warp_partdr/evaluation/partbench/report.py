@@ -61,7 +61,7 @@ def compare_methods(report: Report) -> Iterator[str]:
 def _compare(pairs: list[list[Score]]) -> str:
     """PA-MPJPE and part F1 of the first score of each pair minus those of the second."""
     gains = np.array([better.pa_mpjpe - worse.pa_mpjpe for better, worse in pairs])
-    low, high = metrics.bootstrap(gains, np.mean)
+    low, high = metrics.bootstrap_sum(gains, lambda sums: sums / len(gains))
     text = f"PA-MPJPE {gains.mean():+.1f} ({low:+.1f} to {high:+.1f}) mm"
     counts = np.array([[score.pixels.parts for score in pair if score.pixels is not None] for pair in pairs])
     if counts.ndim == 4:
