@@ -8,7 +8,7 @@ from scenes.bodies import ellipbodies
 from warp_partdr.body.posing import Posed
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights, _Loss
+from warp_partdr.clothing.registration import REACH, RegistrationOptions, RegistrationWeights, _Loss
 from warp_partdr.clothing.surfaces import surface_samples
 from warp_partdr.reference.ellipbody import PosedEllipsoid
 from warp_partdr.reference.registration import (
@@ -49,7 +49,7 @@ def test_registration_terms_are_the_books(device):
     skin = numpy(loss.areas), loss.parts.cpu().numpy()
     surface = DetailedSurface(numpy(detailed.vertices[body]), *skin, model.faces.cpu().numpy(), face_parts)
     samples, areas = numpy(loss.samples[body]), numpy(loss.sample_weights[body])
-    ellipsoids, scale, reach = ellipsoids_of(posed, body), options.scale, options.reach
+    ellipsoids, scale, reach = ellipsoids_of(posed, body), options.scale, REACH
     want = {
         "icp_to_mesh": 1e4 * icp_to_mesh(surface, samples, areas, scale, reach),
         "icp_to_ellipsoids": 1e4 * icp_to_ellipsoids(surface, ellipsoids, scale),

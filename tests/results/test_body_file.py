@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import pickle
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +46,10 @@ def arrays() -> dict[str, Any]:
     return {"format": np.array(FORMAT), **{name: getattr(body, name) for name in (*FIELDS, "image_size")}}
 
 
-def saved() -> bytes:
+def saved() -> bytearray:
     file = io.BytesIO()
     np.savez(file, **arrays())
-    return file.getvalue()
+    return bytearray(file.getvalue())
 
 
 def test_comes_back_to_the_bit(tmp_path: Path) -> None:
@@ -88,10 +90,7 @@ def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
         ({"lengths": np.full(12, np.nan)}, "lengths.*NaN"),
         ({"translation": np.array([0, np.inf, 0])}, "translation.*infinity"),
         ({"lengths": np.full(12, 1e300)}, "lengths.*infinity"),
-        ({"lengths": np.zeros(12)}, "lengths.*positive"),
-        ({"camera_scale": np.array(-1.0)}, "camera_scale.*positive"),
         ({"image_size": np.array([1.5, 2.5])}, "image_size.*integers"),
-        ({"image_size": np.array([0, 5])}, "image_size.*positive"),
         ({"lengths": np.array(["a"] * 12)}, "lengths.*numbers"),
         ({"lengths": np.ones(12, dtype=complex)}, "lengths.*numbers"),
     ],
@@ -110,16 +109,12 @@ def test_nothing_is_unpickled(where: str, tmp_path: Path) -> None:
     path, sprung = tmp_path / "body.npz", tmp_path / "sprung"
     trap = np.array([Trap(sprung)], dtype=object)
     if where == "whole file":
-        import pickle
-
         path.write_bytes(pickle.dumps(Trap(sprung)))
     else:
         np.savez(path, **(arrays() | {where: trap}))
-    if where == "more":
-        load_body(path)  # what it does not need, it does not read
-    else:
-        with pytest.raises(InputError, match=r"body\.npz"):
-            load_body(path)
+    # What it does not need, it does not read.
+    with nullcontext() if where == "more" else pytest.raises(InputError, match=r"body\.npz"):
+        load_body(path)
     assert not sprung.exists()
     if where == "lengths":  # the trap is one
         np.load(path, allow_pickle=True)["lengths"]
@@ -155,7 +150,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @given(changes=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=20))
 def test_damaged_files_give_a_body_or_an_error(changes: list[tuple[int, int]], scratch: Path) -> None:
-    data = bytearray(saved())
+    data = saved()
     for position, value in changes:
         data[position % len(data)] = value
     (scratch / "body.npz").write_bytes(data)

@@ -8,7 +8,6 @@ from io import BytesIO
 import numpy as np
 import pytest
 import torch
-from matplotlib.figure import Figure
 from PIL import Image
 
 from warp_partdr.body.labels import label_set
@@ -264,11 +263,12 @@ def test_compared_bodies(device):
         (lambda: plot.turntable(body(), turns=()), "turns"),
         (lambda: plot.turntable(body(), size=0), "size"),
         (lambda: plot.turntable(BodyParameters.mean(0)), "body"),
+        (lambda: plot.turntable(3), "body: int"),
         (lambda: plot.overlay(body(), np.zeros((4, 4, 3), np.uint8), camera=far_camera()), "camera: Perspective"),
     ],
 )
 def test_bad_input_is_named(call, named):
-    with pytest.raises(ValueError, match=rf"^{named}"):
+    with pytest.raises(TypeError if named.endswith("int") else ValueError, match=rf"^{named}"):
         call()
 
 
@@ -331,11 +331,6 @@ def test_left_is_warm_and_right_is_cool():
         assert warmth >= 25 if name.startswith("left") else warmth <= -25 if name.startswith("right") else True, name
 
 
-def test_what_is_no_body():
-    with pytest.raises(TypeError, match=r"^body: int"):
-        plot.turntable(3)
-
-
 def test_no_window_and_no_matplotlib_before_the_first_figure():
     code = (
         "import sys; import warp_partdr.results.plot as p; assert 'matplotlib' not in sys.modules; "
@@ -343,11 +338,3 @@ def test_no_window_and_no_matplotlib_before_the_first_figure():
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_figures_can_be_changed():
-    figure = plot.turntable(body(), turns=(0,), size=64)
-    assert isinstance(figure, Figure)
-    figure.axes[0].set_title("mine")
-    figure.set_size_inches(2, 2)
-    assert pixels(figure).shape == (200, 200, 3)

@@ -27,7 +27,6 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoint_files import read_keypoints
-from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels, read_parts, read_photo
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results import save
@@ -36,6 +35,9 @@ from warp_partdr.results.ellipbody_files import ellipbody_scene
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import loss_chart, panels
 
+PHOTO = read_photo(EXAMPLE / "photo.png")
+KEYPOINTS = read_keypoints(EXAMPLE / "keypoints.json")[0]
+PARTS = read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
 QUICK = FitOptions(
     start="search",
     stages=(Stage("lift", 16, 12, 0.1), Stage("keypoints", 16, 6, 0.04), Stage("labels", 2, 8, 0.02, 64)),
@@ -49,35 +51,20 @@ def pixels(path: Path) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def photo() -> np.ndarray:
-    return read_photo(EXAMPLE / "photo.png")
+def result() -> FitResult:
+    return fit_body(KEYPOINTS, PARTS, options=QUICK)
 
 
 @pytest.fixture(scope="module")
-def keypoints() -> Keypoints2D:
-    return read_keypoints(EXAMPLE / "keypoints.json")[0]
+def bare() -> FitResult:
+    """A fit to keypoints alone."""
+    return fit_body(KEYPOINTS, options=QUICK)
 
 
 @pytest.fixture(scope="module")
-def parts() -> PartLabels:
-    return read_parts(EXAMPLE / "parts.png", label_set("cdcl14"))
-
-
-@pytest.fixture(scope="module")
-def result(keypoints: Keypoints2D, parts: PartLabels) -> FitResult:
-    return fit_body(keypoints, parts, options=QUICK)
-
-
-@pytest.fixture(scope="module")
-def folder(
-    result: FitResult,
-    photo: np.ndarray,
-    keypoints: Keypoints2D,
-    parts: PartLabels,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Path:
+def folder(result: FitResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fit") / "new" / "out"
-    save.save_fit(result, path, photo=photo)
+    save.save_fit(result, path, photo=PHOTO)
     return path
 
 
@@ -185,22 +172,22 @@ def test_glb_is_right_way_up_and_not_mirrored(tmp_path: Path) -> None:
 # --- pictures ------------------------------------------------------------------------------------------------------
 
 
-def test_overlay_shows_the_photo_and_the_body_on_it(folder: Path, photo: np.ndarray, result: FitResult) -> None:
+def test_overlay_shows_the_photo_and_the_body_on_it(folder: Path, result: FitResult) -> None:
     overlay = pixels(folder / "overlay.png")
-    assert overlay.shape == photo.shape
-    changed = (overlay != photo).any(-1)
-    body = result.draw(photo.shape[:2]).labels[0].numpy() > 0
+    assert overlay.shape == PHOTO.shape
+    changed = (overlay != PHOTO).any(-1)
+    body = result.draw(PHOTO.shape[:2]).labels[0].numpy() > 0
     assert changed[body].mean() > 0.98
     assert changed[~body].mean() < 0.05  # outlines and keypoints
 
 
-def test_parts_picture(folder: Path, parts: PartLabels) -> None:
+def test_parts_picture(folder: Path) -> None:
     picture = pixels(folder / "parts.png")
     height, width = picture.shape[:2]
     assert 400 < height < 1000
     assert 400 < width < 1600
     colours = {tuple(colour) for colour in picture.reshape(-1, 3)}
-    for colour in group_colours(parts.label_set.part_groups)[1:15]:
+    for colour in group_colours(PARTS.label_set.part_groups)[1:15]:
         assert tuple(colour.tolist()) in colours
 
 
@@ -244,11 +231,9 @@ def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult
 # --- the detailed body ---------------------------------------------------------------------------------------------
 
 
-def test_the_detailed_body_s_files(
-    registered: Registered, result: FitResult, photo: np.ndarray, tmp_path: Path
-) -> None:
+def test_the_detailed_body_s_files(registered: Registered, result: FitResult, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "out"
-    save.save_registered(registered, folder, result.camera, photo.shape[:2], photo=photo, seconds=1.23456)
+    save.save_registered(registered, folder, result.camera, PHOTO.shape[:2], photo=PHOTO, seconds=1.23456)
     assert {path.name for path in folder.iterdir()} == set(save.DETAILED_FILES)
     report = json.loads((folder / "registration.json").read_text())
     assert (report["model"], report["seconds"]) == ("anny", 1.235)
@@ -259,10 +244,10 @@ def test_the_detailed_body_s_files(
             np.testing.assert_array_equal(saved[name], getattr(registered, name)[0].numpy())
 
     shown = pixels(folder / "detailed.png")
-    assert shown.shape == photo.shape
+    assert shown.shape == PHOTO.shape
     mesh = detailed_mesh(registered.model)
-    body = draw_mesh(registered.detailed.vertices, mesh, result.camera, photo.shape[:2]).labels[0] > 0
-    changed = (shown != photo).any(-1)
+    body = draw_mesh(registered.detailed.vertices, mesh, result.camera, PHOTO.shape[:2]).labels[0] > 0
+    changed = (shown != PHOTO).any(-1)
     assert 0.05 < body.float().mean() < 0.5
     assert changed[body.numpy()].mean() > 0.98
     assert changed[~body.numpy()].mean() < 0.01  # outlines
@@ -346,40 +331,26 @@ def test_a_fit_s_set_ends_the_older_detailed_body(
 # --- other inputs --------------------------------------------------------------------------------------------------
 
 
-def save_into(tmp_path: Path, result: FitResult, **inputs: Any) -> Path:
-    save.save_fit(result, tmp_path / "out", **inputs)
-    return tmp_path / "out"
+def test_without_labels_there_is_no_parts_picture(bare: FitResult, tmp_path: Path) -> None:
+    assert "parts" not in save.save_fit(bare, tmp_path, photo=PHOTO)
+    assert {path.name for path in tmp_path.iterdir()} == set(save.RESULT_FILES) - {"parts.png"}
 
 
-@pytest.fixture(scope="module")
-def bare(keypoints: Keypoints2D) -> FitResult:
-    """A fit to keypoints alone."""
-    return fit_body(keypoints, options=QUICK)
-
-
-def test_without_labels_there_is_no_parts_picture(bare: FitResult, photo: np.ndarray, tmp_path: Path) -> None:
-    folder = save_into(tmp_path, bare, photo=photo)
-    assert {path.name for path in folder.iterdir()} == set(save.RESULT_FILES) - {"parts.png"}
-    assert "parts" not in json.loads((folder / "report.json").read_text())
-
-
-def test_without_any_picture_the_overlay_holds_all_keypoints(
-    bare: FitResult, keypoints: Keypoints2D, tmp_path: Path
-) -> None:
-    folder = save_into(tmp_path, bare)
-    overlay = pixels(folder / "overlay.png")
-    assert (overlay.shape[1::-1] >= keypoints.points.max(0)).all()
+def test_without_any_picture_the_overlay_holds_all_keypoints(bare: FitResult, tmp_path: Path) -> None:
+    save.save_fit(bare, tmp_path)
+    overlay = pixels(tmp_path / "overlay.png")
+    assert (overlay.shape[1::-1] >= KEYPOINTS.points.max(0)).all()
     assert (overlay[0, 0] == overlay[0, -1]).all()
     assert overlay.std() > 10
-    assert load_body(folder / "body.npz").image_size.tolist() == list(overlay.shape[:2])
+    assert load_body(tmp_path / "body.npz").image_size.tolist() == list(overlay.shape[:2])
 
 
 def test_overlay_of_a_large_photo_is_smaller_and_shows_the_same(
-    result: FitResult, keypoints: Keypoints2D, photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    result: FitResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = np.asarray(save.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    whole = np.asarray(save.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
     monkeypatch.setattr(save, "OVERLAY_SIDE", 256)
-    small = np.asarray(save.draw_overlay(result, photo.shape[:2], photo)).astype(float)
+    small = np.asarray(save.draw_overlay(result, PHOTO.shape[:2], PHOTO)).astype(float)
     assert small.shape == (256, 192, 3)
     blocks = whole.reshape(256, 2, 192, 2, 3).mean((1, 3))
     assert np.abs(small - blocks).mean() < 6

@@ -39,9 +39,8 @@ def read_glb(data: bytes) -> tuple[dict, list[np.ndarray]]:
 
 def standing(registered: Registered, points: torch.Tensor) -> np.ndarray:
     """Camera frame to the files': y up, the lowest vertex at 0."""
-    flip = np.array([1.0, -1.0, -1.0])
-    lowest = (registered.detailed.vertices[0].cpu().numpy() * flip)[:, 1].min()
-    return points.cpu().numpy() * flip - [0.0, lowest, 0.0]
+    highest = float(registered.detailed.vertices[0, :, 1].max())  # y is down
+    return points.cpu().numpy() * [1.0, -1.0, -1.0] + [0.0, highest, 0.0]
 
 
 def test_glb_s_skin_gives_the_posed_mesh(registered: Registered) -> None:

@@ -17,6 +17,7 @@ import torch
 
 from ..body.labels import label_set
 from ..body.template import NUM_PARTS, PART_NAMES
+from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
@@ -120,15 +121,15 @@ class DetailedModel:
             stretches: Of the parts, about the joints that carry them, shape (B, 20, 3, 3); ``growth.py`` makes some.
                 A part moves with its parent's stretch and does not inherit it.
         """
-        self._check("shape", shape, (None, self.num_shapes))
+        self._check("shape", shape, None, self.num_shapes)
         vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
         if offsets is not None:
-            self._check("offsets", offsets, (shape.shape[0], self.num_vertices, 3))
+            self._check("offsets", offsets, shape.shape[0], self.num_vertices, 3)
             vertices = vertices + offsets
         joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
         turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
         if stretches is not None:
-            self._check("stretches", stretches, (shape.shape[0], NUM_PARTS, 3, 3))
+            self._check("stretches", stretches, shape.shape[0], NUM_PARTS, 3, 3)
             bones = joints[:, 1:] - joints[:, self._parents[1:]]
             bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
             stretched = self._chain(_homogeneous(turns, torch.cat([joints[:, :1], bones], dim=1)))[..., :3, 3]
@@ -159,10 +160,10 @@ class DetailedModel:
         Raises:
             ValueError: If a shape, dtype or device does not fit the model.
         """
-        self._check("shape", shape, (None, self.num_shapes))
+        self._check("shape", shape, None, self.num_shapes)
         batch = shape.shape[0]
-        self._check("rotations", rotations, (batch, self.num_joints, 3, 3))
-        self._check("translation", translation, (batch, 3))
+        self._check("rotations", rotations, batch, self.num_joints, 3, 3)
+        self._check("translation", translation, batch, 3)
         rest = self.rest(shape, offsets, stretches=stretches)
         vertices = rest.vertices
         if self.pose_directions is not None:
@@ -240,18 +241,9 @@ class DetailedModel:
             world.append(world[-1][:, above] @ local[:, joints])
         return torch.cat(world, dim=1)[:, places]
 
-    def _check(self, name: str, tensor: torch.Tensor, shape: tuple[int | None, ...]) -> None:
-        if not isinstance(tensor, torch.Tensor):
-            raise TypeError(f"{name}: {type(tensor).__name__}; expected a torch.Tensor")
-        if tensor.layout != torch.strided:
-            raise ValueError(f"{name}: {tensor.layout}; expected a dense tensor")
-        if len(tensor.shape) != len(shape) or any(w not in (None, n) for w, n in zip(shape, tensor.shape, strict=True)):
-            raise ValueError(f"{name}: shape {tuple(tensor.shape)}; expected {shape} for {self.name}")
+    def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
-        if tensor.dtype != like.dtype or tensor.device != like.device:
-            raise ValueError(
-                f"{name}: {tensor.dtype} on {tensor.device}; expected {like.dtype} on {like.device}, as the model is"
-            )
+        check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
 
 
 def _blend(

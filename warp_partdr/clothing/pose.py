@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import torch
 
+from ..body.posing import Posed
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle, skew
 from ..body.template import JOINT_NAMES, PARENTS, PART_NAMES, template
 from .model import Detailed, DetailedModel
@@ -20,20 +19,8 @@ _TWISTING_FIRST = ("upper_leg", "upper_arm")
 _TWISTING_LAST = {"lower_leg": "foot", "forearm": "hand"}
 
 
-class PosedBones(Protocol):
-    """Members of posed EllipBodies, as ``warp_partdr.pose`` returns them, that are read here."""
-
-    @property
-    def joints(self) -> torch.Tensor:
-        """``JOINT_NAMES`` [m], shape (B, 21, 3)."""
-
-    @property
-    def rotations(self) -> torch.Tensor:
-        """Global rotation of each bone, shape (B, 20, 3, 3)."""
-
-
 def pose_from_ellipbody(
-    model: DetailedModel, posed: PosedBones, shape: torch.Tensor | None = None
+    model: DetailedModel, posed: Posed, shape: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """A detailed model's pose in which its limbs have the directions and twists of EllipBody's.
 

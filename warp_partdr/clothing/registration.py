@@ -15,7 +15,7 @@ import torch
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS
-from ..errors import check_type, check_whole
+from ..errors import check_type
 from ..interop.checks import check_numbers, check_steps, check_tensor
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
@@ -31,6 +31,10 @@ _NATURAL = 2.0
 # The same after an edit, as a logarithm: what is special about the person is known then.
 _KNOWN = 0.02
 _MOST_GROWTH = 1.0  # of a measure's logarithm
+_RATES = (1.0, 0.2, 0.05)  # of shape values, turns [rad] and position [m], as parts of the learning rate
+_SEARCH_EVERY = 5  # steps after which closest points are looked for again
+REACH = 0.15  # [m]: distance beyond which there is no closest point
+_LENGTH_PRIOR, _LENGTH_STEPS = 1e-5, 4  # weight of the shape values' squares [m²], and Gauss and Newton's steps
 _CENTIMETRES = 1e4  # square metres to square centimetres
 
 
@@ -78,9 +82,7 @@ class RegistrationOptions:
         weights: Of the loss.
         iterations: Steps of Adam.
         learning_rate: In shape values; turns move 0.2 [rad] and position 0.05 [m] of that. It falls to 0 as a cosine.
-        search_every: Steps after which closest points are looked for again.
         scale: Distance from which on closest points count less and less (Geman and McClure) [m].
-        reach: Distance beyond which there is no closest point [m].
         growth: Let parts grow beyond what the model's shape values reach. By default after an edit, that is with a
             ``start``: people are in the model's reach, and what is not is mostly a fit's error.
     """
@@ -88,9 +90,7 @@ class RegistrationOptions:
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
     iterations: int = 80
     learning_rate: float = 0.1
-    search_every: int = 5
     scale: float = 0.03
-    reach: float = 0.15
     growth: bool | None = None
 
 
@@ -154,7 +154,6 @@ def register(
     check_type("options", options, RegistrationOptions | None, "such as RegistrationOptions()")
     options = options or RegistrationOptions()
     iterations = check_steps(options.iterations, options.learning_rate)
-    search_every = check_whole("search_every", options.search_every, 1)
     like = model.rest_vertices
     check_tensor("joints", posed.joints, (None, 21, 3), dtypes=(torch.float32,))
     if like.dtype != torch.float32 or posed.joints.device != like.device:
@@ -175,59 +174,43 @@ def register(
     measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)
 
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
-    shares = (1.0, 0.2, 0.05)
-    rates = [share * options.learning_rate for share in shares]
-    adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(unknowns, rates, strict=True)])
+    rates = [{"params": [p], "lr": share * options.learning_rate} for p, share in zip(unknowns, _RATES, strict=True)]
+    adam = torch.optim.Adam(rates)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(iterations, 1))
 
-    def turned() -> torch.Tensor:
+    def posed_model() -> tuple[torch.Tensor, Detailed]:
         rotations = pose.clone()
         rotations[:, free] = pose[:, free] @ rotation_from_axis_angle(turns)
-        return rotations
+        return rotations, model.pose(shape, rotations, translation, stretches=measures.stretches)
+
+    def terms(detailed: Detailed) -> dict[str, torch.Tensor]:
+        return {**loss(detailed, shape, turns), "measures": measures(shape)}
 
     for iteration in range(iterations):
-        searching = iteration % search_every == 0
+        searching = iteration % _SEARCH_EVERY == 0
         if searching:
             measures.grow(shape.detach())
-        detailed = model.pose(shape, turned(), translation, stretches=measures.stretches)
+        _, detailed = posed_model()
         if searching:
             loss.search(detailed.vertices.detach())
         adam.zero_grad()
-        terms = {**loss(detailed, shape, turns), "measures": measures(shape)}
-        torch.stack(list(terms.values())).sum().backward()
+        torch.stack(list(terms(detailed).values())).sum().backward()
         adam.step()
         falling.step()
         if progress is not None:
             progress("registration", iteration + 1, iterations)
     with torch.no_grad():
-        rotations = turned()
-        detailed = model.pose(shape, rotations, translation, stretches=measures.stretches)
+        rotations, detailed = posed_model()
         loss.search(detailed.vertices)
-        losses = {**loss(detailed, shape, turns), "measures": measures(shape)}
         unexplained = measures.differences(shape) - measures.logs
-    return Registered(
-        model,
-        shape.detach(),
-        rotations,
-        translation.detach(),
-        measures.stretches,
-        measures.logs.exp(),
-        unexplained,
-        detailed,
-        losses,
-    )
+        found = shape.detach(), rotations, translation.detach(), measures.stretches, measures.logs.exp(), unexplained
+        return Registered(model, *found, detailed, terms(detailed))
 
 
-def shape_from_lengths(model: DetailedModel, posed: Posed, *, prior: float = 1e-5, iterations: int = 4) -> torch.Tensor:
+def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
     """Shape values, shape (B, S), whose bones at rest have EllipBody's lengths (Gauss and Newton's method).
 
     Joints at rest are linear in the shape.
-
-    Args:
-        model: With EllipBody's joints among its landmarks.
-        posed: EllipBodies.
-        prior: Weight of the shape values' squares, in square metres.
-        iterations: Steps.
     """
     rows = [model.landmark_names.index(name) for name in JOINT_NAMES]
     points = torch.cat([model.rest_vertices, model.rest_joints])
@@ -238,8 +221,8 @@ def shape_from_lengths(model: DetailedModel, posed: Posed, *, prior: float = 1e-
     bones, changes = joints[1:] - joints[starts], moves[:, 1:] - moves[:, starts]
     targets = 2 * posed.semi_axes[..., 0]
     shape = bones.new_zeros(len(targets), model.num_shapes)
-    regular = prior * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)
-    for _ in range(iterations):
+    regular = _LENGTH_PRIOR * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)
+    for _ in range(_LENGTH_STEPS):
         now = bones + torch.einsum("bs,skc->bkc", shape, changes)
         lengths = now.norm(dim=-1)
         slopes = torch.einsum("bkc,skc->bks", now / lengths[..., None], changes)
@@ -263,7 +246,7 @@ class _Loss:
 
     def search(self, vertices: torch.Tensor) -> None:
         """Find the closest points of the mesh to the samples."""
-        corners, places, found = self.cells.closest(vertices, self.samples, self.sample_weights, self.options.reach)
+        corners, places, found = self.cells.closest(vertices, self.samples, self.sample_weights, REACH)
         batch = torch.arange(len(vertices), device=vertices.device)[:, None, None]
         triangles = vertices[batch, corners]
         edges = triangles[..., 1:, :] - triangles[..., :1, :]

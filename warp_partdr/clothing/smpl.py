@@ -80,45 +80,21 @@ _SIDED_LANDMARKS: dict[str, str] = {
     "pinky": "pinky1",
 }
 # Vertices that smplx's users know as keypoints, by the size of the mesh.
-_VERTICES: dict[int, dict[str, int]] = {
-    6890: {
-        "nose": 332,
-        "left_eye": 2800,
-        "right_eye": 6260,
-        "left_ear": 583,
-        "right_ear": 4071,
-        "left_big_toe": 3216,
-        "right_big_toe": 6617,
-        "left_small_toe": 3226,
-        "right_small_toe": 6624,
-        "left_heel": 3387,
-        "right_heel": 6787,
-    },
-    10475: {
-        "nose": 9120,
-        "left_eye": 9448,
-        "right_eye": 9929,
-        "left_ear": 6,
-        "right_ear": 616,
-        "left_big_toe": 5770,
-        "right_big_toe": 8463,
-        "left_small_toe": 5780,
-        "right_small_toe": 8474,
-        "left_heel": 8846,
-        "right_heel": 8635,
-    },
+_VERTEX_LANDMARKS = (
+    "nose left_eye right_eye left_ear right_ear left_big_toe right_big_toe left_small_toe right_small_toe left_heel "
+    "right_heel"
+).split()
+_VERTICES: dict[int, tuple[int, ...]] = {
+    6890: (332, 2800, 6260, 583, 4071, 3216, 6617, 3226, 6624, 3387, 6787),
+    10475: (9120, 9448, 9929, 6, 616, 5770, 8463, 5780, 8474, 8846, 8635),
 }
 
 
 def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
-    """Identify the model of these arrays: "smpl", "smplh" or "smplx".
-
-    Args:
-        arrays: Those of ``ARRAYS``; others are not looked at.
-        where: The file, for messages.
+    """Identify the model of a file's ``ARRAYS``: "smpl", "smplh" or "smplx".
 
     Raises:
-        ValueError: If an array is missing, or has a wrong shape, dtype or value.
+        ValueError: If an array is missing, or has a wrong shape, dtype or value; it begins with ``where``.
     """
     sizes: dict[str, int] = {}
     for name, (dimensions, kind) in ARRAYS.items():
@@ -180,9 +156,8 @@ def smpl_model(
     name = check_smpl(arrays, where)
     names = _MODELS[name]
     available = arrays["shapedirs"].shape[2]
-    num_shapes = check_whole(
-        "num_shapes", min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes, 0, available
-    )
+    asked = min(DEFAULT_SHAPES, available) if num_shapes is None else num_shapes
+    num_shapes = check_whole("num_shapes", asked, 0, available)
     vertices, weights, regressor = (arrays[key].astype(np.float64) for key in ("v_template", "weights", "J_regressor"))
     directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
     joints = regressor @ vertices
@@ -198,7 +173,6 @@ def smpl_model(
     def numbers(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
 
-    pose_directions = arrays["posedirs"].reshape(3 * len(vertices), -1).T
     return DetailedModel(
         name=name,
         joint_names=tuple(names),
@@ -213,7 +187,7 @@ def smpl_model(
         joint_directions=numbers(regressor @ directions),
         skin_weights=numbers(weights / weights.sum(1, keepdims=True)),
         landmark_weights=numbers(np.stack(list(landmarks.values()))),
-        pose_directions=numbers(pose_directions),
+        pose_directions=numbers(arrays["posedirs"].reshape(3 * len(vertices), -1).T),
     )
 
 
@@ -237,9 +211,7 @@ def _landmarks(
 ) -> dict[str, np.ndarray]:
     """Weights of vertices and then joints, shape (V + J,), of each landmark."""
     count = len(vertices)
-    points: dict[str, list[int]] = {}
-    for name, sources in _MIDDLE_LANDMARKS.items():
-        points[name] = [count + names.index(source) for source in sources]
+    points = {name: [count + names.index(each) for each in sources] for name, sources in _MIDDLE_LANDMARKS.items()}
     for side in ("left", "right"):
         for name, source in _SIDED_LANDMARKS.items():
             if f"{side}_{source}" in names:
@@ -255,7 +227,8 @@ def _landmarks(
         inside = np.flatnonzero(vertex_parts == PART_NAMES.index(part))
         if len(inside):
             points[name] = [int(inside[extents[inside].argmax()])]
-    points |= {name: [vertex] for name, vertex in _VERTICES.get(count, {}).items()}
+    if count in _VERTICES:
+        points |= {name: [vertex] for name, vertex in zip(_VERTEX_LANDMARKS, _VERTICES[count], strict=True)}
     rows = {}
     for name, shared in points.items():
         rows[name] = np.zeros(count + len(joints))

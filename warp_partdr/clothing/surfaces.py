@@ -44,8 +44,7 @@ def skin_vertices(model: DetailedModel) -> torch.Tensor:
     directions = torch.from_numpy(icosphere(1)[0]).to(vertices)
     skin = torch.empty_like(vertices[:, 0])
     with on_torch_stream(vertices.device) as device:
-        faces = warp_array(model.faces.flatten().contiguous())
-        mesh = wp.Mesh(points=_vectors(vertices), indices=faces)
+        mesh = wp.Mesh(points=_vectors(vertices), indices=warp_array(model.faces.flatten().contiguous()))
         inputs = [mesh.id, _vectors(vertices), _vectors(directions), _RAY_START]
         wp.launch(kernels.find_skin, dim=len(skin), inputs=inputs, outputs=[_flat(skin)], device=device)
     return skin
@@ -66,13 +65,8 @@ def surface_samples(posed: Posed) -> tuple[torch.Tensor, torch.Tensor]:
     areas = posed.semi_axes.prod(-1)[..., None] * (sphere / posed.semi_axes[:, :, None]).norm(dim=-1)
     seen = torch.empty(samples.shape[:2], dtype=like.dtype, device=like.device)
     with on_torch_stream(like.device) as device:
-        wp.launch(
-            kernels.cover_samples,
-            dim=seen.numel(),
-            inputs=[_vectors(samples), _part_arrays(posed), len(sphere)],
-            outputs=[_flat(seen)],
-            device=device,
-        )
+        inputs = [_vectors(samples), _part_arrays(posed), len(sphere)]
+        wp.launch(kernels.cover_samples, dim=seen.numel(), inputs=inputs, outputs=[_flat(seen)], device=device)
     weights = seen * areas.flatten(1)
     return samples, weights / weights.sum(1, keepdim=True).clamp(min=1e-12)
 
@@ -88,11 +82,11 @@ class PartCells:
         # A vertex between two parts has a copy in each one's cell.
         keys, faces = torch.unique(faces * NUM_PARTS + parts[:, None], return_inverse=True)
         self.vertices, self.parts = (keys // NUM_PARTS).int(), (keys % NUM_PARTS).int()
-        whole = (faces + torch.arange(batch, device=device)[:, None, None] * len(keys)).int().flatten()
+        bodies = torch.arange(batch, device=device)
+        self.faces = (faces + bodies[:, None, None] * len(keys)).int().flatten().contiguous()
         self.points = torch.zeros(batch * len(keys), 3, device=device)
-        self.faces = whole.contiguous()
         side = max(round(batch**0.5), 1)
-        body, part = torch.arange(batch, device=device)[:, None], torch.arange(NUM_PARTS, device=device)
+        body, part = bodies[:, None], torch.arange(NUM_PARTS, device=device)
         places = torch.stack(torch.broadcast_tensors(part - NUM_PARTS // 2, body % side, body // side), dim=-1)
         self.origins = _CELL * places.to(model.rest_vertices)
         self.mesh: wp.Mesh | None = None
@@ -109,39 +103,18 @@ class PartCells:
         with on_torch_stream(vertices.device) as device:
             if not samples.numel():
                 return self.corners[found.long()], places, found
-            wp.launch(
-                kernels.place_cells,
-                dim=len(self.points),
-                inputs=[
-                    _vectors(vertices),
-                    warp_array(self.vertices),
-                    warp_array(self.parts),
-                    _vectors(origins),
-                    vertices.shape[1],
-                    NUM_PARTS,
-                ],
-                outputs=[_vectors(self.points)],
-                device=device,
-            )
+            copies = [warp_array(self.vertices), warp_array(self.parts), _vectors(origins)]
+            inputs = [_vectors(vertices), *copies, vertices.shape[1], NUM_PARTS]
+            outputs = [_vectors(self.points)]
+            wp.launch(kernels.place_cells, dim=len(self.points), inputs=inputs, outputs=outputs, device=device)
             if self.mesh is None:
                 self.mesh = wp.Mesh(points=_vectors(self.points), indices=warp_array(self.faces))
             else:
                 self.mesh.refit()
-            wp.launch(
-                kernels.closest_on_cells,
-                dim=found.numel(),
-                inputs=[
-                    self.mesh.id,
-                    _vectors(samples),
-                    _flat(weights),
-                    _vectors(origins),
-                    samples.shape[1] // NUM_PARTS,
-                    len(self.corners),
-                    reach,
-                ],
-                outputs=[_flat(found), _vectors(places)],
-                device=device,
-            )
+            inputs = [self.mesh.id, _vectors(samples), _flat(weights), _vectors(origins)]
+            inputs += [samples.shape[1] // NUM_PARTS, len(self.corners), reach]
+            outputs = [_flat(found), _vectors(places)]
+            wp.launch(kernels.closest_on_cells, dim=found.numel(), inputs=inputs, outputs=outputs, device=device)
         return self.corners[found.clamp(min=0).long()], places, (found >= 0).to(samples.dtype)
 
 
@@ -155,20 +128,9 @@ class _VertexCosts(torch.autograd.Function):
         fit, penetration = vertices.new_empty(2, *vertices.shape[:2])
         gradients = vertices.new_empty(2, *vertices.shape)
         with on_torch_stream(vertices.device) as device:
-            wp.launch(
-                kernels.vertex_costs,
-                dim=fit.numel(),
-                inputs=[
-                    _vectors(vertices),
-                    warp_array(parts),
-                    warp_array(areas),
-                    _part_arrays(posed),
-                    BAND,
-                    scale,
-                ],
-                outputs=[_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])],
-                device=device,
-            )
+            inputs = [_vectors(vertices), warp_array(parts), warp_array(areas), _part_arrays(posed), BAND, scale]
+            outputs = [_flat(fit), _flat(penetration), _vectors(gradients[0]), _vectors(gradients[1])]
+            wp.launch(kernels.vertex_costs, dim=fit.numel(), inputs=inputs, outputs=outputs, device=device)
         ctx.save_for_backward(vertices, gradients)
         return fit.sum(-1), penetration.sum(-1)
 

@@ -7,13 +7,14 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from ..body.posing import Posed
 from ..body.rotations import rotation_between, rotation_from_axis_angle
 from ..body.template import JOINT_NAMES, LOCKED_PARTS, PARENTS, SHAPE_INDICES, template
 from ..cameras import Camera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny
 from ..clothing.mesh import detailed_mesh
 from ..clothing.model import Detailed, DetailedModel
-from ..clothing.pose import PosedBones, pose_from_ellipbody
+from ..clothing.pose import pose_from_ellipbody
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh
 
@@ -33,7 +34,7 @@ BONE_STARTS = [parent + 1 for parent in PARENTS]  # joint at which each part's b
 _FACE_COVER = 0.04  # [m]: how much nearer than a point of the face a surface must be to hide it
 
 
-def pose_anny(model: DetailedModel, shape: torch.Tensor, posed: PosedBones) -> Detailed:
+def pose_anny(model: DetailedModel, shape: torch.Tensor, posed: Posed) -> Detailed:
     """Anny of shape values (B, S) in the poses of EllipBodies, in their frame [m]."""
     return model.pose(shape, *pose_from_ellipbody(model, posed, shape))
 
