@@ -40,9 +40,9 @@ from warp_partdr.clothing.mesh import detailed_mesh
 from warp_partdr.clothing.model import Detailed, DetailedModel
 from warp_partdr.clothing.registration import Registered, RegistrationOptions, RegistrationWeights, register
 from warp_partdr.clothing.surfaces import skin_vertices
-from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.results.palette import PART_COLOURS
+from warp_partdr.results.pictures import blend, shade_mesh
 from warp_partdr.synthetic.mocap import Clip
 from warp_partdr.synthetic.mocap_files import held_out_frames
 from warp_partdr.synthetic.people import BONE_STARTS, PHENOTYPE_RANGES, pose_anny, rotations_along
@@ -51,7 +51,6 @@ from warp_partdr.synthetic.poses import mean_body
 DEPTH = 0.002  # [m] inside an ellipsoid that counts
 INSIDE = 0.005  # share of the true person's vertices that may be so deep in an inscribed body
 PICTURE = (300, 220)  # (H, W) of one view
-LIGHT = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
 
 
 @dataclass(frozen=True)
@@ -149,15 +148,9 @@ def draw(mesh: PartMesh, vertices: np.ndarray, side: bool, *, coloured: bool) ->
     height, width = PICTURE
     scale = 0.9 * min(width / np.ptp(points[:, 0]), height / np.ptp(points[:, 1]))
     camera = WeakPerspective(torch.tensor([scale]).float(), torch.tensor([[width / 2, height / 2]]))
-    image = draw_mesh(torch.from_numpy(points).float()[None], mesh, camera, PICTURE)
-    corners = points[mesh.faces.numpy()]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
-    brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT, 0, 1)
-    faces, labels = image.face_index[0].numpy(), image.labels[0].numpy()
-    colours = PART_COLOURS[labels] if coloured else np.full((*labels.shape, 3), 190.0)
-    shown = colours * brightness[faces][..., None]
-    return np.where(labels[..., None] > 0, shown, 255).astype(np.uint8)
+    colours = PART_COLOURS if coloured else np.full_like(PART_COLOURS, 190)
+    shaded = shade_mesh(torch.from_numpy(points).float()[None], mesh, camera, PICTURE, colours)
+    return blend(np.full((height, width, 3), 255, dtype=np.uint8), shaded, 1.0)
 
 
 def tile(mesh: PartMesh, truth: np.ndarray, found: np.ndarray, title: str) -> Image.Image:

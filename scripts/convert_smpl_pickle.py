@@ -11,7 +11,6 @@ them, and written; nothing else of the file is kept.
 from __future__ import annotations
 
 import argparse
-import os
 import pickle
 import tempfile
 from pathlib import Path
@@ -47,10 +46,6 @@ class DType(Shell):
         self.code = code
 
 
-def _array(*_: object) -> Array:
-    return Array()
-
-
 def _object(kind: object, *_: object) -> object:
     if not (isinstance(kind, type) and issubclass(kind, Shell)):
         raise pickle.UnpicklingError("an object of a class that is not allowed")
@@ -63,17 +58,12 @@ def _bytes(text: object, codec: object = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-_NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _ALLOWED: dict[tuple[str, str], object] = {
-    **{(module, "_reconstruct"): _array for module in _NUMPY},
+    **{(module, "_reconstruct"): Array for module in ("numpy.core.multiarray", "numpy._core.multiarray")},
     ("numpy", "ndarray"): Array,
     ("numpy", "dtype"): DType,
-    ("copy_reg", "_reconstructor"): _object,
-    ("copyreg", "_reconstructor"): _object,
-    ("__builtin__", "object"): Shell,
-    ("builtins", "object"): Shell,
-    ("__builtin__", "set"): Shell,
-    ("builtins", "set"): Shell,
+    **{(module, "_reconstructor"): _object for module in ("copy_reg", "copyreg")},
+    **{(module, name): Shell for module in ("__builtin__", "builtins") for name in ("object", "set")},
     ("_codecs", "encode"): _bytes,
 }
 
@@ -118,9 +108,8 @@ def _from_bytes(array: Array) -> np.ndarray:
     if not isinstance(dtype, DType) or not isinstance(dtype.code, str) or dtype.code[:1] not in "fiu":
         raise ValueError(f"an array of {getattr(dtype, 'code', dtype)!r}; expected numbers")
     order = dtype.state[1] if dtype.state else "<"
-    numbers = np.frombuffer(
-        data.encode("latin1") if isinstance(data, str) else data, np.dtype(dtype.code).newbyteorder(order)
-    )
+    held = data.encode("latin1") if isinstance(data, str) else data
+    numbers = np.frombuffer(held, np.dtype(dtype.code).newbyteorder(order))
     return numbers.reshape(shape, order="F" if in_fortran_order else "C").astype(numbers.dtype.newbyteorder("="))
 
 
@@ -173,22 +162,12 @@ def main() -> None:
     try:
         arrays = read_pickle(arguments.pickle)
         model = check_smpl(arrays, str(arguments.pickle))
-        save(arguments.out, arrays)
+        with tempfile.TemporaryDirectory(dir=arguments.out.parent) as folder:  # all or nothing
+            np.savez_compressed(made := Path(folder) / "model.npz", **arrays)
+            made.replace(arguments.out)
     except (OSError, ValueError) as error:
         raise SystemExit(f"error: {error}") from None
     print(f"{arguments.out}: {model}, {len(arrays['v_template'])} vertices")
-
-
-def save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write all or nothing."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-        try:
-            np.savez_compressed(file, **arrays)
-            file.close()
-            os.replace(file.name, path)
-        except BaseException:
-            os.unlink(file.name)
-            raise
 
 
 if __name__ == "__main__":

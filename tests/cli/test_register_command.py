@@ -54,10 +54,6 @@ def call(*options: str) -> str:
     return done.output
 
 
-def change(ids: np.ndarray) -> None:
-    Image.fromarray(ids).save("p.png")
-
-
 def test_it_says_what_the_fit_said(fitted: dict[str, object]) -> None:
     """Also with somebody else in the picture."""
     assert "F1" not in call()
@@ -66,7 +62,7 @@ def test_it_says_what_the_fit_said(fitted: dict[str, object]) -> None:
     apart = ids.copy()
     apart[5:200, 2:20] = 2
     for shown in (ids, apart):
-        change(shown)
+        Image.fromarray(shown).save("p.png")
         said = call("--parts", "p.png", "--labels", "cdcl14")
         found, expected = json.loads(Path("new/registration.json").read_text())["parts"], fitted["parts"]
         assert found["pixels"].pop("ignored") == (shown != ids).sum()
@@ -81,10 +77,10 @@ def test_labels_of_another_picture_are_refused(fitted: dict[str, object]) -> Non
     ids = np.array(Image.open("p.png"))
     away = np.zeros_like(ids)
     away[:20, :20], away[:20, 20:30] = 1, 2
-    change(away)
+    Image.fromarray(away).save("p.png")
     with pytest.raises(InputError, match="--parts: no labelled pixel where the body is"):
         call("--parts", "p.png", "--labels", "cdcl14")
-    change(ids[::2, ::2])
+    Image.fromarray(ids[::2, ::2]).save("p.png")
     with pytest.raises(InputError, match="body: 384x512; parts: 192x256"):
         call("--parts", "p.png", "--labels", "cdcl14")
     Path("new").mkdir()

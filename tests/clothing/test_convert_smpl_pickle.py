@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
 import struct
 import subprocess
@@ -17,10 +16,9 @@ from scenes.files import smpl_arrays
 from warp_partdr.clothing.load import load_model
 from warp_partdr.clothing.smpl import ARRAYS
 
-ROOT = Path(__file__).resolve().parents[2]
-_spec = importlib.util.spec_from_file_location("convert_smpl_pickle", ROOT / "scripts" / "convert_smpl_pickle.py")
-converter = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(converter)
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+import convert_smpl_pickle as converter
 
 
 class LegacyPickler(pickle._Pickler):
@@ -73,17 +71,17 @@ def legacy_file(path: Path, **changes: object) -> Path:
     return path
 
 
+def run(source: Path, target: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, converter.__file__, source, target], capture_output=True, text=True)
+
+
 def test_legacy_pickles_are_converted(tmp_path):
     path = legacy_file(tmp_path / "model.pkl")
     arrays = converter.read_pickle(path)
     assert sorted(arrays) == sorted(ARRAYS)
     for name, wanted in smpl_arrays().items():
         np.testing.assert_array_equal(arrays[name], wanted, err_msg=name)
-    done = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "convert_smpl_pickle.py", path, tmp_path / "model.npz"],
-        capture_output=True,
-        text=True,
-    )
+    done = run(path, tmp_path / "model.npz")
     assert done.returncode == 0, done.stderr
     assert "smpl, 96 vertices" in done.stdout
     assert load_model(tmp_path / "model.npz").num_joints == 24
@@ -138,18 +136,10 @@ def test_a_failed_conversion_leaves_nothing(tmp_path):
     path = legacy_file(tmp_path / "model.pkl", f=np.full((4, 3), 1000))
     old = tmp_path / "model.npz"
     old.write_bytes(b"old")
-    done = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "convert_smpl_pickle.py", path, old], capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: ")
-    assert "Traceback" not in done.stderr
-    assert old.read_bytes() == b"old"
     missing = tmp_path / "none" / "model.npz"
-    done = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "convert_smpl_pickle.py", legacy_file(path), missing],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
+    for source, target in ((path, old), (legacy_file(tmp_path / "good.pkl"), missing)):
+        done = run(source, target)
+        assert done.returncode == 1
+        assert done.stderr.startswith("error: ")
+        assert "Traceback" not in done.stderr
+    assert old.read_bytes() == b"old"

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
-from io import BytesIO
-
 import numpy as np
 import pytest
 import scenes.files
 import torch
+from safetensors.numpy import save_file
 from scenes.bodies import random_turns
 from scenes.files import save_npz, smpl_arrays
 
@@ -26,11 +24,7 @@ def test_load_model_reads_files(num_joints, suffix, tmp_path):
     if suffix == ".npz":
         np.savez(path, **arrays, other=np.array([{}], dtype=object))  # official files hold such, unneeded
     else:
-        numpy_files = pytest.importorskip("safetensors.numpy")
-        numpy_files.save_file(
-            arrays | {"f": arrays["f"].astype(np.int64), "kintree_table": arrays["kintree_table"].astype(np.int64)},
-            path,
-        )
+        save_file(arrays | {name: arrays[name].astype(np.int64) for name in ("f", "kintree_table")}, path)
     model = load_model(path, num_shapes=4, dtype=torch.float64)
     assert model.name == {24: "smpl", 52: "smplh", 55: "smplx"}[num_joints]
     assert (model.num_joints, model.num_shapes, model.num_vertices) == (num_joints, 4, 4 * num_joints)
@@ -43,8 +37,7 @@ def test_load_model_reads_files(num_joints, suffix, tmp_path):
     assert model.bone_of_part["left_hip"] == model.bone_of_part["right_hip"] == "pelvis"
     assert model.bone_of_part["left_forearm"] == "left_elbow"
     assert model.bone_of_part["right_foot"] == "right_ankle"
-    missing = {"left_hip", "right_hip"} - {PART_NAMES[k - 1] for k in model.face_parts.unique()}
-    assert len(set(PART_NAMES) - {PART_NAMES[k - 1] for k in model.face_parts.unique()} - missing) == 0
+    assert set(PART_NAMES) - {PART_NAMES[k - 1] for k in model.face_parts.unique()} <= {"left_hip", "right_hip"}
 
 
 def test_default_number_of_shapes(tmp_path):
@@ -92,20 +85,20 @@ def test_wrong_arrays_are_named(case, tmp_path):
 
 def test_unknown_skeleton_is_refused(tmp_path):
     arrays = smpl_arrays()
-    arrays |= {"weights": np.eye(96, 23) + np.eye(96, 23, -23), "J_regressor": arrays["J_regressor"][:23]}
-    arrays["weights"] = np.full((96, 23), 1 / 23)
+    arrays |= {"weights": np.full((96, 23), 1 / 23), "J_regressor": arrays["J_regressor"][:23]}
     arrays |= {"kintree_table": arrays["kintree_table"][:, :23], "posedirs": arrays["posedirs"][..., : 9 * 22]}
     with pytest.raises(ValueError, match=r"23 joints; expected 24 \(smpl\), 52 \(smplh\), 55 \(smplx\)"):
         load_model(save_npz(tmp_path / "model.npz", **arrays))
 
 
 def test_files_that_are_no_models(tmp_path, smpl_file):
-    with pytest.raises(ValueError, match=r"none\.npz: No such file"):
-        load_model(tmp_path / "none.npz")
-    with pytest.raises(ValueError, match=r"pickles can run code.*convert_smpl_pickle"):
-        load_model(tmp_path / "model.pkl")
-    with pytest.raises(ValueError, match=r"model\.obj: expected 'anny', or"):
-        load_model(tmp_path / "model.obj")
+    for name, says in (
+        ("none.npz", r"none\.npz: No such file"),
+        ("model.pkl", r"pickles can run code.*convert_smpl_pickle"),
+        ("model.obj", r"model\.obj: expected 'anny', or"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            load_model(tmp_path / name)
     for suffix in (".npz", ".safetensors"):
         for content in (b"", b"no model", smpl_file.read_bytes()[:4000], b"\xff" * 200):
             path = tmp_path / f"broken{suffix}"
@@ -125,21 +118,3 @@ def test_archive_bombs_are_not_unpacked(tmp_path, monkeypatch):
     assert bomb.stat().st_size < 1_000_000
     with pytest.raises(ValueError, match=r"230\.\d MB when unpacked; expected a file of SMPL.*, at most 10\.0 MB"):
         load_model(bomb)
-
-
-@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_DEFLATED])
-def test_lying_headers_make_no_room(compression, tmp_path):
-    """An array that says it is huge is refused before NumPy makes room for it."""
-    header = BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)})
-    with zipfile.ZipFile(tmp_path / "model.npz", "w", compression) as archive:
-        archive.writestr("v_template.npy", header.getvalue() + bytes(1000))
-    with pytest.raises(ValueError, match=r"v_template: (says that its shape is|compressed in a way)"):
-        load_model(tmp_path / "model.npz")
-
-
-def test_other_arrays_are_not_read(tmp_path):
-    np.savez(tmp_path / "model.npz", **smpl_arrays())
-    with zipfile.ZipFile(tmp_path / "model.npz", "a") as archive:
-        archive.writestr("other.npy", b"rubbish")
-    assert load_model(tmp_path / "model.npz").name == "smpl"

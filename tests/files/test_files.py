@@ -15,6 +15,7 @@ import pytest
 from warp_partdr.body import pose_prior
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.clothing.load import load_model
 from warp_partdr.errors import InputError, shown
 from warp_partdr.files.array_files import read_npz
 from warp_partdr.files.json_files import parse_json, read_json
@@ -111,11 +112,13 @@ def test_values_in_messages_are_short() -> None:
 # --- arrays ----------------------------------------------------------------------------------------------------------
 
 
-def lying(shape: tuple[int, ...], member: str, path: Path, held: int = 1000) -> Path:
+def lying(
+    shape: tuple[int, ...], member: str, path: Path, held: int = 1000, packed: int = zipfile.ZIP_DEFLATED
+) -> Path:
     """An archive of an array that says it has a shape, and holds so many bytes."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path, "a", packed) as archive:
         archive.writestr(f"{member}.npy", header.getvalue() + bytes(held))
     return path
 
@@ -144,6 +147,9 @@ def test_headers_that_lie_are_refused(shape: tuple[int, ...], tmp_path: Path, mo
     forbid_unpacking(monkeypatch)
     with pytest.raises(InputError, match=r"rotations: says that its shape is .* but holds \d+ bytes"):
         read_npz(path, ("rotations",), expected="poses")
+    path = lying(shape, "rotations", tmp_path / "other.npz", packed=zipfile.ZIP_BZIP2)
+    with pytest.raises(InputError, match=r"rotations: compressed in a way"):
+        read_npz(path, ("rotations",), expected="poses")
 
 
 def test_every_reader_looks_at_the_header(tmp_path: Path, monkeypatch: Any) -> None:
@@ -152,6 +158,7 @@ def test_every_reader_looks_at_the_header(tmp_path: Path, monkeypatch: Any) -> N
         lying((10**9, 3), name, tmp_path / "poses.npz")
     for name in pose_prior._SHAPES:
         lying((10**9, 3), name, tmp_path / "prior.npz")
+    lying((10**9, 3), "v_template", tmp_path / "model.npz")
     array = tmp_path / "labels.npy"
     with array.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (9000, 9000)})
@@ -159,6 +166,7 @@ def test_every_reader_looks_at_the_header(tmp_path: Path, monkeypatch: Any) -> N
     for read in (
         lambda: PoseBank.read(tmp_path / "poses.npz"),
         lambda: PosePrior(tmp_path / "prior.npz"),
+        lambda: load_model(tmp_path / "model.npz"),
         lambda: read_parts(array, label_set("cdcl14")),
     ):
         with pytest.raises(InputError, match="says that its shape is"):

@@ -13,6 +13,7 @@ import tomllib
 import zipfile
 from configparser import ConfigParser
 from email.parser import Parser
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -27,33 +28,19 @@ SOURCES = {
     "body": "warp_partdr/body",
     "demos/viewer": "warp_partdr/viewer",
 }
-EXAMPLE_FILES = ("photo.png", "parts.png", "keypoints.json")
-# Loaded only when a feature needs it. The plain import starts not even torch and Warp.
-EXTRAS = {
-    "PIL",
-    "accelerate",
-    "anny",
-    "matplotlib",
-    "pyvista",
-    "rich",
-    "safetensors",
-    "scipy",
-    "tensorboard",
-    "transformers",
-    "trimesh",
-    "typer",
-    "vtk",
-    "vtkmodules",
-}
-NOT_AT_IMPORT = EXTRAS | {"numpy", "torch", "warp"}
+# Loaded only when a feature needs it; the plain import starts not even torch and Warp.
+EXTRAS = set(
+    "PIL accelerate anny matplotlib pyvista rich safetensors scipy tensorboard transformers trimesh typer vtk "
+    "vtkmodules".split()
+)
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the repository around the tests")
 
 
-def _source_files() -> dict[str, Path]:
-    """Each file below the source folders, by the path it must have in the wheel."""
+def _source_files() -> set[str]:
+    """The path in the wheel of each file below the source folders."""
     return {
-        f"{target}/{path.relative_to(ROOT / folder).as_posix()}": path
+        f"{target}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, target in SOURCES.items()
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
@@ -87,19 +74,9 @@ def test_every_package_folder_has_an_init() -> None:
     assert [folder for folder in sorted(folders) if f"{folder}/__init__.py" not in files] == []
 
 
-def test_every_source_file_is_in_the_wheel(wheel: zipfile.ZipFile) -> None:
-    assert sorted(set(_source_files()) - set(wheel.namelist())) == []
-
-
-def test_nothing_else_is_in_the_wheel(wheel: zipfile.ZipFile) -> None:
-    extra = set(wheel.namelist()) - set(_source_files())
-    assert [name for name in sorted(extra) if ".dist-info/" not in name] == []
-
-
-def test_assets_are_in_the_wheel(wheel: zipfile.ZipFile) -> None:
-    wanted = [f"warp_partdr/assets/example/{name}" for name in EXAMPLE_FILES]
-    wanted += ["warp_partdr/body/mean_body.json", "warp_partdr/py.typed"]
-    assert [name for name in wanted if name not in wheel.namelist()] == []
+def test_the_source_files_are_in_the_wheel_and_nothing_else(wheel: zipfile.ZipFile) -> None:
+    assert {name for name in wheel.namelist() if ".dist-info/" not in name} == _source_files()
+    assert {"warp_partdr/assets/example/photo.png", "warp_partdr/py.typed"} < _source_files()
 
 
 def test_metadata(wheel: zipfile.ZipFile) -> None:
@@ -116,38 +93,33 @@ def test_metadata(wheel: zipfile.ZipFile) -> None:
 
 def test_constraints_pin_every_direct_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = [
-        *project["dependencies"],
-        *(name for extra in project["optional-dependencies"].values() for name in extra),
-    ]
+    needed = [*project["dependencies"], *chain.from_iterable(project["optional-dependencies"].values())]
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {line.partition("==")[0] for line in lines if "==" in line}
     assert sorted({name.partition(">=")[0] for name in needed} - pinned) == []
 
 
-def _modules_loaded_by(code: str, folder: Path) -> set[str]:
-    """Top-level modules in a fresh process after ``code``; fails if it wrote anything into Warp's kernel cache."""
-    cache = folder / "kernels"
+@pytest.mark.parametrize(
+    ("code", "late"),
+    [
+        ("import warp_partdr", EXTRAS | {"numpy", "torch", "warp"}),
+        ("import warp_partdr as p\nfor name in p.__all__: getattr(p, name)", EXTRAS),
+    ],
+)
+def test_imports_are_light_and_compile_nothing(code: str, late: set[str], tmp_path: Path) -> None:
+    cache = tmp_path / "kernels"
     cache.mkdir()
     done = subprocess.run(
         [sys.executable, "-c", f"import json, sys\n{code}\nprint(json.dumps(list(sys.modules)))"],
         env={**os.environ, "WARP_CACHE_PATH": str(cache)},
-        cwd=folder,
+        cwd=tmp_path,
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
     assert [path for path in cache.rglob("*") if path.is_file()] == [], "a kernel was compiled"
-    return {name.partition(".")[0] for name in json.loads(done.stdout.splitlines()[-1])}
-
-
-def test_import_is_light(tmp_path: Path) -> None:
-    assert sorted(_modules_loaded_by("import warp_partdr", tmp_path) & NOT_AT_IMPORT) == []
-
-
-def test_fetching_every_public_name_loads_no_extra_and_compiles_nothing(tmp_path: Path) -> None:
-    code = "import warp_partdr as p\nfor name in p.__all__: getattr(p, name)"
-    assert sorted(_modules_loaded_by(code, tmp_path) & EXTRAS) == []
+    loaded = {name.partition(".")[0] for name in json.loads(done.stdout.splitlines()[-1])}
+    assert sorted(loaded & late) == []
 
 
 def test_every_public_name_is_there_and_no_submodule_hides_one() -> None:

@@ -153,7 +153,7 @@ def test_other_functions_of_poses(device):
 
 
 def test_detailed_model(device):
-    model = anny(torch.device(device)).to(dtype=torch.float64)
+    model = anny(torch.device(device), torch.float64)
     orient, translation, rotations, lengths, thicknesses = random_parameters(8, 1, device)
     shape = torch.randn(1, model.num_shapes, dtype=torch.float64).to(device) * 0.3
 

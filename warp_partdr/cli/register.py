@@ -95,11 +95,7 @@ def register_body(
 
 
 def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Evidence:
-    """The labels of the person where a body is.
-
-    Raises:
-        InputError: If there are none.
-    """
+    """The labels of the person where a body is; an InputError if there are none."""
     import numpy as np
 
     from ..body.posing import LandmarkGather
@@ -107,11 +103,10 @@ def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Ev
     from ..inputs.evidence import weigh_evidence
     from ..inputs.keypoints import Keypoints2D
 
-    name = "coco17"
-    landmarks = LandmarkGather(skeleton(name).landmarks, posed.joints.device)(posed).cpu()
+    landmarks = LandmarkGather(skeleton("coco17").landmarks, posed.joints.device)(posed).cpu()
     points = camera.project(landmarks)[0, :, :2].numpy()
     try:
-        return weigh_evidence(Keypoints2D(name, points, np.ones(len(points), dtype=np.float32)), parts)[0]
+        return weigh_evidence(Keypoints2D("coco17", points, np.ones(len(points), dtype=np.float32)), parts)[0]
     except InputError as error:
         raise InputError("--parts: no labelled pixel where the body is; expected the labels of its picture") from error
 
@@ -143,16 +138,16 @@ def clothe(
     inscribed: bool = False,
     grow: bool = False,
 ) -> str:
-    """Register a model to one EllipBody and write ``DETAILED_FILES``.
+    """Register a model to one EllipBody (B = 1) and write ``DETAILED_FILES``, as ``save_registered`` does.
 
     Args:
-        posed: The body, B = 1, in the camera frame.
+        posed: In the camera frame.
         model: On the same device.
         out: Folder for the files.
         camera: Of the picture.
         size: (H, W) of the picture [px].
-        photo: The picture, shape (H, W, 3), uint8, if there is one.
-        evidence: Of the person in that picture, for scores against its labels, if there is some.
+        photo: The picture, shape (H, W, 3), uint8.
+        evidence: Of the person in that picture.
         progress: Has said yet that kernels are compiled.
         inscribed: Whether the ellipsoids are to lie within the skin.
         grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
@@ -160,9 +155,6 @@ def clothe(
 
     Returns:
         A line about the body for the terminal.
-
-    Raises:
-        InputError: If the folder can't be written to.
     """
     import warp as wp
 

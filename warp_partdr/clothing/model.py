@@ -2,16 +2,15 @@
 
 Vertices follow the model's joints by linear blend skinning, differentiable in shape, pose and offsets. At rest, with
 all rotations at identity, a model stands as it was made (Anny in an A-pose, SMPL in a T-pose) in the body frame: x to
-the person's left, y up, z forward; metres. ``anny.py`` and ``detailed_files.py`` make models.
+the person's left, y up, z forward; metres. ``anny.py`` and ``load.py`` make models.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import torch
 
@@ -39,7 +38,7 @@ class Detailed(Movable):
 
 
 @dataclass(frozen=True, eq=False)
-class DetailedModel:
+class DetailedModel(Movable):
     """Body model of V vertices, F faces, J joints, S shape values and L landmarks.
 
     Attributes:
@@ -100,15 +99,6 @@ class DetailedModel:
         """Label 1 to 14 of each face in the set "body14", shape (F,), uint8."""
         table = torch.from_numpy(label_set("body14").part_groups)
         return table.to(self.face_parts.device)[self.face_parts.long()]
-
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> DetailedModel:
-        """Copy to another device or another floating dtype."""
-        moved: dict[str, Any] = {
-            field.name: value.to(device, dtype if value.is_floating_point() else None)
-            for field in fields(self)
-            if isinstance(value := getattr(self, field.name), torch.Tensor)
-        }
-        return replace(self, **moved)
 
     def rest(
         self, shape: torch.Tensor, offsets: torch.Tensor | None = None, *, stretches: torch.Tensor | None = None
@@ -180,12 +170,9 @@ class DetailedModel:
         Raises:
             ValueError: If the model has no landmark of a name.
         """
-        unknown = [name for name in names if name not in self.landmark_names]
-        if unknown:
-            raise ValueError(
-                f"names: {self.name} has no landmark {', '.join(map(repr, unknown))}; "
-                f"expected some of {', '.join(self.landmark_names)}"
-            )
+        if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
+            known = ", ".join(self.landmark_names)
+            raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
         rows = [self.landmark_names.index(name) for name in names]
         return self.landmark_weights[rows] @ torch.cat([detailed.vertices, detailed.joints], dim=1)
 

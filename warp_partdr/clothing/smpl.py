@@ -1,7 +1,7 @@
 """SMPL, SMPL-H and SMPL-X: their joints in the terms of our parts and landmarks, and a model from a file's arrays.
 
 The three share the body's 22 joints and the arrays' names. Their body frame is ours (x to the person's left, y up, z
-forward) and they rest in a T-pose, palms down. The models are not free; ``detailed_files.py`` reads a user's own.
+forward) and they rest in a T-pose, palms down. The models are not free; ``load.py`` reads a user's own.
 """
 
 from __future__ import annotations

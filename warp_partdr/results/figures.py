@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -76,16 +76,9 @@ def show_picture(axes: Axes, picture: np.ndarray) -> None:
 
 def outline_labels(axes: Axes, labels: np.ndarray) -> None:
     """The borders of all labels."""
-    height, width = labels.shape
+    v, u = (np.arange(side) + 0.5 for side in labels.shape)
     for group in np.unique(labels[labels != BACKGROUND]):
-        axes.contour(
-            np.arange(width) + 0.5,
-            np.arange(height) + 0.5,
-            labels == group,
-            levels=[0.5],
-            colors="0.25",
-            linewidths=0.8,
-        )
+        axes.contour(u, v, labels == group, levels=[0.5], colors="0.25", linewidths=0.8)
 
 
 def draw_groups(posed: Posed, camera: Camera, size: tuple[int, ...], groups: LabelSet) -> np.ndarray:
@@ -97,8 +90,8 @@ def draw_groups(posed: Posed, camera: Camera, size: tuple[int, ...], groups: Lab
 def body_sizes(posed: Posed) -> np.ndarray:
     """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
     sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
-    for (length, first, second), semi_axes in zip(SHAPE_INDICES, posed.semi_axes[0].cpu().numpy(), strict=True):
-        sizes[[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second]] = 2 * semi_axes
+    columns = np.add(SHAPE_INDICES, [0, len(LENGTH_NAMES), len(LENGTH_NAMES)])
+    sizes[columns] = 2 * posed.semi_axes[0].cpu().numpy()
     return sizes
 
 
@@ -109,7 +102,7 @@ def first_body(body: Body) -> Posed:
     posed = body.posed if isinstance(body, FitResult) else body.posed() if isinstance(body, BodyParameters) else body
     if posed.joints.shape[0] == 0:
         raise ValueError("body: none in the batch; expected one or more")
-    return Posed(**{field.name: getattr(posed, field.name)[:1].detach() for field in fields(posed)})
+    return Posed(*(tensor[:1].detach() for tensor in vars(posed).values()))
 
 
 def first_camera(body: Body, camera: Camera | None) -> Camera:
@@ -118,8 +111,8 @@ def first_camera(body: Body, camera: Camera | None) -> Camera:
         camera = body.camera
     if camera is None:
         raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
-    tensors: dict[str, Any] = {name: value for name, value in vars(camera).items() if isinstance(value, torch.Tensor)}
-    return replace(camera, **{name: value[:1].detach() for name, value in tensors.items()})
+    tensors: Any = {name: each[:1].detach() for name, each in vars(camera).items() if isinstance(each, torch.Tensor)}
+    return replace(camera, **tensors)
 
 
 def find_label_set(given: LabelSet | str | None) -> LabelSet:

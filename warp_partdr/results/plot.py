@@ -45,6 +45,7 @@ from .figures import (
     plain_name,
     read_groups,
     show_picture,
+    to_numpy,
 )
 from .palette import DEPTH_COLOURS, group_colours
 from .pictures import blend, draw_keypoints, panels, shade_body, turntable_views
@@ -231,14 +232,9 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
     """
     from matplotlib.ticker import LogFormatter
 
-    names: list[str] = []
-    if isinstance(history, FitResult):
-        names = [stage.name for stage in history.stages]
-        curves = history.history
-    elif isinstance(history, Refined):
-        curves = [history.history.detach().cpu().numpy()]
-    else:
-        curves = [np.asarray(history, dtype=np.float64)]
+    names = [stage.name for stage in history.stages] if isinstance(history, FitResult) else []
+    values = history.history if isinstance(history, FitResult | Refined) else np.asarray(history, dtype=np.float64)
+    curves = values if isinstance(values, list) else [to_numpy(values)]
     if not curves or any(curve.ndim not in (1, 2) for curve in curves) or not sum(len(curve) for curve in curves):
         raise ValueError(f"history: {len(curves)} empty or of a wrong shape; expected one loss or more an iteration")
     figure = empty_figure(8.0, 3.6)
@@ -256,9 +252,7 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
-    axes.set_xlim(0, first)
-    axes.set_xlabel("iteration")
-    axes.set_ylabel(label)
+    axes.set(xlim=(0, first), xlabel="iteration", ylabel=label)
     axes.grid(axis="y", which="both", alpha=0.3)
     return figure
 
@@ -310,7 +304,7 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
     front, side, distance, sizes = figure.subplots(1, 4, width_ratios=widths)
 
     scale = 480 / float(max(high[:2] - low[:2]))
-    size = (int(np.ceil((high[1] - low[1]) * scale)), int(np.ceil((high[0] - low[0]) * scale)))
+    size = int(np.ceil(down * scale)), int(np.ceil(across * scale))
     extent = (low[0], low[0] + size[1] / scale, low[1] + size[0] / scale, low[1])
     shades = []
     for body in bodies:
@@ -322,34 +316,27 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
     front.imshow(blend(white, shades[0], 0.75), extent=extent)
     front.contour(shades[1][..., 3], levels=[127], colors=_BETWEEN[1], extent=extent, origin="upper", linewidths=1.2)
     for axes, axis, label in ((front, 0, "x [m], right"), (side, 2, "z [m], away from the viewer")):
-        for colour, points, name in zip(_BETWEEN, joints, names, strict=True):
-            for bone, parent in enumerate(PARENTS):
-                ends = points[[parent + 1, bone + 1]]
-                axes.plot(
-                    ends[:, axis], ends[:, 1], "o-", color=colour, markersize=3, label=name if bone == 0 else None
-                )
+        for colour, points in zip(_BETWEEN, joints, strict=True):
+            ends = torch.stack([points[[parent + 1 for parent in PARENTS]], points[1:]])
+            axes.plot(ends[..., axis], ends[..., 1], "o-", color=colour, markersize=3)
         axes.set_aspect("equal")
         axes.set_xlabel(label)
-    front.set_title("front")
-    side.set_title("side")
-    front.set_ylabel("y [m], down")
-    side.set_xlim(low[2], high[2])
-    side.set_ylim(extent[2], extent[3])
+    front.set(title="front", ylabel="y [m], down")
+    side.set(title="side", xlim=(low[2], high[2]), ylim=extent[2:])
 
     apart = (joints[0] - joints[1]).norm(dim=-1).numpy() * 1000
     distance.barh(np.arange(len(apart)), apart, color="#6d6d6d")
     distance.set_yticks(np.arange(len(apart)), [plain_name(name) for name in JOINT_NAMES])
     distance.invert_yaxis()
-    distance.set_xlabel("distance of joints [mm]")
     mean, aligned = (float(metric(*joints)) * 1000 for metric in (mpjpe, pa_mpjpe))
-    distance.set_title(f"MPJPE {mean:.0f} mm, PA-MPJPE {aligned:.0f} mm")
+    title = f"MPJPE {mean:.0f} mm, PA-MPJPE {aligned:.0f} mm"
+    distance.set(xlabel="distance of joints [mm]", title=title)
 
     rows = np.arange(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
     for offset, colour, body, name in zip((-0.2, 0.2), _BETWEEN, bodies, names, strict=True):
         sizes.barh(rows + offset, body_sizes(body) * 100, 0.4, color=colour, label=name)
     sizes.set_yticks(rows, [*LENGTH_NAMES, *THICKNESS_NAMES])
     sizes.invert_yaxis()
-    sizes.set_xlabel("size [cm]")
-    sizes.set_title("lengths and thicknesses")
+    sizes.set(xlabel="size [cm]", title="lengths and thicknesses")
     figure.legend(handles=sizes.get_legend_handles_labels()[0], loc="outside lower center", ncols=2, frameon=False)
     return figure

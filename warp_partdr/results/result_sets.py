@@ -75,18 +75,12 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
 def check_result(path: str | Path) -> None:
     """Raise if a file of results is not of the same run as the report beside it; one without a report is its own.
 
-    Args:
-        path: The file.
-
     Raises:
         InputError: If the report has another SHA-256 of it, or a run that replaced files here was ended.
         OSError: If it can't be read.
     """
     path = Path(path)
-    for report in REPORTS:
-        digest = _named(path.parent / report).get(path.name)
-        if digest is None:
-            continue
+    for report, digest in _naming(path):
         if _sha256(path) != digest:
             raise InputError(
                 f"{path}: not of the same run as {report} beside it, which has another SHA-256 of it; expected the "
@@ -101,33 +95,20 @@ def check_result(path: str | Path) -> None:
 
 
 def check_not_in_set(path: Path) -> None:
-    """Raise if a set's report has this file, which is about to be written by itself.
-
-    Raises:
-        InputError: It names both.
-    """
-    for report in REPORTS:
-        if path.name in _named(path.parent / report):
-            raise InputError(f"{path}: of the run that {report} beside it is about; expected another name or folder")
+    """Raise an InputError if a set's report has this file, which is about to be written by itself."""
+    for report, _ in _naming(path):
+        raise InputError(f"{path}: of the run that {report} beside it is about; expected another name or folder")
 
 
 def check_folder(folder: Path) -> None:
-    """Raise before the work starts if results can't be written to ``folder``, which need not exist yet.
-
-    Raises:
-        InputError: If it is a file, or lies where nothing can be written.
-    """
+    """Raise an InputError before the work starts if results can't be written to ``folder``, which need not exist."""
     # Tried, not asked: permissions don't tell everything. Nothing of it stays.
     with _explained(folder), _scratch(_existing(Path(os.path.realpath(folder)))):
         pass
 
 
 def check_inputs(folder: Path, given: Iterable[Path | None], files: Iterable[str]) -> None:
-    """Raise if one of these files, written to ``folder``, would replace a given one.
-
-    Raises:
-        InputError: It names the one that would be replaced.
-    """
+    """Raise an InputError if one of these files, written to ``folder``, would replace a given one."""
     results = {(folder / name).resolve() for name in files}
     for path in given:
         if path is not None and path.resolve() in results:
@@ -219,9 +200,15 @@ def _named(report: Path) -> dict[str, str]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{report}: can't be read as JSON; expected what partdr left, or no such file") from error
     files = data.get(FILES) if isinstance(data, dict) else None
-    return (
-        {name: digest for name, digest in files.items() if Path(name).name == name} if isinstance(files, dict) else {}
-    )
+    files = files if isinstance(files, dict) else {}
+    return {name: digest for name, digest in files.items() if Path(name).name == name}
+
+
+def _naming(path: Path) -> Iterator[tuple[str, str]]:
+    """The reports beside a file that name it, and its SHA-256 there."""
+    for report in REPORTS:
+        if (digest := _named(path.parent / report).get(path.name)) is not None:
+            yield report, digest
 
 
 def _sha256(path: Path) -> str:
