@@ -9,12 +9,13 @@ with longer legs, bigger head, thicker arms and wider trunk), and prints how far
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
+import typer
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
@@ -29,6 +30,7 @@ from warp_partdr.clothing.surfaces import vertex_parts
 from warp_partdr.results.pictures import blend, shade_body, shade_detailed
 from warp_partdr.viewer.targets import read_body
 
+OUT = Path("out/edit_body")
 SIZE = (560, 400)  # (H, W) of a picture
 BAR = 44  # [px] above, for names
 SCALE = 270.0  # [px/m]
@@ -142,18 +144,15 @@ def picture(bodies: dict[str, BodyParameters], registered: list[Registered]) -> 
     return shown
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("body", type=Path, nargs="?", help="body.npz of partdr fit")
-    parser.add_argument("--out", type=Path, default=Path("out/edit_body"), help="folder to write to")
-    arguments = parser.parse_args()
+def main(path: Annotated[Path | None, typer.Argument(metavar="BODY.npz")] = None, out: Path = OUT) -> None:
+    """Edit the body of ``partdr fit``, or the mean body, and write pictures to a folder."""
     wp.config.log_level = wp.LOG_WARNING
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
 
-    body = read_body(arguments.body) if arguments.body else mean_body()
+    body = read_body(path) if path else mean_body()
     bodies = {name: edited(body, name) for name in EDITS}
     registered = register_all([*bodies.values()])
-    picture(bodies, registered).save(arguments.out / "edits.png", optimize=True)
+    picture(bodies, registered).save(out / "edits.png", optimize=True)
     print("| edit | share of it that the mesh follows | what else changes most, as a share of the edit |")
     print("|---|---|---|")
     for name, (followed, others) in zip([*EDITS][1:], following([*bodies.values()], registered), strict=True):
@@ -162,9 +161,9 @@ def main() -> None:
 
     other = edited(body, *TOGETHER)
     bodies = {f"{share:.0%}": between(body, other, float(share)) for share in np.linspace(0, 1, STEPS)}
-    picture(bodies, register_all([*bodies.values()])).save(arguments.out / "between.png", optimize=True)
-    print(f"Pictures: {arguments.out}")
+    picture(bodies, register_all([*bodies.values()])).save(out / "between.png", optimize=True)
+    print(f"Pictures: {out}")
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -8,9 +8,9 @@ The packaged example: the photo itself only lies under the overlay. Writes ``ove
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+import typer
 import warp as wp
 
 import warp_partdr
@@ -21,13 +21,10 @@ from warp_partdr.results.plot import compare_bodies, loss_curve, overlay, part_p
 EXAMPLE = Path(warp_partdr.__path__[0]) / "assets" / "example"
 
 
-def main(argv: list[str] | None = None) -> FitResult:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/fit_photo"), help="folder to write to")
-    parser.add_argument("--quality", choices=("fast", "balanced", "accurate"), default="balanced")
-    arguments = parser.parse_args(argv)
+def main(out: Path = Path("out/fit_photo"), quality: str = "balanced") -> FitResult:
+    """Fit, and write pictures to a folder; quality: fast, balanced or accurate."""
     wp.config.log_level = wp.LOG_WARNING
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
 
     # Part labels are an image of ids, and a label set says what the ids mean. Keypoints come in a usual format.
     photo = read_photo(EXAMPLE / "photo.png")
@@ -35,21 +32,21 @@ def main(argv: list[str] | None = None) -> FitResult:
     person = choose_person(read_keypoints(EXAMPLE / "keypoints.json"), parts.groups)
 
     # The fit starts with a network's guess, follows the keypoints, then the labels of ever larger pictures.
-    result = fit_body(person, parts, quality=arguments.quality)
-    overlay(result, photo, keypoints=person).savefig(arguments.out / "overlay.png")
-    part_panels(parts, result).savefig(arguments.out / "parts.png")
-    loss_curve(result).savefig(arguments.out / "loss.png")
-    turntable(result).savefig(arguments.out / "turntable.png")
+    result = fit_body(person, parts, quality=quality)
+    overlay(result, photo, keypoints=person).savefig(out / "overlay.png")
+    part_panels(parts, result).savefig(out / "parts.png")
+    loss_curve(result).savefig(out / "loss.png")
+    turntable(result).savefig(out / "turntable.png")
 
     # What do labels add? The same fit without them.
-    alone = fit_body(person, quality=arguments.quality)
+    alone = fit_body(person, quality=quality)
     names = ("keypoints and labels", "keypoints alone")
-    compare_bodies(result, alone, names=names).savefig(arguments.out / "keypoints_or_labels.png")
+    compare_bodies(result, alone, names=names).savefig(out / "keypoints_or_labels.png")
     moved = float(mpjpe(result.posed.joints[0], alone.posed.joints[0], centre_on=[0])) * 1000
     print(f"Labels move the joints by {moved:.0f} mm on average")
-    print(f"Pictures: {arguments.out}")
+    print(f"Pictures: {out}")
     return result
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -8,11 +8,11 @@ The IoU of parts, in which a hand counts as much as the chest, instead of L_seg,
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+import typer
 import warp as wp
 
 from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids
@@ -40,15 +40,11 @@ def one_hot(labels: torch.Tensor) -> torch.Tensor:
     return (labels[:, None] == index[:, None, None]).float()
 
 
-def main(argv: list[str] | None = None) -> list[float]:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/own_loss"), help="folder to write to")
-    parser.add_argument("--size", type=int, default=192, help="side of the picture [px]; default: %(default)s")
-    parser.add_argument("--iterations", type=int, default=80, help="default: %(default)s")
-    arguments = parser.parse_args(argv)
+def main(out: Path = Path("out/own_loss"), size: int = 192, iterations: int = 80) -> list[float]:
+    """Follow the IoU of parts in a picture of so many pixels a side, and write pictures to a folder."""
     wp.config.log_level = wp.LOG_WARNING
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    size = (arguments.size, arguments.size)
+    out.mkdir(parents=True, exist_ok=True)
+    shape = (size, size)
 
     # The target: a mean body with bent elbows and one leg to the side, seen in a picture of 2 m by 2 m.
     start = BodyParameters.mean(1)
@@ -59,9 +55,9 @@ def main(argv: list[str] | None = None) -> list[float]:
         ("left_upper_leg", (0.0, 0.0, 0.3)),
     ):
         goal[0, PART_NAMES.index(name)] = torch.tensor(turn)
-    camera = start.camera(arguments.size)
-    target = draw_ellipsoids(replace(start, rotations=goal).posed(), camera, size).labels
-    part_panels(target, draw_ellipsoids(start.posed(), camera, size).labels).savefig(arguments.out / "before.png")
+    camera = start.camera(size)
+    target = draw_ellipsoids(replace(start, rotations=goal).posed(), camera, shape).labels
+    part_panels(target, draw_ellipsoids(start.posed(), camera, shape).labels).savefig(out / "before.png")
 
     # With ``num_maps`` the renderer makes float maps (B, K, H, W). Whatever is computed from them flows back: here each
     # pixel's share of the IoU, which PartDR turns into pulls on outlines.
@@ -69,20 +65,20 @@ def main(argv: list[str] | None = None) -> list[float]:
     rotations = start.rotations.clone().requires_grad_()
     optimizer = torch.optim.Adam([rotations], lr=0.03)
     losses = []
-    for _ in range(arguments.iterations):
+    for _ in range(iterations):
         optimizer.zero_grad()
         posed = replace(start, rotations=rotations).posed()
-        image = draw_ellipsoids(posed, camera, size, num_maps=K, gradient="partdr")
+        image = draw_ellipsoids(posed, camera, shape, num_maps=K, gradient="partdr")
         loss = iou_loss(image.maps, target_maps).sum()
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    part_panels(target, image.labels).savefig(arguments.out / "after.png")
-    loss_curve(losses, label="1 - IoU").savefig(arguments.out / "loss.png")
+    part_panels(target, image.labels).savefig(out / "after.png")
+    loss_curve(losses, label="1 - IoU").savefig(out / "loss.png")
     print(f"1 - IoU: {losses[0]:.3f} at the start, {losses[-1]:.3f} after {len(losses)} iterations")
-    print(f"Pictures: {arguments.out}")
+    print(f"Pictures: {out}")
     return losses
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

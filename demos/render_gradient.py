@@ -7,11 +7,11 @@ Writes ``body.png``, ``target.png``, ``gradient.png`` (of exact ellipsoids), ``g
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+import typer
 import warp as wp
 
 from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids, ellipsoid_label_loss
@@ -27,53 +27,49 @@ def turned(arms: float, forward: float) -> torch.Tensor:
     return rotations
 
 
-def main(argv: list[str] | None = None) -> list[float]:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/render_gradient"), help="folder to write to")
-    parser.add_argument("--size", type=int, default=256, help="side of the picture [px]; default: %(default)s")
-    parser.add_argument("--iterations", type=int, default=60, help="default: %(default)s")
-    arguments = parser.parse_args(argv)
+def main(out: Path = Path("out/render_gradient"), size: int = 256, iterations: int = 60) -> list[float]:
+    """Follow the gradient in a picture of so many pixels a side, and write pictures to a folder."""
     wp.config.log_level = wp.LOG_WARNING
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    size = (arguments.size, arguments.size)
+    out.mkdir(parents=True, exist_ok=True)
+    shape = (size, size)
 
     # A body is 20 ellipsoids. Its numbers are tensors: 12 lengths, 15 thicknesses, rotations and a camera.
     body = replace(BodyParameters.mean(1), rotations=turned(1.0, -0.8))
-    turntable(body).savefig(arguments.out / "body.png")
+    turntable(body).savefig(out / "body.png")
 
     # The target is the same body with its arms lower, and the right forearm before the trunk instead of behind it. A
     # label image says which part each pixel shows.
     goal = replace(body, rotations=turned(1.2, 0.8))
-    camera = goal.camera(arguments.size)
-    target = draw_ellipsoids(goal.posed(), camera, size).labels
-    drawn = draw_ellipsoids(body.posed(), camera, size).labels
-    part_panels(target, drawn).savefig(arguments.out / "target.png")
+    camera = goal.camera(size)
+    target = draw_ellipsoids(goal.posed(), camera, shape).labels
+    drawn = draw_ellipsoids(body.posed(), camera, shape).labels
+    part_panels(target, drawn).savefig(out / "target.png")
 
     # A label image is made of steps, so its derivative is zero nearly everywhere. PartDR asks instead how far an
     # outline would have to move to put a pixel right, and that gives a gradient to each part, in depth too.
     # Blue comes forward, as the right forearm must; orange goes back, as the abdomen before it.
-    gradient_field(body, target, camera=camera).savefig(arguments.out / "gradient.png")
+    gradient_field(body, target, camera=camera).savefig(out / "gradient.png")
 
     # A mesh has the same gradient at its vertices. This one is coarse and lies within the ellipsoids, so that it is
     # pulled outwards everywhere.
-    gradient_field(body, target, camera=camera, renderer="mesh").savefig(arguments.out / "gradient_mesh.png")
+    gradient_field(body, target, camera=camera, renderer="mesh").savefig(out / "gradient_mesh.png")
 
     # The gradient goes on through the skeleton to the joints' rotations, and a few steps of Adam follow it.
     rotations = body.rotations.clone().requires_grad_()
     optimizer = torch.optim.Adam([rotations], lr=0.03)
     losses = []
-    for _ in range(arguments.iterations):
+    for _ in range(iterations):
         optimizer.zero_grad()
         posed = replace(body, rotations=rotations).posed()
         loss, _ = ellipsoid_label_loss(posed, camera, target, gradient="partdr")
         loss.sum().backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    loss_curve(losses, label="L_seg [px]").savefig(arguments.out / "descent.png")
+    loss_curve(losses, label="L_seg [px]").savefig(out / "descent.png")
     print(f"L_seg: {losses[0]:.0f} px at the start, {losses[-1]:.0f} px after {len(losses)} iterations")
-    print(f"Pictures: {arguments.out}")
+    print(f"Pictures: {out}")
     return losses
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

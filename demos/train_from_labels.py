@@ -9,12 +9,12 @@ not trained on: their labels, the network's bodies before the training, and afte
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 
 import torch
+import typer
 import warp as wp
 from matplotlib.figure import Figure
 from torch import nn
@@ -85,21 +85,21 @@ def picture(rows: dict[str, torch.Tensor]) -> Figure:
     return figure
 
 
-def main(argv: list[str] | None = None) -> tuple[list[float], list[float]]:
-    """Train and draw; gives the loss of each step [px a person], and the mean error before and after [degrees]."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/train_from_labels"), help="folder to write to")
-    parser.add_argument("--size", type=int, default=64, help="side of the label images [px]; default: %(default)s")
-    parser.add_argument("--batch", type=int, default=32, help="people a step; default: %(default)s")
-    parser.add_argument("--steps", type=int, default=200, help="default: %(default)s")
-    arguments = parser.parse_args(argv)
+def main(
+    out: Path = Path("out/train_from_labels"), size: int = 64, batch: int = 32, steps: int = 200
+) -> tuple[list[float], list[float]]:
+    """Train with label images of so many pixels a side, so many people a step, and write pictures to a folder.
+
+    Returns:
+        Loss of each step [px a person], and the mean error before and after [degrees].
+    """
     wp.config.log_level = wp.LOG_WARNING
     torch.manual_seed(0)
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
 
     # People for the end, whom the network isn't trained on. Of them alone the true angles are kept, to compare with.
     truth = random_angles(64)
-    unseen = draw(truth, arguments.size)
+    unseen = draw(truth, size)
     network = LimbNetwork()
     with torch.no_grad():
         before = network(unseen)
@@ -108,8 +108,8 @@ def main(argv: list[str] | None = None) -> tuple[list[float], list[float]]:
     # the labels are all that is left to learn from.
     optimizer = torch.optim.Adam(network.parameters(), lr=2e-3)
     losses = []
-    for _ in range(arguments.steps):
-        labels = draw(random_angles(arguments.batch), arguments.size)
+    for _ in range(steps):
+        labels = draw(random_angles(batch), size)
         loss = wrong_pixels(network, labels)
         optimizer.zero_grad()
         loss.backward()
@@ -118,18 +118,18 @@ def main(argv: list[str] | None = None) -> tuple[list[float], list[float]]:
 
     with torch.no_grad():
         after = network(unseen)
-    loss_curve(losses, label="L_seg [px a person]").savefig(arguments.out / "loss.png")
+    loss_curve(losses, label="L_seg [px a person]").savefig(out / "loss.png")
     rows = {
         "labels of people it has not seen": unseen,
-        "the network's bodies before the training": draw(before, arguments.size),
-        "and after it": draw(after, arguments.size),
+        "the network's bodies before the training": draw(before, size),
+        "and after it": draw(after, size),
     }
-    picture(rows).savefig(arguments.out / "people.png")
+    picture(rows).savefig(out / "people.png")
     errors = [float((angles - truth).abs().mean().rad2deg()) for angles in (before, after)]
     print(f"Angles of people it has not seen: {errors[0]:.1f}° off before the training, {errors[1]:.1f}° after it")
-    print(f"Pictures: {arguments.out}")
+    print(f"Pictures: {out}")
     return losses, errors
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -26,44 +26,17 @@ REACHED_DISTANCE = 2.0  # [px] of the worse triangle
 
 @dataclass(frozen=True)
 class Supervision:
-    """Supervision of the optimisation.
+    """Supervision of the optimisation: its name, what the loss compares, and how."""
 
-    Attributes:
-        title: Name in the picture, in two lines.
-        note: What the loss compares, in three.
-        parts: Whether the target tells A from B, or both are one label.
-        depth_weight: The paper's lambda (eq. 12); 0 takes the z gradient away.
-    """
-
-    title: str
+    name: str
     note: str
-    parts: bool
-    depth_weight: float
-
-    @property
-    def name(self) -> str:
-        """The title in one line."""
-        return self.title.replace("\n", " ")
+    parts: bool  # whether the target tells A from B, or both are one label
+    depth_weight: float  # the paper's lambda (eq. 12); 0 takes the z gradient away
 
 
-FULL = Supervision(
-    "Full\nsilhouette",
-    "The target is one label.\nNothing tells A from B\nor which is in front.",
-    parts=False,
-    depth_weight=1.0,
-)
-PARTS_WITHOUT_DEPTH = Supervision(
-    "Parts, no\ndepth gradient",
-    "The target has two\nlabels; z stays as\nit was.",
-    parts=True,
-    depth_weight=0.0,
-)
-PARTS = Supervision(
-    "Parts\n(PartDR)",
-    "The target has two\nlabels; hidden parts\ncome forward (eq. 12).",
-    parts=True,
-    depth_weight=1.0,
-)
+FULL = Supervision("Full silhouette", "The target is one label. Nothing tells A from B or which is in front.", False, 1)
+PARTS_WITHOUT_DEPTH = Supervision("Parts, no depth gradient", "The target has two labels; z stays as it was.", True, 0)
+PARTS = Supervision("Parts (PartDR)", "The target has two labels; hidden parts come forward (eq. 12).", True, 1)
 
 
 @dataclass(frozen=True)
@@ -101,12 +74,12 @@ class Outcome:
 
     @property
     def in_place(self) -> torch.Tensor:
-        """True where both triangles are in their places, in whatever order, shape (S,)."""
+        """True where both triangles are in their places, in whatever order."""
         return self.distance < REACHED_DISTANCE
 
     @property
     def reached(self) -> torch.Tensor:
-        """True where the parts look as the target does, in the right order, shape (S,)."""
+        """True where the parts look as the target does, in the right order."""
         return (self.iou > REACHED_IOU) & self.in_order
 
 
@@ -139,11 +112,8 @@ def fixed_scene(device: torch.device | str = "cpu") -> Scenes:
 def random_scenes(count: int, *, alike: bool, device: torch.device | str = "cpu") -> Scenes:
     """Scenes whose target shows 30 to 80 % of A and whose start shows 20 to 95 % of B.
 
-    Args:
-        count: S.
-        alike: Both triangles have one shape and each starts near the other's place (within 6 px along either axis);
-            otherwise shapes differ and each triangle starts anywhere.
-        device: Where the scenes go.
+    If they are ``alike``, both triangles have one shape and each starts near the other's place (within 6 px along
+    either axis); otherwise shapes differ and each triangle starts anywhere.
     """
     rng = np.random.default_rng(0)
     height, width = IMAGE_SIZE
@@ -176,11 +146,7 @@ def _is_fair(pair: np.ndarray, device: torch.device | str) -> bool:
 
 
 def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
-    """Move each triangle as a whole toward the target.
-
-    Args:
-        scenes: Start and target of S scenes, optimised side by side.
-        supervision: What of the target the loss shows.
+    """Move each triangle as a whole toward the target, S scenes side by side.
 
     Returns:
         Vertices before each iteration and after the last, shape (ITERATIONS + 1, S, 6, 3).

@@ -10,6 +10,7 @@ iterations. Writes one picture; with --scenes it also counts how often random sc
 from __future__ import annotations
 
 import argparse
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,8 +92,8 @@ def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Fi
         axes.set_title(head)
     for (words, *panels, target), (supervision, course) in zip(rows, courses.items(), strict=True):
         words.set_axis_off()
-        words.text(0, 0.65, supervision.title, size=13)
-        words.text(0, 0.6, supervision.note, color=FAINT, va="top")
+        words.text(0, 0.65, textwrap.fill(supervision.name, 16), size=13)
+        words.text(0, 0.6, textwrap.fill(supervision.note, 25), color=FAINT, va="top")
         for axes, k in zip(panels, SHOWN, strict=True):
             outcome = judge(scenes, course[k])
             is_end = k == SHOWN[-1]

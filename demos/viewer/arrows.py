@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from ..results.palette import DEPTH_COLOURS
-from .overlay import load_pyvista
 
 _FACES = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6)])  # two triangles a shaft and one a head
 _CORNERS = 7
@@ -27,7 +27,7 @@ class Arrows:
     def __init__(self, plotter: Any, most: int, *, longest: float, half_width: float, strongest: float = 1.0) -> None:
         self._most, self._longest, self._half_width, self._strongest = most, longest, half_width, strongest
         faces = (_FACES + _CORNERS * np.arange(most)[:, None, None]).reshape(-1, 3)
-        self._mesh = load_pyvista().PolyData.from_regular_faces(np.zeros((_CORNERS * most, 3)), faces)
+        self._mesh = import_module("pyvista").PolyData.from_regular_faces(np.zeros((_CORNERS * most, 3)), faces)
         self._mesh.cell_data["rgb"] = np.zeros((len(faces), 3), dtype=np.uint8)
         self.actor = plotter.add_mesh(self._mesh, scalars="rgb", rgb=True, lighting=False, render=False)
 

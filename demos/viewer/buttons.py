@@ -19,39 +19,22 @@ _HINT = "Drag to turn the body, wheel to zoom, click on a part for its sliders; 
 
 @dataclass(frozen=True, eq=False)
 class Button:
-    """A button of the panel.
-
-    Attributes:
-        text: On it.
-        key: The key that does the same, as X and VTK name it; "" without.
-        hint: What it does, shown while the mouse is over it.
-        do: What it does.
-        is_on: Whether it is lit.
-    """
+    """A button of the panel."""
 
     text: str
-    key: str
-    hint: str
+    key: str  # that does the same, as X and VTK name it; "" without
+    hint: str  # shown while the mouse is over it
     do: Callable[[], None]
-    is_on: Callable[[], bool] = lambda: False
+    is_on: Callable[[], bool] = lambda: False  # whether it is lit
 
 
 class Panel:
-    """Rows of buttons in the lower left of a view.
-
-    Args:
-        renderer: The view.
-        rows: From top to bottom: a label, then buttons and further labels.
-
-    Attributes:
-        boxes: Left, top, right and bottom of each button [px of the panel].
-        over: The button under the mouse.
-    """
+    """Rows of buttons in the lower left of a view; a string among them is a label."""
 
     def __init__(self, renderer: Any, rows: Sequence[Sequence[Button | str]]) -> None:
         self.overlay = Overlay(renderer, _VIEW, _CORNER, _SIZE, _LETTER)
-        self.boxes: dict[Button, tuple[float, float, float, float]] = {}
-        self.over: Button | None = None
+        self.boxes: dict[Button, tuple[float, float, float, float]] = {}  # left, top, right, bottom [px of the panel]
+        self.over: Button | None = None  # under the mouse
         self._shown: dict[Button, tuple[bool, bool]] = {}  # whether it is lit, whether the mouse is over it
         draw, font = self.overlay.draw, self.overlay.font
         for index, row in enumerate(rows):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from PIL import Image
@@ -22,21 +22,19 @@ from .scene import Scene
 from .settings import CHOICES, QUALITIES
 from .sliders import PAGES
 from .state import DemoState
-from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body
+from .targets import NETWORK, PRESETS, RANDOM, body_of, body_target, network_body, read_body
 
 _TURNING = tuple(name for k, name in enumerate(PART_NAMES) if k not in LOCKED_PARTS)
 _BESIDE, _FARTHER = (-0.1, -0.25), 1.1  # of the 3D view, half of it being 1: room for sliders and buttons
 _BODY, _MESHES, _PICTURE = "body.npz", "ellipbody.glb", "demo.png"
+_Do: TypeAlias = Callable[[str], None]
+_IsOn: TypeAlias = Callable[[str], bool]
 _GIVEN = "given"  # the user's own target
 _HINTS = {
     NETWORK: "start from what the label network says of the target, as partdr fit does",
     "z": "with or without PartDR's z gradient (of parts; partdr, E0 to E3); from the start",
     "outline": "the labels' pull along silhouettes, in x and y and, by colour, z",
     "detailed": "the detailed body that fits these ellipsoids; takes seconds",
-    "supervision": "follow {}; from the start",
-    "renderer": "draw with {}; from the start",
-    "gradient": "gradient of exact ellipsoids: {}; from the start",
-    "size": "pictures of {} pixels a side; from the start",
 }
 
 
@@ -49,23 +47,14 @@ class Controls:
         folder: Where to save to and load from; made when it is saved to.
         redraw: Draws the window at once, before something that takes long.
         seed: Of the last random body so far; the next takes the one after.
-
-    Attributes:
-        rows: The buttons, each row with its label first.
-        keys: What each key does.
-        playing: Whether the refinement runs.
-        page: Which of ``PAGES`` of sliders is open.
-        part: The part that the rotation sliders turn.
-        registration: Options that make the detailed body; the defaults if None.
-        film: Pictures for a GIF.
     """
 
     def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None], seed: int) -> None:
         self._state, self._scene, self._folder, self._redraw, self._seed = state, scene, folder, redraw, seed
         self.playing = False
-        self.page = 0
-        self.part = "left_upper_arm"
-        self.registration: RegistrationOptions | None = None
+        self.page = 0  # of ``PAGES``
+        self.part = "left_upper_arm"  # that the rotation sliders turn
+        self.registration: RegistrationOptions | None = None  # of the detailed body
         self._mean: Registered | None = None  # the detailed mean adult, whom others are edits of
         self.film = Film()
         self._given = state.target
@@ -77,13 +66,10 @@ class Controls:
 
     def _make_rows(self) -> list[list[Button | str]]:
         state, scene, folder = self._state, self._scene, self._folder
-        skeleton, network = partial(self._toggle, "skeleton_only"), self._start_from_network
-        names = (*PRESETS, RANDOM) if self._given.truth is not None else (_GIVEN, *PRESETS, RANDOM)
+        bodies = (*PRESETS, RANDOM)
+        targets = bodies if self._given.truth is not None else (_GIVEN, *bodies)
         film = f"begin to film the window; again: write {folder / FILM}"
-        targets = [
-            Button(name, "", f"target: {name}", partial(self._set_target, name), partial(self._has_target, name))
-            for name in names
-        ]
+        skeleton, network = partial(self._toggle, "skeleton_only"), self._start_from_network
         return [
             [
                 "",
@@ -96,20 +82,24 @@ class Controls:
                 Button("film", "f", film, self._film, lambda: self.film.running),
                 Button("view", "r", "turn the 3D view back to where it was", self.look),
             ],
-            ["start", *self._starts(), Button(NETWORK, "k", _HINTS[NETWORK], network)],
-            self._cycle("target", "t", targets),
             [
-                *self._cycle("follow", "c", self._choices("supervision")),
+                "start",
+                *_each(bodies, "start from ", self._start, self._has_start, first_key=1),
+                Button(NETWORK, "k", _HINTS[NETWORK], network),
+            ],
+            self._cycle("target", "t", _each(targets, "target: ", self._set_target, self._has_target)),
+            [
+                *self._setting("follow", "c", "supervision", "follow {}"),
                 "   ",
                 Button("z gradient", "z", _HINTS["z"], self._toggle_depth, lambda: state.settings.has_depth),
             ],
-            ["quality", *self._qualities()],
+            ["quality", *self._settings("{} px", QUALITIES, first_key=6)],
             [
-                *self._cycle("renderer", "m", self._choices("renderer")),
-                *self._cycle("   gradient", "g", self._choices("gradient")),
+                *self._setting("renderer", "m", "renderer", "draw with {}"),
+                *self._setting("   gradient", "g", "gradient", "gradient of exact ellipsoids: {}"),
             ],
             [
-                *self._cycle("size", "x", self._choices("size")),
+                *self._setting("size", "x", "size", "pictures of {} pixels a side"),
                 "   show  ",
                 Button("skeleton", "o", "skeletons of body and target", skeleton, lambda: scene.skeleton_only),
                 Button("outline arrows", "i", _HINTS["outline"], self._toggle_outline, lambda: scene.outline_arrows),
@@ -118,10 +108,7 @@ class Controls:
             [
                 "sliders",
                 Button("<", "bracketleft", "previous page", partial(self._turn_page, -1)),
-                *(
-                    Button(kind, "", f"sliders: {kind}", partial(self.open, kind), partial(self.is_open, kind))
-                    for kind in dict(PAGES)
-                ),
+                *_each(dict(PAGES), "sliders: ", self.open, self.is_open),
                 Button(">", "bracketright", "next page", partial(self._turn_page, 1)),
                 "   ",
                 Button("previous part", "comma", "turn the part before; or click on one", partial(self._next_part, -1)),
@@ -129,37 +116,22 @@ class Controls:
             ],
         ]
 
-    def _starts(self) -> list[Button]:
-        return [
-            Button(name, f"F{k}", f"start from {name}", partial(self._start, name), partial(self._has_start, name))
-            for k, name in enumerate((*PRESETS, RANDOM), start=1)
-        ]
-
-    def _qualities(self) -> list[Button]:
+    def _settings(self, hint: str, choices: dict[str, dict[str, Any]], first_key: int = 0) -> list[Button]:
+        """A button for each change of some settings; ``first_key``: number of the first one's function key."""
         return [
             Button(
-                name,
-                f"F{k}",
-                f"{', '.join(map(str, changes.values()))} px; from the start",
+                text,
+                f"F{key}" if first_key else "",
+                hint.format(", ".join(map(str, changes.values()))) + "; from the start",
                 partial(self._state.configure, **changes),
                 partial(self._has, **changes),
             )
-            for k, (name, changes) in enumerate(QUALITIES.items(), start=6)
+            for key, (text, changes) in enumerate(choices.items(), start=first_key)
         ]
 
-    def _choices(self, name: str) -> list[Button]:
-        """A button for each value of a setting."""
-        configure = self._state.configure
-        return [
-            Button(
-                str(value),
-                "",
-                _HINTS[name].format(value),
-                partial(configure, **{name: value}),
-                partial(self._has, **{name: value}),
-            )
-            for value in CHOICES[name]
-        ]
+    def _setting(self, label: str, key: str, name: str, hint: str) -> list[Button | str]:
+        """A button for each value of a setting, and a key for the next."""
+        return self._cycle(label, key, self._settings(hint, {str(value): {name: value} for value in CHOICES[name]}))
 
     def _cycle(self, label: str, key: str, buttons: list[Button]) -> list[Button | str]:
         """Buttons of which one is lit, after a label with the key that goes on to the next."""
@@ -267,15 +239,14 @@ class Controls:
     def _save(self) -> None:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            for name in (_BODY, _MESHES):
-                self._state.save(self._folder / name)
+            self._state.save(self._folder / _BODY, self._folder / _MESHES)
             Image.fromarray(self._scene.screenshot()).save(self._folder / _PICTURE)
         except OSError as error:
             raise InputError(f"{self._folder}: {error.strerror or error}; expected a folder to write to") from error
         self._scene.message = f"saved {_BODY}, {_MESHES} and {_PICTURE} in {self._folder}"
 
     def _load(self) -> None:
-        self._state.load(self._folder / _BODY)
+        self._state.reset(read_body(self._folder / _BODY))
         self._scene.message = f"starts from {self._folder / _BODY}"
 
     def _film(self) -> None:
@@ -295,6 +266,14 @@ class Controls:
         self._redraw()
         count = self.film.write(self._folder)
         self._scene.message = f"{count} pictures in {self._folder / FILM}" if count else "nothing was filmed"
+
+
+def _each(names: Iterable[str], hint: str, do: _Do, is_on: _IsOn, first_key: int = 0) -> list[Button]:
+    """A button for each of some names; ``first_key``: number of the first one's function key."""
+    return [
+        Button(name, f"F{key}" if first_key else "", hint + name, partial(do, name), partial(is_on, name))
+        for key, name in enumerate(names, start=first_key)
+    ]
 
 
 def _same(one: BodyParameters, other: BodyParameters) -> bool:

@@ -8,40 +8,14 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..errors import InputError
 from .style import PAPER
 
 
-def load_pyvista() -> Any:
-    """PyVista; Any, for the types of its wrapped methods forget what they wrap.
-
-    Raises:
-        InputError: If VTK can't be loaded.
-    """
-    try:
-        return import_module("pyvista")
-    except (ImportError, OSError) as error:  # a VTK without libGL
-        raise no_picture(error) from error
-
-
-def no_picture(error: Exception) -> InputError:
-    """Error of a machine on which VTK can't draw."""
-    reason = " ".join(str(error).split())[:120]
-    return InputError(
-        f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without (libegl1 "
-        "or libosmesa6); partdr fit needs neither"
-    )
-
-
 class Texture:
-    """A texture whose picture changes in place.
-
-    Args:
-        size: (width, height) [px].
-    """
+    """A texture of (width, height) pixels whose picture changes in place."""
 
     def __init__(self, size: tuple[int, int]) -> None:
-        pv = load_pyvista()
+        pv = import_module("pyvista")
         self._size, self._shown = size, np.zeros(0)
         self.image = pv.ImageData(dimensions=(*size, 1))
         self.image.point_data["rgb"] = np.full((size[0] * size[1], 3), 255, dtype=np.uint8)
@@ -72,16 +46,12 @@ class Overlay:
         corner: Lower left corner of the box in it [px].
         size: (width, height) of the box in it, and of what is painted [px].
         letter: Size of the font [px].
-
-    Attributes:
-        draw: Paints; ``show`` copies it to the window.
-        font: For its texts.
     """
 
     def __init__(
         self, renderer: Any, view: tuple[int, int], corner: tuple[int, int], size: tuple[int, int], letter: int
     ) -> None:
-        pv = load_pyvista()
+        pv = import_module("pyvista")
         from vtkmodules.vtkRenderingCore import vtkCoordinate, vtkPolyDataMapper2D, vtkTexturedActor2D
 
         self._renderer, self._size = renderer, np.array(size)

@@ -29,12 +29,12 @@ _MOST = 400  # pictures of a film, of 0.8 MB each
 _WIDEST = 640  # [px] of a film
 
 
-def frames(scene: Scene, steps: int, every: int = 2) -> Iterator[np.ndarray]:
-    """The start, then a picture after each ``every`` steps, and the last: RGB, (height, width, 3), uint8."""
+def frames(scene: Scene, steps: int) -> Iterator[np.ndarray]:
+    """The start, then a picture after each two steps, and the last: RGB, (height, width, 3), uint8."""
     yield scene.screenshot()
     for done in range(1, steps + 1):
         scene.state.step()
-        if done % every == 0 or done == steps:
+        if done % 2 == 0 or done == steps:
             scene.update()
             yield scene.screenshot()
 
@@ -66,16 +66,11 @@ def write(pictures: Sequence[np.ndarray], path: Path) -> None:
 
 
 class Film:
-    """Small pictures of the window, one after each change, while it runs.
-
-    Attributes:
-        running: Whether pictures are taken.
-        pictures: Those that are still to be written.
-    """
+    """Small pictures of the window, one after each change, while it runs."""
 
     def __init__(self) -> None:
         self.running = False
-        self.pictures: list[np.ndarray] = []
+        self.pictures: list[np.ndarray] = []  # that are still to be written
 
     def take(self, picture: np.ndarray) -> bool:
         """Keep a picture, RGB, shape (height, width, 3), uint8; whether there is room for more.
@@ -147,20 +142,13 @@ img { width: 100%; } input { width: 80%; vertical-align: middle; }
 const pictures = [
 SOURCES
 ];
-const [picture, play, place] = ["picture", "play", "place"].map(id => document.getElementById(id));
-place.max = pictures.length - 1;
+const last = place.max = pictures.length - 1;
 let playing = true;
-function show(index) { place.value = index; picture.src = pictures[index]; }
-play.onclick = () => {
-  playing = !playing;
-  if (playing && +place.value === pictures.length - 1) show(0);
-  play.textContent = playing ? "pause" : "play";
-};
-place.oninput = () => { playing = true; play.onclick(); show(+place.value); };
-setInterval(() => {
-  if (!playing) return;
-  if (+place.value === pictures.length - 1) play.onclick(); else show(+place.value + 1);
-}, PAUSE);
+const show = index => { place.value = index; picture.src = pictures[index]; };
+const set = now => { playing = now; play.textContent = now ? "pause" : "play"; };
+play.onclick = () => { if (!playing && +place.value === last) show(0); set(!playing); };
+place.oninput = () => { set(false); show(+place.value); };
+setInterval(() => { if (playing) +place.value === last ? set(false) : show(+place.value + 1); }, PAUSE);
 show(0);
 </script>
 </html>

@@ -6,6 +6,7 @@ Everything is made once; ``Scene.update`` changes numbers in place, which is wha
 from __future__ import annotations
 
 import textwrap
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ import torch
 from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
+from ..errors import InputError
 from ..results.palette import PART_COLOURS
 from .arrows import Arrows
-from .overlay import Texture, load_pyvista, no_picture
+from .overlay import Texture
 from .state import DemoState
 from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR
@@ -49,15 +51,6 @@ class Scene:
         window_size: (width, height) [px].
         smooth: Smooth outlines (multisampling); without a GPU, a picture takes four times as long.
 
-    Attributes:
-        plotter: PyVista's plotter, to add to or to take pictures with.
-        message: A line below the status, such as an error; ``update`` shows it.
-        parts: The actors of the 20 ellipsoids.
-        chart: Of the energy.
-        skeleton_only: Show the skeletons, through a pale body.
-        outline_arrows: Show the pull along the silhouettes instead of that at the centres.
-        chosen: The part that stands out; None without.
-
     Raises:
         InputError: If VTK can't draw here.
     """
@@ -70,11 +63,10 @@ class Scene:
         window_size: tuple[int, int] = WINDOW,
         smooth: bool = True,
     ) -> None:
-        self._pv = pv = load_pyvista()
-        from vtkmodules.vtkCommonCore import vtkLogger
-
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it tells of each display that it tries in vain
         try:
+            self._pv = pv = import_module("pyvista")
+            logger = import_module("vtkmodules.vtkCommonCore").vtkLogger
+            logger.SetStderrVerbosity(logger.VERBOSITY_ERROR)  # it tells of each display that it tries in vain
             self.plotter = pv.Plotter(
                 shape=(3, 4),
                 groups=[(slice(0, 3), slice(0, 2)), (2, slice(2, 4))],
@@ -83,14 +75,19 @@ class Scene:
                 window_size=list(window_size),
                 border=False,
             )
-        except (RuntimeError, OSError) as error:  # without a display to open
-            raise no_picture(error) from error
+        except (ImportError, RuntimeError, OSError) as error:  # a VTK without libGL, or without a display to open
+            reason = " ".join(str(error).split())[:120]
+            raise InputError(
+                f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without "
+                "(libegl1 or libosmesa6); partdr fit needs neither"
+            ) from error
         self.plotter.render_window.SetMultiSamples(8 if smooth else 0)
         self._smooth_level = _SMOOTH_LEVELS[smooth]
         self.state = state
-        self.message = ""
-        self.skeleton_only = self.outline_arrows = False
-        self.chosen: str | None = None
+        self.message = ""  # a line below the status, such as an error
+        self.skeleton_only = False  # through a pale body
+        self.outline_arrows = False  # pull along the silhouettes instead of that at the centres
+        self.chosen: str | None = None  # the part that stands out
         self._clothed: Posed | None = None  # the body that the detailed one was made for
         self._level: int | None = -1  # of the spheres that are shown
         self.plotter.set_background(PAPER)

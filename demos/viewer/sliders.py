@@ -45,13 +45,7 @@ class Page(NamedTuple):
 
 
 def make_page(state: DemoState, part: str, index: int) -> Page:
-    """One of ``PAGES`` as it is now.
-
-    Args:
-        state: What is set.
-        part: Which part is turned, one of ``PART_NAMES``.
-        index: Of the page.
-    """
+    """The page of ``PAGES`` with an index as it is now; the last one turns a part, one of ``PART_NAMES``."""
     kind, first = PAGES[index]
     if kind == "camera":
         numbers = view_of(state.body).values()
@@ -85,12 +79,7 @@ def _sliders(state: DemoState, field: str, indices: dict[str, Any], unit: float)
 
 
 class SliderColumn:
-    """Six slider widgets and a title at the left of the active view.
-
-    Args:
-        plotter: PyVista's.
-        moved: Told which slider was moved, 0 first, and its value.
-    """
+    """Six slider widgets and a title at the left of the active view; ``moved`` is told which, from 0, and its value."""
 
     def __init__(self, plotter: Any, moved: Callable[[int, float], None]) -> None:
         self._moved: Callable[[int, float], None] = lambda *_: None  # widgets call back when they are made, too

@@ -24,7 +24,7 @@ from ..render.renderers import labelled_mesh
 from ..results.ellipbody_files import ellipbody_scene
 from ..results.save import body_file
 from .settings import Settings
-from .targets import Target, difference_picture, group_picture, read_body, target_labels, target_picture
+from .targets import Target, difference_picture, group_picture, target_labels, target_picture
 from .view import VIEW, seen_as, view_of
 
 _TIMED = 15  # the last so many iterations tell the time of one
@@ -34,13 +34,8 @@ _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact 
 class DemoState:
     """A body on its way to a target.
 
-    Args:
-        start: Where it begins, B = 1.
-        target: What it is to reach.
-        settings: How it gets there.
-
     Attributes:
-        start: Where ``restart`` goes back to.
+        start: Where ``restart`` goes back to, B = 1.
         body: Where it is.
         target: What it is to reach.
         settings: How it gets there; ``configure`` changes them.
@@ -60,9 +55,6 @@ class DemoState:
 
     def configure(self, **changes: Any) -> None:
         """Change some of the ``Settings`` and go back to the start, so that runs can be compared; else do nothing.
-
-        Args:
-            changes: The new values.
 
         Raises:
             InputError: If a value is none of its choices, or needs labels that the target has not; nothing changes.
@@ -217,24 +209,11 @@ class DemoState:
             return None
         return float(mpjpe(self.posed.joints, self.target.posed.joints, centre_on=(0,))) * 1000
 
-    def save(self, path: Path) -> None:
-        """Write the body as ``body.npz``, or as coloured meshes where the name ends with .glb.
-
-        Raises:
-            InputError: If it can't be written.
-        """
+    def save(self, body: Path, meshes: Path) -> None:
+        """Write the body as ``body.npz``, and as coloured meshes, whose name ends with .glb."""
         size = self.settings.size
-        try:
-            if path.suffix == ".glb":
-                ellipbody_scene(self.posed).export(path)
-            else:
-                body_file(self.body, self.body.detach().camera(size), (size, size)).save(path)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}; expected a file in a folder that is there") from error
-
-    def load(self, path: Path) -> None:
-        """Start from the body of a ``body.npz``; see ``read_body``."""
-        self.reset(read_body(path))
+        body_file(self.body, self.body.detach().camera(size), (size, size)).save(body)
+        ellipbody_scene(self.posed).export(meshes)
 
 
 def _check_labels(settings: Settings, target: Target) -> None:

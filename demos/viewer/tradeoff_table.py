@@ -27,12 +27,7 @@ _COLUMNS: tuple[tuple[str, str, int, str, str], ...] = (
 
 
 class TradeoffTable:
-    """The rows of a tradeoff.
-
-    Args:
-        renderer: The view.
-        tradeoff: Where the rows come from.
-    """
+    """The rows of a tradeoff."""
 
     def __init__(self, renderer: Any, tradeoff: Tradeoff) -> None:
         self._overlay = Overlay(renderer, _VIEW, _CORNER, _SIZE, _LETTER)

@@ -9,6 +9,7 @@ import os
 import socket
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -27,7 +28,7 @@ _PIXELS = 1_500_000  # of a picture, at most; screens have more
 _LOGS = ("asyncio", "aiohttp.server", "wslink.protocol")  # that say at length that a page is gone
 _CONDITIONS = ("If-Match", "If-None-Match", "If-Modified-Since", "If-Unmodified-Since", "Range")
 _MOVES = 50  # [ms] between places of the mouse
-_BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
+BROWSER_NAMES = {  # of keys, where browsers call them otherwise than VTK does
     "space": " ",
     "BackSpace": "Backspace",
     "bracketleft": "[",
@@ -97,7 +98,7 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
 
     def bind(wslink: Any) -> None:
         wslink.app.middlewares.append(_make_guard(host))
-        wslink.app.router.add_post("/picture", _make_answer(pictures))
+        wslink.app.router.add_post("/picture", partial(_answer, pictures))
 
     server.controller.on_server_bind.add(bind)
     server.controller.on_server_ready.add(lambda **_: ready(server.port))
@@ -122,18 +123,9 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
 
 
 def _make_page(window: Window) -> tuple[Any, PictureStream]:
-    trame, layouts, html, client, areas, rca, encoders = (
-        import_module(name)
-        for name in (
-            "trame.app",
-            "trame.ui.html",
-            "trame.widgets.html",
-            "trame.widgets.client",
-            "trame.widgets.rca",
-            "trame_rca.utils",
-            "trame_rca.encoders",
-        )
-    )
+    names = ("app", "ui.html", "widgets.html", "widgets.client", "widgets.rca")
+    trame, layouts, html, client, areas = (import_module(f"trame.{name}") for name in names)
+    rca, encoders = import_module("trame_rca.utils"), import_module("trame_rca.encoders")
     server = trame.get_server(f"partdr {id(window)}", client_type="vue3")
     server.state.trame__title = "partdr demo"
     server.trigger("answer")(lambda: None)  # until it comes, the page says that it waits
@@ -148,9 +140,10 @@ def _make_page(window: Window) -> tuple[Any, PictureStream]:
     area.max_pixel_count = _PIXELS
     plotter.iren.interactor.AddObserver("RenderEvent", lambda *_: pictures.schedule_render())
     plotter.add_on_render_callback(lambda _: pictures.schedule_render())
+    keys = {BROWSER_NAMES.get(key, key): key for key in window.keys}
     with layouts.DivLayout(server, style=_PLACE):
         client.Style(_STYLE.replace("PAPER", PAPER).replace("ACCENT", ACCENT))
-        client.Script(_SCRIPT.replace("KEYS", json.dumps({browser_name(key): key for key in window.keys})))
+        client.Script(_SCRIPT.replace("KEYS", json.dumps(keys)))
         with areas.RemoteControlledArea(name=AREA, send_mouse_move=True, event_throttle_ms=_MOVES) as view:
             html.Img(classes="picture")
         view.add_view_handler(area)
@@ -158,26 +151,21 @@ def _make_page(window: Window) -> tuple[Any, PictureStream]:
     return server, pictures
 
 
-def _make_answer(pictures: PictureStream) -> Any:
-    """Answer to a page that shows a picture and asks for the next."""
-    web = import_module("aiohttp.web")
-
-    async def answer(request: Any) -> Any:
-        if pictures.closed:
-            raise web.HTTPServiceUnavailable
-        clock = asyncio.get_running_loop().time
-        asked = clock()
-        try:
-            shown = await request.json()
-            number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
-        except (ValueError, TypeError, KeyError, OverflowError) as error:
-            raise web.HTTPBadRequest(text=f"{error}; expected number, quality and rate") from error
-        picture = await pictures.after(number, quality, rate)
-        told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
-        headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
-        return web.Response(body=picture.content, content_type="image/jpeg", headers=headers)
-
-    return answer
+async def _answer(pictures: PictureStream, request: Any) -> Any:
+    """Answer a page that shows a picture and asks for the next."""
+    web, clock = import_module("aiohttp.web"), asyncio.get_running_loop().time
+    if pictures.closed:
+        raise web.HTTPServiceUnavailable
+    asked = clock()
+    try:
+        shown = await request.json()
+        number, quality, rate = int(shown["number"]), int(shown["quality"]), float(shown["rate"])
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise web.HTTPBadRequest(text=f"{error}; expected number, quality and rate") from error
+    picture = await pictures.after(number, quality, rate)
+    told = {"number": picture.number, "quality": picture.quality, "waited": clock() - asked}
+    headers = {"X-Picture": json.dumps(told), "Cache-Control": "no-store"}
+    return web.Response(body=picture.content, content_type="image/jpeg", headers=headers)
 
 
 def _make_guard(host: str) -> Any:
@@ -218,8 +206,3 @@ def page_address(host: str, port: int) -> str:
     """Address of the page that ``serve`` shows."""
     name = socket.gethostname() if host in _ALL_ADDRESSES else host
     return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"
-
-
-def browser_name(key: str) -> str:
-    """Name of a key of VTK in a browser's ``KeyboardEvent.key``."""
-    return _BROWSER_NAMES.get(key, key)

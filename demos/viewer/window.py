@@ -35,15 +35,8 @@ class Window:
     Args:
         state: What is played with.
         folder: Where ``d`` saves to and ``l`` loads from; made when it is saved to.
-        off_screen: Without a window, for tests and ``profile``.
+        off_screen: Without a window, for a browser, tests and ``profile``.
         seed: Of the last random body so far; buttons go on from the one after.
-
-    Attributes:
-        scene: What is shown.
-        controls: What buttons and keys do.
-        keys: What each key does.
-        panel: The buttons.
-        tradeoff: What was tried.
 
     Raises:
         InputError: If VTK can't draw here.

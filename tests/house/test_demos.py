@@ -28,19 +28,19 @@ def check_pictures(folder, names):
 
 
 def test_render_gradient(tmp_path):
-    losses = render_gradient.main(["--out", str(tmp_path), "--size", "96", "--iterations", "25"])
+    losses = render_gradient.main(tmp_path, size=96, iterations=25)
     assert losses[-1] < 0.5 * losses[0]
     check_pictures(tmp_path, ["body.png", "target.png", "gradient.png", "gradient_mesh.png", "descent.png"])
 
 
 def test_fit_photo(tmp_path):
-    result = fit_photo.main(["--out", str(tmp_path), "--quality", "fast"])
+    result = fit_photo.main(tmp_path, quality="fast")
     assert result.history[-1][-1] < result.history[-1][0]
     check_pictures(tmp_path, ["overlay.png", "parts.png", "loss.png", "turntable.png", "keypoints_or_labels.png"])
 
 
 def test_own_loss(tmp_path):
-    losses = own_loss.main(["--out", str(tmp_path), "--size", "96", "--iterations", "40"])
+    losses = own_loss.main(tmp_path, size=96, iterations=40)
     assert losses[-1] < 0.5 * losses[0]
     check_pictures(tmp_path, ["before.png", "after.png", "loss.png"])
 
@@ -56,8 +56,7 @@ def test_own_loss_is_the_iou():
 
 
 def test_train_from_labels(tmp_path):
-    options = ["--size", "32", "--batch", "12", "--steps", "120"]
-    losses, (before, after) = train_from_labels.main(["--out", str(tmp_path), *options])
+    losses, (before, after) = train_from_labels.main(tmp_path, size=32, batch=12, steps=120)
     assert np.mean(losses[-10:]) < 0.75 * np.mean(losses[:10])
     assert after < 0.75 * before  # of angles that it was never told
     check_pictures(tmp_path, ["loss.png", "people.png"])

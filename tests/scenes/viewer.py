@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,8 @@ from warp_partdr.viewer.window import Window
 SMALL = Settings(size=64, steps=40)
 
 
-def make_state(target: str = "walking", start: str = "t-pose") -> DemoState:
-    return DemoState(body_of(start), body_target(body_of(target)), SMALL)
+def make_state(target: str = "walking", start: str = "t-pose", **settings: Any) -> DemoState:
+    return DemoState(body_of(start), body_target(body_of(target)), replace(SMALL, **settings))
 
 
 def play(state: DemoState, count: int) -> None:
@@ -44,11 +46,22 @@ def one_thread():
 
 
 @pytest.fixture
-def window(can_draw, tmp_path):
-    made = Window(make_state(), tmp_path / "saved", off_screen=True)
-    made.controls.registration = RegistrationOptions(iterations=2)  # which is near enough, and fast
-    yield made
-    made.scene.close()
+def open_window(can_draw, tmp_path):
+    """Open a window of a state, that is closed at the end."""
+    with ExitStack() as opened:
+
+        def open_one(state: DemoState, **options: Any) -> Window:
+            made = Window(state, tmp_path / "saved", off_screen=True, **options)
+            made.controls.registration = RegistrationOptions(iterations=2)  # which is near enough, and fast
+            opened.callback(made.scene.close)
+            return made
+
+        yield open_one
+
+
+@pytest.fixture
+def window(open_window):
+    return open_window(make_state())
 
 
 def send(window: Window, event: str, place: tuple[int, int]) -> None:

@@ -16,7 +16,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.viewer.recording import Film, check_format, frames, write
 from warp_partdr.viewer.scene import Scene
 
-one_thread, window = viewer.one_thread, viewer.window  # fixtures
+one_thread, open_window, window = viewer.one_thread, viewer.open_window, viewer.window  # fixtures
 
 
 @pytest.mark.parametrize("name", ["out.gif", "out.html"])
@@ -49,6 +49,7 @@ def test_record_checks_the_name(tmp_path, monkeypatch):
     ("arguments", "said"),
     [
         ([], "no display"),
+        (["--web", "--record", "out.gif"], "--web, --record, --profile: more than one; expected one"),
         (["--set", "port=80"], "port: without --web; expected both, or neither"),
         (["--set", "browser=false"], "browser: without --web"),
         (["--record", "out.gif", "--photo", "photo.png"], "--keypoints: none with --photo"),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
+from functools import wraps
 from typing import Any
 
 import pytest
@@ -34,8 +35,14 @@ def made(monkeypatch):
     return PictureStream(Drawn(), encode)
 
 
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 60))
+def asynchronous(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Test that runs in an event loop of its own."""
+
+    @wraps(test)
+    def run(**arguments: Any) -> None:
+        asyncio.run(asyncio.wait_for(test(**arguments), 60))
+
+    return run
 
 
 async def waits(task: asyncio.Future[JpegPicture]) -> bool:
@@ -45,58 +52,48 @@ async def waits(task: asyncio.Future[JpegPicture]) -> bool:
 
 
 @pytest.mark.parametrize(("rate", "quality"), [(0, 20), (25, 20), (100, 40), (200, 70), (1e9, 85)])
-def test_quality_is_what_a_line_carries_in_04_s(made, rate, quality):
-    async def test() -> None:
-        picture = await made.after(0, 0, rate)
-        assert picture == (1, quality, b"\1" * quality)
-
-    run(test())
+@asynchronous
+async def test_quality_is_what_a_line_carries_in_04_s(made, rate, quality):
+    picture = await made.after(0, 0, rate)
+    assert picture == (1, quality, b"\1" * quality)
 
 
-def test_changes_that_nobody_saw_are_not_drawn(made):
-    async def test() -> None:
-        first = await made.after(0, 0, 1e9)
-        waiting = asyncio.ensure_future(made.after(first.number, first.quality, 1e9))
-        assert await waits(waiting)
-        for _ in range(10):
-            made.schedule_render()
-        picture = await waiting
-        assert picture.number == first.number + 10
-        assert made.rca.count == 2
-
-    run(test())
-
-
-def test_a_rough_picture_is_followed_by_a_better_one_when_it_is_quiet(made):
-    async def test() -> None:
-        rough = await made.after(0, 0, 80)
-        assert rough.quality == 30
-        better = await made.after(rough.number, rough.quality, 80)  # 0.8 s of the line
-        assert better == (rough.number, 55, b"\1" * 55)
-        waiting = asyncio.ensure_future(made.after(better.number, better.quality, 80))
-        assert await waits(waiting)  # the line carries no better one
+@asynchronous
+async def test_changes_that_nobody_saw_are_not_drawn(made):
+    first = await made.after(0, 0, 1e9)
+    waiting = asyncio.ensure_future(made.after(first.number, first.quality, 1e9))
+    assert await waits(waiting)
+    for _ in range(10):
         made.schedule_render()
-        assert await waiting == (rough.number + 1, 30, b"\2" * 30)
-
-    run(test())
-
-
-def test_two_pages_share_what_is_drawn(made):
-    async def test() -> None:
-        both = await asyncio.gather(made.after(0, 0, 0), made.after(0, 0, 1e9))
-        assert [picture.quality for picture in both] == [20, 85]
-        assert made.rca.count == 1
-
-    run(test())
+    picture = await waiting
+    assert picture.number == first.number + 10
+    assert made.rca.count == 2
 
 
-def test_nobody_waits_for_one_that_is_closed(made):
-    async def test() -> None:
-        picture = await made.after(0, 0, 1e9)
-        waiting = asyncio.ensure_future(made.after(picture.number, picture.quality, 1e9))
-        assert await waits(waiting)
-        await made.close()
-        await waiting
-        assert made.closed
+@asynchronous
+async def test_a_rough_picture_is_followed_by_a_better_one_when_it_is_quiet(made):
+    rough = await made.after(0, 0, 80)
+    assert rough.quality == 30
+    better = await made.after(rough.number, rough.quality, 80)  # 0.8 s of the line
+    assert better == (rough.number, 55, b"\1" * 55)
+    waiting = asyncio.ensure_future(made.after(better.number, better.quality, 80))
+    assert await waits(waiting)  # the line carries no better one
+    made.schedule_render()
+    assert await waiting == (rough.number + 1, 30, b"\2" * 30)
 
-    run(test())
+
+@asynchronous
+async def test_two_pages_share_what_is_drawn(made):
+    both = await asyncio.gather(made.after(0, 0, 0), made.after(0, 0, 1e9))
+    assert [picture.quality for picture in both] == [20, 85]
+    assert made.rca.count == 1
+
+
+@asynchronous
+async def test_nobody_waits_for_one_that_is_closed(made):
+    picture = await made.after(0, 0, 1e9)
+    waiting = asyncio.ensure_future(made.after(picture.number, picture.quality, 1e9))
+    assert await waits(waiting)
+    await made.close()
+    await waiting
+    assert made.closed

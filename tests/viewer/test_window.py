@@ -19,25 +19,19 @@ from warp_partdr.viewer.scene import Scene
 from warp_partdr.viewer.settings import QUALITIES
 from warp_partdr.viewer.sliders import PAGES
 from warp_partdr.viewer.state import DemoState
-from warp_partdr.viewer.targets import (
-    RANDOM,
-    body_of,
-    body_target,
-    network_body,
-)
-from warp_partdr.viewer.window import Window
+from warp_partdr.viewer.targets import RANDOM, body_of, body_target, network_body
 
-one_thread, window = viewer.one_thread, viewer.window  # fixtures
+one_thread, open_window, window = viewer.one_thread, viewer.open_window, viewer.window  # fixtures
 
 
 def test_a_slider_changes_what_it_should(window):
-    forearm, before = LENGTH_NAMES.index("forearm"), window.scene.screenshot()
+    before = window.scene.screenshot()
     body, target, place = image(window, "body"), image(window, "target"), window.scene.parts[16].user_matrix.copy()
-    while "forearm length [cm]" not in [slider[0] for slider in window.page().sliders]:
-        window.press("bracketright")
-    index = [slider[0] for slider in window.page().sliders].index("forearm length [cm]")
-    window.slide(index, window.page().sliders[index][2])
-    assert window.state.body.lengths[0, forearm].item() == pytest.approx(window.page().sliders[index][3] / 100)
+    window.press("bracketright")
+    index = [slider.title for slider in window.page().sliders].index("forearm length [cm]")
+    window.slide(index, window.page().sliders[index].high)
+    shown = window.page().sliders[index].value / 100
+    assert window.state.body.lengths[0, LENGTH_NAMES.index("forearm")].item() == pytest.approx(shown)
     assert (image(window, "body") != body).any()
     assert np.array_equal(image(window, "target"), target)
     assert not np.allclose(window.scene.parts[16].user_matrix, place)
@@ -77,26 +71,19 @@ def test_every_key_and_slider_does_something(window):
             assert window.page().sliders[index][3] == pytest.approx((low + 3 * high) / 4, abs=1e-3), title
 
 
-def test_play_and_pause(window):
-    window.press("space")
-    for _ in range(3):
-        window.tick()
-    window.press("space")
-    window.tick()
-    assert len(window.state.history) == 3
-    assert "iteration 3" in window.scene._said()
-
-
-def test_ticks_draw_only_while_it_plays(window):
+def test_ticks_step_and_draw_only_while_it_plays(window):
     window.scene.screenshot()
-    drawn = []
-    window.scene.plotter.render_window.AddObserver("EndEvent", lambda *_: drawn.append(1))
-    interactor = window.scene.plotter.iren.interactor
+    drawn, interactor = [], window.scene.plotter.iren.interactor
+    window.scene.plotter.render_window.AddObserver("EndEvent", lambda *_: drawn.append(len(window.state.history)))
     interactor.InvokeEvent("TimerEvent")
     assert drawn == []
-    window.controls.playing = True
+    window.press("space")
+    for _ in range(3):
+        interactor.InvokeEvent("TimerEvent")
+    window.press("space")
     interactor.InvokeEvent("TimerEvent")
-    assert drawn == [1]
+    assert drawn == [0, 1, 2, 3, 3]
+    assert "iteration 3" in window.scene._said()
 
 
 def test_events_of_the_window_arrive(window):
@@ -105,7 +92,7 @@ def test_events_of_the_window_arrive(window):
         interactor.SetKeySym(key)
         interactor.InvokeEvent("KeyPressEvent")
     assert window.controls.playing
-    assert window.page().sliders[0][0] == "upper leg length [cm]"
+    assert window.page().sliders[0].title == "upper leg length [cm]"
     interactor.InvokeEvent("TimerEvent")
     assert len(window.state.history) == 1
     before = window.state.body.lengths[0, 6].item()
@@ -117,16 +104,10 @@ def test_events_of_the_window_arrive(window):
 
 def test_a_click_chooses_a_part(window):
     window._picked(window.scene.parts[PART_NAMES.index("right_foot")])
-    assert window.page().sliders[0][0] == "right foot, x [deg]"
+    assert window.page().sliders[0].title == "right foot, x [deg]"
     window._picked(window.scene.parts[PART_NAMES.index("left_hip")])
     assert window.scene.message == "left hip doesn't turn by itself"
     assert window.controls.part == "right_foot"
-
-
-def test_faults_are_told_in_the_window(window, tmp_path):
-    (tmp_path / "saved").write_text("a file where a folder is wanted")
-    window.press("d")
-    assert "expected a folder to write to" in " ".join(window.scene._status.input.split())
 
 
 def test_buttons_do_what_they_say(window):
@@ -151,10 +132,10 @@ def test_buttons_do_what_they_say(window):
         ("restart", "", lambda: not state.history),
         ("skeleton", "", lambda: window.scene.skeleton_only),
         ("outline arrows", "", lambda: window.scene.outline_arrows),
-        ("camera", "", lambda: window.page().sliders[0][0] == "scale [px/m]"),
-        (">", "", lambda: window.page().sliders[0][0].endswith(", x [deg]")),
+        ("camera", "", lambda: window.page().sliders[0].title == "scale [px/m]"),
+        (">", "", lambda: window.page().sliders[0].title.endswith(", x [deg]")),
         ("next part", "", lambda: window.controls.part == "right_upper_arm"),
-        ("thicknesses", "", lambda: window.page().sliders[0][0].endswith("[cm]")),
+        ("thicknesses", "", lambda: window.page().sliders[0].title.endswith("[cm]")),
         ("play", "", lambda: window.controls.playing),
     ):
         assert not now(), text
@@ -276,12 +257,10 @@ def test_partdrs_z_is_lit_only_where_it_counts(window):
     assert window.state.settings.depth_gradient
 
 
-def test_random_bodies_of_buttons_go_on_from_the_seed(can_draw, tmp_path):
-    state = DemoState(body_of(RANDOM, 5), body_target(body_of(RANDOM, 6)), SMALL)
-    window = Window(state, tmp_path, off_screen=True, seed=6)
+def test_random_bodies_of_buttons_go_on_from_the_seed(open_window):
+    window = open_window(make_state(), seed=6)
     window.press("F5")
     assert torch.equal(window.state.start.rotations, body_of(RANDOM, 7).rotations)
-    window.scene.close()
 
 
 def test_pictures_are_of_now_where_only_what_is_sent_is_drawn(window):
@@ -334,10 +313,14 @@ def test_loading_starts_from_what_was_saved(window):
     assert window.scene.message == f"starts from {window.folder / 'body.npz'}"
 
 
-def test_more_faults_are_told_in_the_window(window):
+def test_faults_are_told_in_the_window(window):
     def told() -> str:
         return " ".join(window.scene._status.input.split())
 
+    window.folder.write_text("a file where a folder is wanted")
+    window.press("d")
+    assert "expected a folder to write to" in told()
+    window.folder.unlink()
     window.controls.playing = True
     window.press("l")
     assert "body.npz: No such file" in told()
@@ -356,11 +339,9 @@ def test_more_faults_are_told_in_the_window(window):
     assert window.scene.message == ""
 
 
-def test_a_target_without_labels_takes_keypoints_alone(can_draw, tmp_path):
+def test_a_target_without_labels_takes_keypoints_alone(open_window):
     target = read_target(EXAMPLE / "photo.png")
-    window = Window(
-        DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints")), tmp_path, off_screen=True
-    )
+    window = open_window(DemoState(body_of("t-pose"), target, replace(SMALL, supervision="keypoints")))
     click(window, "parts")
     assert window.scene.message.startswith("supervision: parts, without part labels; expected --parts FILE")
     assert window.state.settings.supervision == "keypoints"
@@ -370,7 +351,6 @@ def test_a_target_without_labels_takes_keypoints_alone(can_draw, tmp_path):
     assert window.state.target is target
     (row,) = window.tradeoff.rows.values()
     assert row.angle is None
-    window.scene.close()
 
 
 def test_profile_tells_of_drawn_pictures(window):
