@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from warp_partdr.body.template import PART_NAMES, template
 from warp_partdr.errors import InputError
 from warp_partdr.synthetic import mocap, mocap_files
 
+PATH = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
 UP = torch.tensor([[0.0, 1.0, 0.0]])
 
 
@@ -46,20 +48,22 @@ def mirrored(vectors: torch.Tensor, up: torch.Tensor) -> tuple[torch.Tensor, tor
     return image, torch.tensor(features[:, -3:], dtype=up.dtype)
 
 
-def test_file_is_small_credited_and_made_for_this_template() -> None:
-    path = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
-    assert len(path.read_bytes()) < 100_000
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-        assert "mocap.cs.cmu.edu" in str(data["credit"])
-        cosines = (data["rest_directions"] * template().rest_directions).sum(1)
+@pytest.fixture(scope="module")
+def packaged() -> dict[str, np.ndarray]:
+    with PATH.open("rb") as file, np.load(file, allow_pickle=False) as data:
+        return dict(data)
+
+
+def test_file_is_small_credited_and_made_for_this_template(packaged: dict[str, np.ndarray]) -> None:
+    assert len(PATH.read_bytes()) < 100_000
+    assert "mocap.cs.cmu.edu" in str(packaged["credit"])
+    cosines = (packaged["rest_directions"] * template().rest_directions).sum(1)
     # Joint rotations are relative to the rest pose: after a change, run scripts/learn_pose_prior.py again.
     assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).max() < 2.0
 
 
-def test_likelihood_is_that_of_the_mixture_in_the_file(prior: PosePrior) -> None:
-    path = resources.files("warp_partdr").joinpath("assets/pose_prior.npz")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-        weights, means, whitening = (data[key].astype(np.float64) for key in ("weights", "means", "whitening"))
+def test_likelihood_is_that_of_the_mixture_in_the_file(packaged: dict[str, np.ndarray]) -> None:
+    weights, means, whitening = (packaged[key].astype(np.float64) for key in ("weights", "means", "whitening"))
     order, sign = mirror_features()
     assert 2 * weights.sum() == pytest.approx(1.0, abs=1e-5)
 
@@ -112,12 +116,9 @@ def test_other_dtypes_are_converted(prior: PosePrior, dtype: torch.dtype) -> Non
     assert torch.equal(prior.joint_limits(vectors.to(dtype)), prior.joint_limits(vectors))
 
 
-def test_an_empty_batch_gives_an_empty_result(prior: PosePrior) -> None:
+def test_batched_is_the_same_as_one_by_one(prior: PosePrior) -> None:
     assert prior(torch.zeros(0, 20, 3), torch.zeros(0, 3)).shape == (0,)
     assert prior.joint_limits(torch.zeros(0, 20, 3)).shape == (0,)
-
-
-def test_batched_is_the_same_as_one_by_one(prior: PosePrior) -> None:
     vectors, up = 0.3 * torch.randn(5, 20, 3), torch.nn.functional.normalize(torch.randn(5, 3))
     single = torch.cat([prior(vectors[i : i + 1], up[i : i + 1]) for i in range(5)])
     torch.testing.assert_close(prior(vectors, up), single, rtol=1e-5, atol=1e-4)
@@ -229,25 +230,19 @@ def test_wrong_shapes_are_named(prior: PosePrior, vectors: tuple[int, ...], up: 
         prior(torch.zeros(vectors), torch.zeros(up))
 
 
-def test_files_that_are_no_prior_are_named(tmp_path: Path) -> None:
-    text = tmp_path / "text.npz"
-    text.write_text("no archive")
-    other = tmp_path / "other.npz"
-    np.savez(other, means=np.zeros(3))
-    array = tmp_path / "array.npy"
-    np.save(array, np.zeros(3))
-    with resources.files("warp_partdr").joinpath("assets/pose_prior.npz").open("rb") as file, np.load(file) as data:
-        arrays = dict(data)
-    wrong = tmp_path / "wrong.npz"
-    np.savez(wrong, **(arrays | {"means": arrays["means"][:, :-1]}))
-    broken = tmp_path / "broken.npz"
-    np.savez(broken, **(arrays | {"means": arrays["means"] * np.nan}))
-    for path, message in (
-        (text, "not readable"),
-        (other, "no array whitening, "),
-        (array, "not readable"),
-        (wrong, "means has shape"),
-        (broken, "means is not finite"),
-    ):
-        with pytest.raises(InputError, match=f"{path.name}: {message}"):
-            PosePrior(path)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (None, "not readable"),
+        (lambda data: {"means": np.zeros(3)}, "no array whitening, "),
+        (lambda data: data | {"means": data["means"][:, :-1]}, "means has shape"),
+        (lambda data: data | {"means": data["means"] * np.nan}, "means is not finite"),
+    ],
+)
+def test_files_that_are_no_prior_are_named(
+    change: Any, message: str, packaged: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    path = tmp_path / "other.npz"
+    path.write_text("no archive") if change is None else np.savez(path, **change(packaged))
+    with pytest.raises(InputError, match=f"other.npz: {message}"):
+        PosePrior(path)

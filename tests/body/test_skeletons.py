@@ -126,32 +126,18 @@ def test_skeleton_tables(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "joints"),
+    ("name", "joints", "sides"),
     [  # Spot checks against the formats' own documentation.
-        ("coco17", {0: "nose", 5: "left_shoulder", 10: "right_wrist", 16: "right_ankle"}),
-        ("body25", {1: "neck", 4: "right_wrist", 8: "mid_hip", 15: "right_eye", 19: "left_big_toe", 24: "right_heel"}),
-        ("blazepose33", {3: "left_eye_outer", 9: "mouth_left", 18: "right_pinky", 21: "left_thumb", 29: "left_heel"}),
-        ("h36m17", {0: "mid_hip", 1: "right_hip", 4: "left_hip", 7: "spine", 10: "head_top", 16: "right_wrist"}),
-        ("lsp14", {0: "right_ankle", 5: "left_ankle", 6: "right_wrist", 12: "neck", 13: "head_top"}),
-        ("mpii16", {6: "mid_hip", 7: "neck", 8: "head", 9: "head_top", 10: "right_wrist", 15: "left_wrist"}),
+        ("coco17", {0: "nose", 5: "left_shoulder", 10: "right_wrist"}, "-" + "lr" * 8),
+        ("body25", {1: "neck", 8: "mid_hip", 19: "left_big_toe", 24: "right_heel"}, "--rrrlll-rrrlllrlrllllrrr"),
+        ("blazepose33", {9: "mouth_left", 18: "right_pinky", 21: "left_thumb"}, "-lllrrr" + "lr" * 13),
+        ("h36m17", {0: "mid_hip", 1: "right_hip", 7: "spine", 10: "head_top"}, "-rrrlll----lllrrr"),
+        ("lsp14", {0: "right_ankle", 6: "right_wrist", 12: "neck", 13: "head_top"}, "rrrlllrrrlll--"),
+        ("mpii16", {6: "mid_hip", 7: "neck", 8: "head", 9: "head_top", 15: "left_wrist"}, "rrrlll----rrrlll"),
     ],
 )
-def test_joint_order(name: str, joints: dict[int, str]) -> None:
+def test_joint_order_and_sides(name: str, joints: dict[int, str], sides: str) -> None:
     assert {joint: SKELETONS[name].landmarks[joint] for joint in joints} == joints
-
-
-@pytest.mark.parametrize(
-    ("name", "sides"),
-    [
-        ("coco17", "-" + "lr" * 8),
-        ("body25", "--rrrlll-rrrlllrlrllllrrr"),
-        ("blazepose33", "-lllrrr" + "lr" * 13),
-        ("h36m17", "-rrrlll----lllrrr"),
-        ("lsp14", "rrrlllrrrlll--"),
-        ("mpii16", "rrrlll----rrrlll"),
-    ],
-)
-def test_sides(name: str, sides: str) -> None:
     words = [set(landmark.split("_")) for landmark in SKELETONS[name].landmarks]
     assert "".join("l" if "left" in word else "r" if "right" in word else "-" for word in words) == sides
 
@@ -181,14 +167,11 @@ def test_body25_and_human36m_hold_the_mpjpe_joints() -> None:
     assert missing == ["head_top"]
 
 
-def test_conversion_of_confidences_and_integers() -> None:
+def test_conversion_of_other_values() -> None:
     confidence = convert(np.ones((17, 1), dtype=np.float32), "coco17", "lsp14", missing=0)
     assert confidence.dtype == np.float32
     assert confidence[:, 0].tolist() == [1.0] * 12 + [0.0] * 2
     assert convert(np.ones((17, 2), dtype=int), "coco17", "body25").dtype == np.float64
-
-
-def test_conversion_errors() -> None:
     with pytest.raises(ValueError, match=r"skeleton: 'coco'; expected one of coco17, body25"):
         skeleton("coco")
     with pytest.raises(ValueError, match=r"values: shape \(16, 2\); expected \(\.\.\., 17, C\) of coco17"):
