@@ -126,13 +126,7 @@ class LabelSet:
         return IGNORE if group == "ignore" else self.group_names.index(group) + 1
 
     def to_groups(self, image: np.ndarray) -> np.ndarray:
-        """Group ids of an image of source ids.
-
-        Args:
-            image: Source ids, an integer or boolean array of any shape.
-
-        Returns:
-            uint8 array of the same shape: 0 = background, 1 to G, 255 = ignore.
+        """Group ids of an image of source ids, integers or booleans of any shape: uint8 of the same shape.
 
         Raises:
             ValueError: If ``image`` is not of integers, or holds ids that the set does not have.
@@ -151,8 +145,6 @@ class LabelSet:
 
     def to_ids(self, groups: np.ndarray) -> np.ndarray:
         """Source ids of an image of group ids, uint16: the group's first; an ignored id for 255 and groups without ids.
-
-        ``to_groups`` of the result gives the groups back, but for groups without ids.
 
         Raises:
             ValueError: If ``groups`` holds what the set has no id for, such as 255 in a set where 255 is somebody.
@@ -177,27 +169,20 @@ class LabelSet:
         return table[np.asarray(parts, dtype=np.uint8)]
 
     def to_group_maps(self, probabilities: np.ndarray) -> np.ndarray:
-        """Sum the probability maps of source classes into those of groups.
-
-        Args:
-            probabilities: Channel k holds the k-th lowest source id of the set, shape (K, H, W); a meaning that the set
-                gives to 255 has no channel.
+        """Sum the probability maps of ``channel_ids``, shape (K, H, W), into those of background and groups.
 
         Returns:
-            Background and groups 1 to G, float32, shape (G + 1, H, W). What is missing to a sum of 1 is ignored.
+            Float32, shape (G + 1, H, W). What is missing to a sum of 1 is ignored.
 
         Raises:
             ValueError: If K is not the number of the set's ids.
         """
         sources = self.channel_ids
         if probabilities.shape[0] != len(sources):
-            raise ValueError(
-                f"labels: {probabilities.shape[0]} probability maps; expected {len(sources)} for {self.name}"
-            )
+            raise ValueError(f"labels: {len(probabilities)} probability maps; expected {len(sources)} for {self.name}")
         maps = np.zeros((self.num_groups + 1, *probabilities.shape[1:]), dtype=np.float32)
         for source, channel in zip(sources, probabilities, strict=True):
-            group = self.id_groups[source]
-            if group != IGNORE:
+            if (group := self.id_groups[source]) != IGNORE:
                 maps[group] += channel
         return maps
 

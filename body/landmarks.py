@@ -92,21 +92,15 @@ def mirror_order(names: Sequence[str]) -> np.ndarray:
 
 
 class LandmarkPoints(NamedTuple):
-    """Landmarks as arrays for one gather; P is 2 if a landmark is the mean of two points, else 1.
+    """L landmarks as arrays for one gather; P is 2 if a landmark is the mean of two points, else 1."""
 
-    Attributes:
-        parts: Part index of each point, 0 to 19, shape (L, P), int64.
-        normalised: Coordinates in units of the semi-axes, shape (L, P, 3).
-        weights: Share of each point in its landmark, sums to 1 over P, shape (L, P).
-    """
-
-    parts: np.ndarray
-    normalised: np.ndarray
-    weights: np.ndarray
+    parts: np.ndarray  # index of each point's part, 0 to 19, shape (L, P), int64
+    normalised: np.ndarray  # coordinates in units of the semi-axes, shape (L, P, 3)
+    weights: np.ndarray  # share of each point in its landmark, sums to 1 over P, shape (L, P)
 
 
 def landmark_points(names: Sequence[str]) -> LandmarkPoints:
-    """Points of the landmarks ``names``, shapes (L, P), (L, P, 3), (L, P).
+    """Points of the landmarks ``names``.
 
     Raises:
         ValueError: If a name is no landmark.

@@ -34,11 +34,7 @@ def mirror_features() -> tuple[np.ndarray, np.ndarray]:
 
 
 def up_direction(global_orient: torch.Tensor) -> torch.Tensor:
-    """Direction of up in the pelvis's frame, if the camera is level, shape (B, 3).
-
-    Args:
-        global_orient: Rotation of the pelvis in the camera frame (y down), shape (B, 3, 3).
-    """
+    """Direction of up in the pelvis's frame, if the camera is level, shape (B, 3), of its rotation there (y down)."""
     return -global_orient[..., 1, :]
 
 
@@ -69,10 +65,7 @@ class PosePrior(torch.nn.Module):
     _log_weights: torch.Tensor  # (K,), with the normalisation of each Gaussian
 
     def __init__(self, path: Path | str | None = None) -> None:
-        """Load a prior.
-
-        Args:
-            path: A file of ``scripts/learn_pose_prior.py``; the packaged one if None.
+        """Load a file of ``scripts/learn_pose_prior.py``, the packaged one by default.
 
         Raises:
             InputError: If the file isn't such a prior.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -117,32 +117,20 @@ def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Ca
     """
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
-    options: dict[str, tuple[Any, Any]] = {}  # annotation and default
-    for parameter in inspect.signature(command).parameters.values():
-        kind = hints[parameter.name]
-        if is_dataclass(kind):
-            own = get_type_hints(kind, include_extras=True)
-            options |= {field.name: (own[field.name], field.default) for field in fields(kind)}
-        else:
-            options[parameter.name] = kind, parameter.default
-    empty = inspect.Parameter.empty
+    options: dict[str, inspect.Parameter] = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        taken = inspect.signature(groups[name]).parameters if name in groups else {name: parameter}
+        kinds = get_type_hints(groups[name], include_extras=True) if name in groups else hints
+        for option, each in taken.items():
+            default = inspect.Parameter.empty if option in required else each.default
+            options[option] = each.replace(kind=each.KEYWORD_ONLY, annotation=kinds[option], default=default)
 
     def run(**given: Any) -> None:
         for name, kind in groups.items():
             given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
         command(**given)
 
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                annotation=kind,
-                default=empty if name in required or default is MISSING else default,
-            )
-            for name, (kind, default) in options.items()
-        ]
-    )
+    run.__signature__ = inspect.Signature(list(options.values()))  # type: ignore[attr-defined]
     run.__annotations__ = {}
     run.__name__, run.__doc__ = command.__name__, command.__doc__
     return run

@@ -23,14 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Choice:
-    """Aspect of the input: the share that a fit models, and the reason.
-
-    Attributes:
-        what: Name of the aspect.
-        modelled: The share that is modelled.
-        left_out: The share that is not; empty if none.
-        why: The reason.
-    """
+    """Aspect of the input: the share that a fit models, the one that it leaves out, if any, and the reason."""
 
     what: str
     modelled: str
@@ -57,16 +50,14 @@ def explain(
     if parts is None:
         left = {stage.name for stage in stages}
         skipped = [stage.name for stage in options.stages if stage.name not in left]
-        choices.append(
-            Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn"),
-        )
-        return choices
+        return [*choices, Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn")]
     drawn = [stage for stage in stages if stage.size > 0]
     height, width = parts.groups.shape
     side = REFERENCE_SIZE / crop.zoom
     covered = _overlap(crop.left, side, width) * _overlap(crop.top, side, height) / (width * height)
     sizes = _list(sorted({stage.size for stage in drawn}))
-    choices += [
+    return [
+        *choices,
         Choice(
             "picture",
             f"{side:.0f} x {side:.0f} px around the person, drawn at {sizes} px",
@@ -78,7 +69,6 @@ def explain(
         _depth(parts, drawn, options),
         _path(parts, options),
     ]
-    return choices
 
 
 def print_choices(choices: list[Choice], console: Console) -> None:

@@ -44,10 +44,7 @@ def rest_positions(device: torch.device | str) -> dict[str, np.ndarray]:
 def hypothesize(seen: Observation, count: int, *, seed: int = 0) -> tuple[BodyParameters, torch.Tensor, torch.Tensor]:
     """Starts for a fit: cameras, orientations, and target depths of the joints.
 
-    Args:
-        seen: The keypoints.
-        count: At most this many hypotheses; a random choice of all combinations where there are more.
-        seed: Of that choice.
+    At most ``count`` hypotheses: a random choice (``seed``) of all combinations where there are more.
 
     Returns:
         Bodies in the mean pose, placed and turned, B of them; the joints' target positions for ``_JOINTS`` in crop
@@ -170,14 +167,7 @@ def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarra
 
 
 def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apart: float = 0.02) -> torch.Tensor:
-    """Indices of the best bodies, best first, leaving out those whose joints lie where a better one's do.
-
-    Args:
-        bodies: B bodies.
-        energies: Shape (B,).
-        count: Largest number to keep.
-        apart: Mean distance of joints below which two bodies are one [m].
-    """
+    """Indices of the ``count`` best bodies, best first; two whose joints are less than ``apart`` [m] apart are one."""
     order = energies.argsort()
     joints = bodies.select(order).posed().joints.detach()
     distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()

@@ -39,17 +39,11 @@ Segment = tuple[np.ndarray, np.ndarray, float]  # two ends [px], and a radius as
 
 
 class Agreement(NamedTuple):
-    """Counts of samples along the bones of one pair of limbs.
+    """Counts of samples along the bones of one pair of limbs."""
 
-    Attributes:
-        own: On the limb's own label.
-        mirrored: On that of the other side.
-        other: On any other part's label.
-    """
-
-    own: int
-    mirrored: int
-    other: int
+    own: int  # on the limb's own label
+    mirrored: int  # on that of the other side
+    other: int  # on any other part's
 
     @property
     def swapped(self) -> bool:
@@ -82,10 +76,7 @@ def _bone_ends(name: str, points: dict[str, np.ndarray]) -> tuple[np.ndarray, np
 def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> dict[str, Agreement]:
     """Compare arms and legs that have keypoints and whose sides the label set distinguishes.
 
-    Args:
-        groups: Group ids with only this person's in them (``select_person``), shape (H, W).
-        keypoints: The person's.
-        labels: What the group ids mean.
+    ``groups``, shape (H, W), here and below, hold this person's ids alone (``select_person``).
     """
     counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
     for name, start, end in limb_bones(keypoints):
@@ -118,14 +109,9 @@ def disagreement(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -
 def labels_along(
     groups: np.ndarray, start: np.ndarray, end: np.ndarray, *, samples: int, margin: float = 0.0
 ) -> np.ndarray:
-    """Group ids at evenly spaced points of a bone, without those beyond the picture.
+    """Group ids at evenly spaced points of a bone, without those beyond the picture; (x, y) [px] at its ends.
 
-    Args:
-        groups: Shape (H, W).
-        start: One end, (x, y) [px].
-        end: The other.
-        samples: Number of points.
-        margin: Share of the bone that is left out at either end.
+    ``margin`` is the share of the bone that is left out at either end.
     """
     along = np.linspace(margin, 1 - margin, samples)[:, None]
     columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
@@ -168,21 +154,13 @@ def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment
 
 
 class Beyond(NamedTuple):
-    """Distances of a group's pixels from its bones and their flesh.
-
-    Attributes:
-        group: Its id.
-        name: Its name.
-        rows: Of the pixels, shape (N,).
-        columns: Of the pixels, shape (N,).
-        distances: Beyond the flesh, negative within, as a share of the person's height, shape (N,).
-    """
+    """Distances of a group's N pixels from its bones and their flesh."""
 
     group: int
     name: str
     rows: np.ndarray
     columns: np.ndarray
-    distances: np.ndarray
+    distances: np.ndarray  # beyond the flesh, negative within, as a share of the person's height
 
 
 def coarse(groups: np.ndarray) -> int:
@@ -195,12 +173,7 @@ def distances_beyond(
 ) -> Iterator[Beyond]:
     """Distances of each visible group whose keypoints are all known; mirror images count as well.
 
-    Args:
-        groups: Group ids with only this person's in them, shape (H, W).
-        keypoints: The person's.
-        labels: What the group ids mean.
-        stride: Takes every so many-th row and column.
-        only: The one group to look at; None: all.
+    Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
     """
     height, points = person_height(keypoints), _confident_points(keypoints)
     thin = groups[::stride, ::stride]

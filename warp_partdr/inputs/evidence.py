@@ -155,10 +155,7 @@ def _box_of(window: Crop) -> Box:
 def _either_side(seen: Evidence, swapped: list[str], *, whole: bool) -> Iterator[Evidence]:
     """Labels with left and right exchanged; then, instead, keypoints.
 
-    Args:
-        seen: What disagrees on left and right.
-        swapped: Of these ``LIMBS``.
-        whole: Of all that can be compared, so of the head and the trunk as well.
+    Of the ``LIMBS`` in ``swapped``, or, if ``whole``, of head and trunk as well: nothing that can be compared is right.
     """
     assert seen.groups is not None
     picture = seen.labels

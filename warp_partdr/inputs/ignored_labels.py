@@ -36,7 +36,7 @@ def ignore_stray_labels(groups: np.ndarray, keypoints: Keypoints2D, labels: Labe
         labels: What the group ids mean.
 
     Returns:
-        Group ids of shape (H, W), uint8, and the names of the groups that had stray pixels.
+        The group ids, and the names of the groups that had stray pixels.
     """
     cleaned, names = groups.copy(), set()
     stride = coarse(groups)
@@ -62,13 +62,7 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     picture none does. What is then ignored is as wide as the limb of a mean adult of the person's height, and a little
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
-
-    Args:
-        groups: Group ids with only this person's in them (``select_person``), shape (H, W).
-        keypoints: The person's.
-
-    Returns:
-        Group ids of shape (H, W), uint8.
+    ``groups``, shape (H, W), hold this person's ids alone (``select_person``).
     """
     mean, height = template(), person_height(keypoints)
     near = np.zeros(groups.shape, dtype=bool)

@@ -14,8 +14,6 @@ from ..errors import InputError, check_each, check_type, check_whole
 LARGEST_PLACE = 1e6  # [px] of a keypoint that is there
 MIN_CONFIDENCE = 0.3  # Below it, a keypoint's position is unreliable.
 
-_FIELDS = ("points", "confidence")
-
 # Straight chains of rigid bones, whose length in the picture tells the scale, with their length as a share of the
 # stature (mean adult of body/mean_body.json). The short ones serve only where no long one is to be seen.
 _LONG_BONES: dict[str, float] = {"shoulder-hip": 0.27, "hip-knee": 0.24, "knee-ankle": 0.247}
@@ -147,7 +145,8 @@ def choose_person(
     scores = np.zeros(len(people))
     for name in {keypoints.skeleton for keypoints in people}:
         rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == name]
-        points, confidence = (np.stack([getattr(people[row], field) for row in rows]) for field in _FIELDS)
+        points = np.stack([people[row].points for row in rows])
+        confidence = np.stack([people[row].confidence for row in rows])
         scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(name, points, confidence)
     return people[int(scores.argmax())]
 

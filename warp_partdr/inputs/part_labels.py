@@ -76,9 +76,7 @@ def described_label_set(path: Path) -> LabelSet:
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
     """Read the part labels of the options --parts and --labels; None without.
 
-    Args:
-        parts: The file.
-        labels: A label set's name or JSON file; None takes what ``labels.json`` beside the file describes.
+    Without ``labels``, the name or JSON file of a set, ``labels.json`` beside the file describes the ids.
 
     Raises:
         InputError: If there is no label set, a label set of no file, or one of them is wrong.
@@ -147,11 +145,7 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
 
 
 def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
-    """Read part labels from a ``.png`` or ``.npy`` file.
-
-    Args:
-        path: The file.
-        labels: The label set that its ids belong to.
+    """Read part labels, ids of a label set or their probabilities, from a ``.png`` or ``.npy`` file.
 
     Raises:
         InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,

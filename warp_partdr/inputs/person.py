@@ -74,7 +74,7 @@ def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
 
 
 def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[Keypoints2D] = ()) -> np.ndarray:
-    """Keep one person's labels; everybody else's, and stray blobs, become 255, ignore.
+    """Keep one person's labels; everybody else's, and stray blobs, become 255, ignore: shape (H, W), uint8.
 
     The person's are the labelled pixels along the bones between the confident keypoints, and all that hangs together
     with them not too far from the bones.
@@ -83,9 +83,6 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
         groups: Group ids, shape (H, W), uint8.
         keypoints: The person's.
         others: Other people's keypoints, if known: pixels nearer to their bones are theirs.
-
-    Returns:
-        Group ids of shape (H, W), uint8.
 
     Raises:
         InputError: If no labelled pixel lies along the person's bones.
@@ -130,12 +127,12 @@ def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float)
 
 
 def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
-    """Within ``reach`` of a line segment, lower distances to those to the segment, or set a mask.
+    """Within ``reach`` [px] of a line segment, lower distances to those to the segment, or set a mask.
 
     Args:
         image: Distances [px] or a mask, shape (H, W), float32 or bool; changed in place.
         segment: Its two ends, (x, y, x, y) [px].
-        reach: Greatest distance from the segment [px].
+        reach: Greatest distance.
     """
     x0, y0, x1, y1 = map(float, segment)
     rows, columns = image.shape
@@ -208,15 +205,12 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 
 
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
-    """Box around a person's labels and confident keypoints.
+    """Box in whole pixels around a person's labels and confident keypoints; may reach beyond the picture.
 
     Args:
         keypoints: The person's.
         groups: Group ids with only this person's in them (``select_person``), shape (H, W).
         margin: Added on each side, as a share of the longer side.
-
-    Returns:
-        (x0, y0, x1, y1) [px], whole pixels; may reach beyond the picture.
     """
     points = keypoints.points[keypoints.confident].astype(np.float64)
     rows, columns = np.nonzero((groups != BACKGROUND) & (groups != IGNORE))
@@ -231,16 +225,9 @@ def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1)
 
 
 def crop_nearest(image: np.ndarray, box: Box, size: tuple[int, int], *, fill: float = IGNORE) -> np.ndarray:
-    """Cut a box out of labels or maps and resample it, each pixel from the nearest one.
+    """Cut a box out of labels or maps (..., H, W) and resample it, each pixel from the nearest one: (..., *size).
 
-    Args:
-        image: Shape (..., H, W).
-        box: The part to cut out; may reach beyond the picture.
-        size: (H, W) of the result.
-        fill: Value of what lies beyond the picture: 255, ignore, for labels; 0 for probability maps.
-
-    Returns:
-        Shape (..., *size), the dtype of ``image``.
+    ``fill`` is the value of what lies beyond the picture: 255, ignore, for labels; 0 for probability maps.
     """
     x0, y0, x1, y1 = box
     rows = np.floor(y0 + (np.arange(size[0]) + 0.5) * ((y1 - y0) / size[0])).astype(np.int64)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -21,23 +21,14 @@ from ..render.renderers import Renderer, RendererEllipsoids
 _MILLIMETRES = 1000.0
 
 
-@dataclass(frozen=True)
-class Term:
-    """Term of the energy: the row of ``Weights`` beside its weight.
+class Term(NamedTuple):
+    """Term of the energy: the row of ``Weights`` beside its weight."""
 
-    Attributes:
-        name: Its name in ``Weights`` and in the energy's result.
-        column: Its column in the kernels (``kernels.refine``).
-        value: Function of the energy, the parameters and the posed bodies: values before the weight, shape (B,).
-        applies: Test if an energy has the term.
-        factor: Factor of the weight that brings ``value`` and the kernel to the term's unit.
-    """
-
-    name: str
-    column: int
-    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]
+    name: str  # in ``Weights`` and in the energy's result
+    column: int  # in the kernels (``kernels.refine``)
+    value: Callable[[Energy, BodyParameters, Posed], torch.Tensor]  # before the weight, shape (B,)
     applies: Callable[[Energy], bool]
-    factor: Callable[[Energy], float]
+    factor: Callable[[Energy], float]  # of the weight; brings ``value`` and the kernel to the term's unit
 
 
 def _term(
