@@ -40,7 +40,7 @@ _MIDDLE_BONES: dict[str, str] = {
     "head": "head",
 }
 # Joints that are heads of Anny bones; {} is the side.
-_JOINT_BONES: dict[str, str] = {
+JOINT_BONES: dict[str, str] = {
     "{}_hip": "upperleg01.{}",
     "{}_knee": "lowerleg01.{}",
     "{}_ankle": "foot.{}",
@@ -93,7 +93,7 @@ class Person:
         """EllipBody's joints [m] that are Anny bones: hips, knees, ankles, shoulders, elbows, wrists."""
         return {
             joint.format(side): self.bones[bone.format(side[0].upper())]
-            for joint, bone in _JOINT_BONES.items()
+            for joint, bone in JOINT_BONES.items()
             for side in ("left", "right")
         }
 

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from anny.shape_distribution import SimpleShapeDistribution
-from anny_person import Person, PersonFactory, body_from_anny
+from anny_person import JOINT_BONES, Person, PersonFactory, body_from_anny
 from measure_mean_body import TORSO, measure_joints, rest_pose
 
 from warp_partdr.body.ellipbody import EllipBody
@@ -62,12 +62,7 @@ BONE_LANDMARKS: dict[str, tuple[str, ...]] = {
     "mid_hip": ("upperleg01.L", "upperleg01.R"),
     "neck": ("upperarm01.L", "upperarm01.R"),
     "head": ("neck03",),
-    "{}_shoulder": ("upperarm01.{}",),
-    "{}_elbow": ("lowerarm01.{}",),
-    "{}_wrist": ("wrist.{}",),
-    "{}_hip": ("upperleg01.{}",),
-    "{}_knee": ("lowerleg01.{}",),
-    "{}_ankle": ("foot.{}",),
+    **{joint: (bone,) for joint, bone in JOINT_BONES.items()},
     "{}_thumb": ("finger1-3.{}",),
     "{}_index": ("finger2-1.{}",),
     "{}_pinky": ("finger5-1.{}",),

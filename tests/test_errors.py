@@ -30,7 +30,6 @@ from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import ellipbody_mesh
-from warp_partdr.results.ellipbody_files import ellipbody_scene
 from warp_partdr.results.save import save_fit
 
 PEOPLE = parse_keypoints([[[10.0 + k, 20.0 + 2 * k] for k in range(17)]] * 2)
@@ -121,7 +120,6 @@ ARGUMENTS = {
     "subdivisions of a mesh": ellipbody_mesh,
     "subdivisions of vertices": BODY.posed().vertices,
     "index": lambda value: EllipBody.mean(2, device="cpu").measure(value),
-    "index of a scene": lambda value: ellipbody_scene(BodyParameters.mean(2).posed(), index=value),
     "batch_size": BodyParameters.mean,
     "batch_size of EllipBody": lambda value: EllipBody.mean(value, device="cpu"),
     "bodies": lambda value: Stage("some", value, 1, 0.1),

@@ -25,7 +25,6 @@ from ..metrics import mpjpe, pa_mpjpe
 from ..refinement.stepper import Refined
 from ..render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from ..render.mesh import mesh_label_loss
-from ..render.options import Gradient
 from ..render.part_mesh import ellipbody_mesh
 from .figures import (
     DPI,
@@ -63,8 +62,6 @@ def overlay(
     *,
     camera: WeakPerspective | None = None,
     keypoints: Keypoints2D | None = None,
-    opacity: float = 0.7,
-    legend: bool = True,
 ) -> Figure:
     """A body over the photo it was fitted to.
 
@@ -73,31 +70,25 @@ def overlay(
         photo: Shape (H, W, 3), uint8.
         camera: In pixels of the photo; a fit brings its own.
         keypoints: Drawn over it, where they are confident.
-        opacity: Of the body, 0 to 1.
-        legend: Whether to name the parts that show.
 
     Raises:
-        ValueError: If ``photo`` is no RGB picture, ``opacity`` is out of range, or ``camera`` is missing or not weak.
+        ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing or not weak.
     """
     from PIL import Image as PilImage
 
     photo = np.asarray(photo)
     if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or not photo.size:
         raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3)")
-    if not 0 <= opacity <= 1:
-        raise ValueError(f"opacity: {opacity}; expected 0 to 1")
     size = photo.shape[0], photo.shape[1]
     posed, seen = first_body(body), first_camera(body, camera)
     if not isinstance(seen, WeakPerspective):
         raise ValueError(f"camera: {type(seen).__name__}; expected WeakPerspective, as Perspective.to_weak gives it")
-    picture = PilImage.fromarray(blend(photo, shade_body(posed, seen, size), opacity))
+    picture = PilImage.fromarray(blend(photo, shade_body(posed, seen, size), 0.7))
     if keypoints is not None:
         draw_keypoints(picture, keypoints)
-    figure = empty_figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 6.0 + 1.1 * legend)
+    figure = empty_figure(6.0 * min(size[1] / size[0], 2.0) + 0.6, 7.1)
     show_picture(figure.subplots(), np.asarray(picture))
-    if legend:
-        parts = label_set(PARTS)
-        add_legend(figure, part_patches(parts, draw_ellipsoids(posed, seen, size).labels))
+    add_legend(figure, part_patches(label_set(PARTS), draw_ellipsoids(posed, seen, size).labels))
     return figure
 
 
@@ -144,7 +135,6 @@ def gradient_field(
     label_set: LabelSet | str | None = None,
     renderer: Literal["exact", "mesh"] = "exact",
     subdivisions: int = 1,
-    gradient: Gradient = "partdr",
 ) -> Figure:
     """Pull of part labels on a body: arrows against the gradient in x and y, their colour against it in z.
 
@@ -158,7 +148,6 @@ def gradient_field(
         label_set: What the group ids mean; the 20 parts by default.
         renderer: "exact" ellipsoids, or their "mesh".
         subdivisions: Level of the mesh, 0 to 3.
-        gradient: Of the exact renderer, as in ``ellipsoid_label_loss``; the mesh has PartDR's.
 
     Raises:
         ValueError: If ``target`` is no label image of the set, ``renderer`` is unknown or ``camera`` is missing.
@@ -175,7 +164,7 @@ def gradient_field(
         points = posed.centres.clone().requires_grad_()
         moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
         part_labels = groups.part_groups[1:].tolist()
-        loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient=gradient)
+        loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient="partdr")
     else:
         points = posed.vertices(subdivisions).requires_grad_()
         mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
@@ -257,13 +246,12 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
     return figure
 
 
-def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), tilt: float = 0, size: int = 320) -> Figure:
+def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), size: int = 320) -> Figure:
     """A body from all sides.
 
     Args:
         body: A fit, parameters or a posed body.
         turns: About the vertical [degrees]; 0 is the camera's view.
-        tilt: About the horizontal [degrees].
         size: Of a view [px].
 
     Raises:
@@ -272,7 +260,7 @@ def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), tilt: f
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
     size = check_whole("size", size, 16, 4096)
-    views = np.stack(turntable_views(first_body(body), tuple((float(turn), float(tilt)) for turn in turns), size))
+    views = np.stack(turntable_views(first_body(body), tuple((float(turn), 0.0) for turn in turns), size))
     rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
     views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
     figure = empty_figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)
