@@ -186,16 +186,15 @@ def test_pve_by_hand(device):
 def test_bad_points_are_named(metric, device):
     good, bad = torch.zeros(2, 14, 3, device=device), torch.zeros(2, 14, 3, device=device)
     bad[1, 3, 2] = torch.nan
-    with pytest.raises(ValueError, match="points: holds NaN"):
-        metric(bad, good)
-    with pytest.raises(ValueError, match="target: holds NaN"):
-        metric(good, bad)
-    with pytest.raises(ValueError, match=r"points: shape \(2, 13, 3\); expected .* \(2, 14, 3\)"):
-        metric(good[:, 1:], good)
-    with pytest.raises(ValueError, match=r"points: shape \(2, 14, 2\)"):
-        metric(good[..., :2], good[..., :2])
-    with pytest.raises(ValueError, match=r"valid: shape \(14,\); expected \(2, 14\)"):
-        metric(good, good, valid=torch.ones(14, dtype=torch.bool))
+    for points, target, options, error in (
+        (bad, good, {}, "points: holds NaN"),
+        (good, bad, {}, "target: holds NaN"),
+        (good[:, 1:], good, {}, r"points: shape \(2, 13, 3\); expected .* \(2, 14, 3\)"),
+        (good[..., :2], good[..., :2], {}, r"points: shape \(2, 14, 2\)"),
+        (good, good, {"valid": torch.ones(14, dtype=torch.bool)}, r"valid: shape \(14,\); expected \(2, 14\)"),
+    ):
+        with pytest.raises(ValueError, match=error):
+            metric(points, target, **options)
     with pytest.raises(ValueError, match=r"valid: not all of joints \[2, 3\]"):
         metrics.mpjpe(good, good, centre_on=(2, 3), valid=torch.arange(14).expand(2, 14) != 3)
 

@@ -38,19 +38,19 @@ def test_packed_poses_keep_clips_apart(shared: Path, tmp_path: Path, monkeypatch
 
 
 def test_files_that_hold_no_poses_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "poses.npz"
-    path.write_bytes(b"nothing of the sort")
-    with pytest.raises(InputError, match=r"poses\.npz"):
-        PoseBank.read(path)
-    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((3, 3)), held_out=np.zeros(2, dtype=bool))
-    with pytest.raises(InputError, match="ups"):
-        PoseBank.read(path)
-    np.savez(path, rotations=np.zeros((2, 20, 3)), ups=np.ones((2, 3)), held_out=np.zeros(2, dtype=bool))
-    assert len(PoseBank.read(path).ups) == 2
-    with pytest.raises(InputError, match="held out"):
-        PoseBank.read(path, held_out=True)
-    with pytest.raises(InputError, match=r"none\.npz: No such file"):
-        PoseBank.read(tmp_path / "none.npz")
+    (tmp_path / "bad.npz").write_bytes(b"nothing of the sort")
+    for name, count in (("odd", 3), ("good", 2)):
+        arrays = {"rotations": np.zeros((2, 20, 3)), "ups": np.ones((count, 3)), "held_out": np.zeros(2, dtype=bool)}
+        np.savez(tmp_path / f"{name}.npz", **arrays)
+    assert len(PoseBank.read(tmp_path / "good.npz").ups) == 2
+    for name, error in (
+        ("bad", r"bad\.npz"),
+        ("odd", "ups"),
+        ("good", "held out"),
+        ("none", r"none\.npz: No such file"),
+    ):
+        with pytest.raises(InputError, match=error):
+            PoseBank.read(tmp_path / f"{name}.npz", held_out=True)
 
 
 def test_poses_keep_to_the_limits_and_pass_through_nothing(device: str) -> None:
