@@ -25,7 +25,7 @@ from warp_partdr.network.checkpoint import load_label_network, save_label_networ
 from warp_partdr.network.label_network import LabelNetworkConfig
 from warp_partdr.results.body_file import load_body
 from warp_partdr.synthetic.pose_sampler import PoseBank
-from warp_partdr.training.config_files import read_config
+from warp_partdr.training.config import read_config
 
 DEEP = "[" * 100_000
 READERS: dict[str, Callable[[Path], Any]] = {

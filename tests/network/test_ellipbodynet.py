@@ -24,7 +24,7 @@ from warp_partdr.network.predicted import Predicted
 from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
-from warp_partdr.training.config_files import make_config, read_config
+from warp_partdr.training.config import make_config, read_config
 from warp_partdr.training.loop import run_training
 from warp_partdr.training.picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, seg_term

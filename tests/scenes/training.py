@@ -10,8 +10,7 @@ from typing import Any
 import torch
 from PIL import Image
 
-from warp_partdr.training.config import TrainingConfig
-from warp_partdr.training.config_files import make_config
+from warp_partdr.training.config import TrainingConfig, make_config
 
 TASK = "scenes.training:TinyTask"
 

@@ -16,8 +16,7 @@ from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import Predicted
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.synthetic.training_people import PeopleBatch
-from warp_partdr.training.config import Phase, TrainingConfig
-from warp_partdr.training.config_files import make_config
+from warp_partdr.training.config import Phase, TrainingConfig, make_config
 from warp_partdr.training.label_task import LabelTask, body_losses
 
 SIZE = 64

@@ -51,7 +51,7 @@ def train_network(
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
-    from ..training.config_files import read_config
+    from ..training.config import read_config
 
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(f"--device: {device}; expected auto, cpu or cuda (CUDA_VISIBLE_DEVICES chooses the GPU)")

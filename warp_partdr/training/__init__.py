@@ -1,6 +1,6 @@
 """Training of the networks.
 
-The loop (``loop``, with ``config``, ``ema``, ``checkpoints``, ``guards``, ``logs``) knows its ``task`` by an interface
+The loop (``loop``, with ``config``, ``checkpoints``, ``guards``, ``logs``) knows its ``task`` by an interface
 alone. There are two:
 
 * ``label_task``: the label network, on people made on the fly (``synthetic.training_people``).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -21,26 +21,23 @@ _LAG = 4  # steps that the device may be behind when a loss is looked at
 
 
 @contextmanager
-def signals(tell: Callable[[int], None]) -> Iterator[None]:
-    """Report SIGTERM and SIGINT instead of being ended by them, so that a step is finished; a second SIGINT does end.
+def signals() -> Iterator[list[int]]:
+    """Collect SIGTERM and SIGINT instead of being ended by them, so that a step is finished; a second SIGINT ends."""
+    told: list[int] = []
+    before: dict[int, Any] = {}
 
-    Args:
-        tell: Called with the signal.
-    """
-
-    def told(number: int, frame: FrameType | None) -> None:
-        tell(number)
+    def tell(number: int, frame: FrameType | None) -> None:
+        told.append(number)
         if number == signal.SIGINT:  # launchers send SIGTERM more than once
             signal.signal(number, before[number])
 
-    before: dict[int, Any] = {}
     try:
         for number in (signal.SIGTERM, signal.SIGINT):
-            before[number] = signal.signal(number, told)
+            before[number] = signal.signal(number, tell)
     except ValueError:
         pass  # not the main thread: whoever runs it handles signals
     try:
-        yield
+        yield told
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

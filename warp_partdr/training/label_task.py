@@ -27,13 +27,12 @@ from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
 from ..synthetic.training_people import PeopleBatch, PeopleMaker
+from .config import TrainingConfig
 from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
 from .task import PACKAGED_NETWORK, Task
 
 if TYPE_CHECKING:
     from PIL import Image
-
-    from .config import TrainingConfig
 
 _VALIDATION_SEED = 7  # the same people in every run
 _BATCH = 256  # of validation

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch.optim.swa_utils import AveragedModel
 
 from ..errors import InputError, cause
 from ..interop.precision import matmul_precision
@@ -23,12 +24,11 @@ from .checkpoints import (
     optimizer_tensors,
     save_checkpoint,
 )
-from .config import Phase, TrainingConfig
-from .ema import RunningMean
+from .config import Phase, TrainingConfig, find_task
 from .guards import FiniteWatch, memory_errors, signals
 from .joint_norm import normalise_jointly
 from .logs import RunLog
-from .task import find_task
+from .task import Task
 
 MODEL_FILE = "model.safetensors"
 REPORT_FILE = "report.json"
@@ -113,14 +113,14 @@ class _Run:
         self.device: torch.device = accelerator.device
         self.processes, rank = accelerator.num_processes, accelerator.process_index
         task = find_task(config.task)
-        self.task = task(config, rank=rank, processes=self.processes, device=self.device)
+        self.task: Task = task(config, rank=rank, processes=self.processes, device=self.device)
         self.steps = _count_steps(config, self.task.epoch, self.processes)
         set_seed(config.seed)
         self.bare = self.task.model().to(self.device)
         if config.initial is not None and not found:
             self.bare.load_state_dict(self.task.read(config.initial))
         set_seed(config.seed, device_specific=True)
-        self.mean = RunningMean(self.bare, config.ema)
+        self.mean = running_mean(self.bare, config.ema)
         if self.processes > 1 and config.joint_normalisation:
             normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
@@ -140,11 +140,10 @@ class _Run:
         self.phase: Phase | None = None
         self.errors: dict[str, float] = {}
         self.validated = 0  # the step
-        self.told: int | None = None  # the signal that this process was sent
-        self.stopped: int | None = None  # the same, once all processes know of it
+        self.told: list[int] = []  # signals that this process was sent
+        self.stopped: int | None = None  # one of any process, once all know of it
         self.seconds = 0.0  # of earlier parts of the run
         self.aside = 0.0  # seconds of this part that went into validation and checkpoints
-        self.began = time.monotonic()
         suffix = f"-rank-{rank}" if self.processes > 1 else ""
         self.watch = FiniteWatch(config.out / f"nan-batch{suffix}.safetensors")
         said = self._resume(found[-1], rank) if found else []
@@ -158,7 +157,7 @@ class _Run:
 
     def go(self, half: bool) -> Trained:
         self.began = time.monotonic()
-        with signals(self._tell), self.log:
+        with signals() as self.told, self.log:
             self._agree()
             while self.step < self.steps and self.share < 1 and self.stopped is None:
                 self._train_step()
@@ -197,13 +196,10 @@ class _Run:
         """Samples of a step, of all processes."""
         return self.config.batch_size * self.config.accumulation * self.processes
 
-    def _tell(self, number: int) -> None:
-        self.told = number
-
     def _agree(self) -> None:
         """Let all processes know how much is over, and whether one of them was told to stop."""
         limit = self.config.minutes
-        told = [self.elapsed / (60 * limit) if limit else 0.0, self.told or 0]
+        told = [self.elapsed / (60 * limit) if limit else 0.0, max(self.told, default=0)]
         if self.processes > 1:
             told = self.accelerator.gather(torch.tensor([told], device=self.device)).amax(0).tolist()
         self.share = max(self.step / self.steps, told[0])
@@ -235,7 +231,7 @@ class _Run:
         self.optimizer.zero_grad()
         self.step += 1
         self.summed += 1
-        self.mean.update(self.bare, self.step)
+        self.mean.update_parameters(self.bare)
         self.share = max(self.step / self.steps, self.share)
         self.watch.see(self.step, [*totals, gradient], batches)
 
@@ -313,6 +309,7 @@ class _Run:
             raise InputError(f"{place}: {cause(error)}; expected a checkpoint of this network") from error
         for name in ("seconds", *_KEPT):
             setattr(self, name, checkpoint.about[name])
+        self.mean.n_averaged += self.step
         state = checkpoint.ranks[rank]
         torch.set_rng_state(state["torch"])
         if self.device.type == "cuda" and state["cuda"] is not None:
@@ -345,6 +342,26 @@ class _Run:
             **({"gpu_memory_gib": round(torch.cuda.max_memory_allocated() / 2**30, 2)} if on_cuda else {}),
             "config": self.config.to_json(),
         }
+
+
+def running_mean(model: torch.nn.Module, decay: float) -> AveragedModel:
+    """Exponential moving average of a network's weights and floating-point buffers, at first a copy of them.
+
+    Args:
+        model: The network that is trained, not yet wrapped.
+        decay: Share of the mean that stays at a step, at most; (1 + step) / (10 + step) in the first steps.
+    """
+
+    def average(means: Any, news: Any, _: Any) -> None:
+        step = int(mean.n_averaged)
+        if means[0].is_floating_point():
+            torch._foreach_lerp_(means, news, 1 - min(decay, (1 + step) / (10 + step)))
+        else:
+            torch._foreach_copy_(means, news)
+
+    mean = AveragedModel(model, multi_avg_fn=average, use_buffers=True).eval().requires_grad_(False)
+    mean.n_averaged += 1  # by itself it copies at the first step
+    return mean
 
 
 def _count_steps(config: TrainingConfig, epoch: int | None, processes: int) -> int:

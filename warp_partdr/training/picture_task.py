@@ -22,6 +22,7 @@ from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePred
 from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
+from .config import Phase, TrainingConfig
 from .picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
 from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
@@ -29,8 +30,6 @@ from .task import PACKAGED_NETWORK, Task
 
 if TYPE_CHECKING:
     from PIL import Image
-
-    from .config import Phase, TrainingConfig
 
 _BATCH = 64  # of validation
 _SHOWN = 8  # people on the contact sheet

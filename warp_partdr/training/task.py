@@ -1,23 +1,18 @@
-"""The interface between the training loop and its tasks, and the tasks by name."""
+"""The interface between the training loop and its tasks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import torch
 
-from ..errors import InputError
+from .config import Phase, TrainingConfig
 
 if TYPE_CHECKING:
     from PIL import Image
 
-    from .config import Phase, TrainingConfig
-
-# Name: module of this package and class in it.
-TASKS = {"label-network": ".label_task:LabelTask", "ellipbodynet": ".picture_task:PictureTask"}
 PACKAGED_NETWORK = "packaged"  # instead of a file to begin with
 
 
@@ -104,23 +99,3 @@ class Task(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from such a state."""
-
-
-def find_task(name: str) -> type[Task]:
-    """The class of a task.
-
-    Args:
-        name: One of ``TASKS``, or "module:Class" of one's own.
-
-    Raises:
-        InputError: If there is no such task.
-    """
-    module, _, attribute = TASKS.get(name, name).partition(":")
-    expected = f"expected {', '.join(TASKS)} or module:Class"
-    if not attribute:
-        raise InputError(f"task: {name}; {expected}")
-    try:
-        task: type[Task] = getattr(import_module(module, __package__), attribute)
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"task: {name}: {error}; {expected}") from error
-    return task
