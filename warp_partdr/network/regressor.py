@@ -18,7 +18,6 @@ from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotatio
 from ..body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES, template
 from .predicted import Predicted
 
-CAMERA = "camera"  # name of the head that a schedule may freeze
 _MAX_LOG_SIZE = 1.0  # sizes stay within e of the mean body's
 _MAX_LOG_SCALE = 2.0  # a person of 1.7 m fills a crop at about 0
 _HEADS: dict[str, int] = {
@@ -26,7 +25,7 @@ _HEADS: dict[str, int] = {
     "rotations": 6 * len(FREE_PARTS),
     "lengths": len(LENGTH_NAMES),
     "thicknesses": len(THICKNESS_NAMES),
-    CAMERA: 3,  # log_scale, shift
+    "camera": 3,  # log_scale, shift
 }
 
 
@@ -81,11 +80,8 @@ class Regressor(nn.Module):
         for iteration in range(self.iterations):
             hidden = self.first(torch.cat([features, estimate.to(features.dtype)], dim=1), iteration)
             for block in self.blocks:
-                assert isinstance(block, nn.ModuleList)
-                step = hidden
-                for layer in block:
-                    step = layer(step, iteration)
-                hidden = hidden + step
+                first, second = block.children()
+                hidden = hidden + second(first(hidden, iteration), iteration)
             correction = torch.cat([self.heads[name](hidden) for name in _HEADS], dim=1)
             estimate = estimate + correction.float()
         return _bodies(estimate)
@@ -116,13 +112,11 @@ def _mean_estimate() -> torch.Tensor:
 def _bodies(estimate: torch.Tensor) -> Predicted:
     orientation, turns, lengths, thicknesses, camera = estimate.split(list(_HEADS.values()), dim=1)
     free = rotation_from_6d(turns.unflatten(1, (-1, 6)))
-    # The locked hips come first.
-    locked = torch.eye(3, dtype=free.dtype, device=free.device).expand(len(free), NUM_PARTS - len(FREE_PARTS), 3, 3)
+    locked = torch.eye(3).to(free).expand(len(free), NUM_PARTS - len(FREE_PARTS), 3, 3)  # the hips, which come first
     constants = template()
 
     def sizes(logarithms: torch.Tensor, mean: object) -> torch.Tensor:
-        bounded = _MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)
-        return bounded.exp() * torch.as_tensor(mean, dtype=bounded.dtype, device=bounded.device)
+        return (_MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)).exp() * torch.as_tensor(mean).to(logarithms)
 
     return Predicted(
         orientation=rotation_from_6d(orientation),

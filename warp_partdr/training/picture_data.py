@@ -122,16 +122,7 @@ class Examples:
 def make_example(
     sample: Sample, size: int, augmentation: Augmentation | None = None, rng: np.random.Generator | None = None
 ) -> Examples:
-    """One person's crop.
-
-    Args:
-        sample: With a picture.
-        size: Side of the crop [px].
-        augmentation: What may change; None: nothing.
-        rng: Source of chance, needed with ``augmentation``.
-
-    Returns:
-        B = 1.
+    """One person's crop of ``size`` pixels a side, B = 1, changed by an augmentation that ``rng`` draws.
 
     Raises:
         InputError: If the picture is missing or can't be read, or nobody is to be seen in it.
@@ -238,18 +229,10 @@ def _collate(found: list[Examples | str]) -> tuple[Examples | None, list[str]]:
 
 
 class Feed:
-    """Batches without end, made by worker processes.
-
-    Args:
-        people: The same in all processes of a run.
-        batch_size: B.
-        workers: Processes that read; 0 reads here.
-        rank: Of this process,
-        processes: of so many.
-        consumed: How many samples this process has had before.
+    """Batches without end, made by so many ``workers``; 0 makes them here.
 
     Attributes:
-        consumed: How many it has had by now.
+        consumed: How many samples process ``rank`` of so many ``processes`` has had by now.
         skipped: What could not be read, and why.
     """
 
