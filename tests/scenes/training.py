@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
 from PIL import Image
+from safetensors.torch import load_file, save_file
 
-from warp_partdr.training.config import TrainingConfig, make_config
+from warp_partdr.training.config import TrainingConfig, find_task, make_config
+from warp_partdr.training.predicted_bodies import weighted_losses
+from warp_partdr.training.task import Task
 
 TASK = "scenes.training:TinyTask"
 
@@ -35,17 +39,16 @@ class TinyBatch:
     wanted: torch.Tensor
 
 
-class TinyTask:
+class TinyTask(Task):
     MODEL = TinyModel
     DATA = TinyData
-    WEIGHTS: Mapping[str, float] = {"fit": 1.0, "small": 1e-3}
+    WEIGHTS = MappingProxyType({"fit": 1.0, "small": 1e-3})
     epoch: int | None = 64
 
-    def __init__(self, config: Any, *, rank: int, processes: int, device: torch.device) -> None:
-        self.config, self.rank, self.processes = config, rank, processes
+    def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
+        super().__init__(config, rank=rank, processes=processes, device=device)
         self.generator = torch.Generator().manual_seed(config.seed + (0 if config.data.joint else 1000 * rank))
         self.made = 0
-        self.without: tuple[str, ...] = ()
 
     def model(self) -> torch.nn.Module:
         sizes = self.config.model
@@ -55,9 +58,6 @@ class TinyTask:
             torch.nn.Dropout(sizes.dropout),
             torch.nn.Linear(8, 1),
         )
-
-    def begin(self, phase: Any) -> None:
-        self.without = phase.without
 
     def batch(self, device: torch.device) -> TinyBatch:
         data = self.config.data
@@ -71,10 +71,8 @@ class TinyTask:
 
     def loss(self, model: torch.nn.Module, batch: TinyBatch) -> dict[str, torch.Tensor]:
         error = model(batch.inputs) - batch.wanted
-        weights = self.config.weights
-        terms = {"fit": weights["fit"] * error.square().mean(), "small": weights["small"] * error.abs().mean()}
-        terms = {name: term for name, term in terms.items() if name not in self.without}
-        return {**terms, "total": sum(terms.values(), torch.zeros(()))}
+        terms = {"fit": error.square().mean(), "small": error.abs().mean()}
+        return weighted_losses(terms, self.config.weights, self.left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         inputs = torch.linspace(-1, 1, 8 * self.config.model.inputs).reshape(8, -1).to(device)
@@ -85,13 +83,9 @@ class TinyTask:
         return Image.new("RGB", (4, 3))
 
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
-        from safetensors.torch import save_file
-
         save_file({name: value.half() if half else value for name, value in weights.items()}, path)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
-        from safetensors.torch import load_file
-
         return load_file(source)
 
     def skipped(self) -> Sequence[str]:
@@ -109,3 +103,9 @@ def tiny_config(out: Path, **values: Any) -> TrainingConfig:
     """A config of this task."""
     numbers = {"task": TASK, "steps": 6, "batch_size": 8, "learning_rate": 0.01, "log_every": 4, "validate_every": 2}
     return make_config({**numbers, "out": str(out), **values})
+
+
+def make_task(config: TrainingConfig, rank: int = 0, processes: int = 1) -> Task:
+    """The config's task on the CPU."""
+    task: Task = find_task(config.task)(config, rank=rank, processes=processes, device=torch.device("cpu"))
+    return task
