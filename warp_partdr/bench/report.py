@@ -50,12 +50,13 @@ def make_table(
         sections: Whether a space divides rows with different first cells.
     """
     from rich.box import SIMPLE_HEAD
+    from rich.markup import escape  # "[ms]" is a unit
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=escape(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
     used = [index for index in range(len(headings)) if any(row[index] for row in rows)]
     for index in used:
-        table.add_column(headings[index], justify="left" if index in left else "right", no_wrap=index in left)
+        table.add_column(escape(headings[index]), justify="left" if index in left else "right", no_wrap=index in left)
     for index, row in enumerate(rows):
         is_last = index + 1 == len(rows) or rows[index + 1][0] != row[0]
         table.add_row(*(row[column] for column in used), end_section=sections and is_last)

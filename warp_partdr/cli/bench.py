@@ -14,7 +14,7 @@ from ..interop.devices import choose_device
 from .options import DeviceOption, OutOption
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
+    from matplotlib.figure import Figure
     from rich.console import Console
 
 bench = typer.Typer(help="How fast this machine is, and what speed costs.", no_args_is_help=True)
@@ -119,7 +119,7 @@ def _begin(device: str, out: Path) -> str:
     return where
 
 
-def _save(out: Path, name: str, figures: dict[str, Any], chart: Image | None = None) -> list[Path]:
+def _save(out: Path, name: str, figures: dict[str, Any], chart: Figure | None = None) -> list[Path]:
     """Write bench-NAME.json, and bench-NAME.png where there is a chart; return them."""
     from ..bench.report import save_figures
 
@@ -128,7 +128,7 @@ def _save(out: Path, name: str, figures: dict[str, Any], chart: Image | None = N
     save_figures(figures, files[0])
     if chart is not None:
         files.append(path.with_suffix(".png"))
-        chart.save(files[1])
+        chart.savefig(files[1])
     return files
 
 

@@ -25,12 +25,27 @@ from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
 from .peers import OURS, PEERS, MeshView
-from .plan import GRADIENT, LABELS, MINIMISE, REFINEMENT, TORCH_ITSELF, TORCH_REFINEMENT, KernelPlan
-from .report import KERNELS, OTHERS, PEER_ROWS, STARTS, TARGETS, KernelReport, TimedRow
+from .plan import (
+    GRADIENT,
+    KERNELS,
+    LABELS,
+    OTHERS,
+    PEER_ROWS,
+    REFINEMENT,
+    STARTS,
+    TARGETS,
+    TORCH_GRADIENT,
+    TORCH_ITSELF,
+    TORCH_REFINEMENT,
+    KernelPlan,
+    Run,
+)
+from .report import KernelReport, TimedRow
 from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, refined_once
 from .start import time_starts
 
 _Rows = Callable[[], list[TimedRow]]
+_Jobs = Iterator[tuple[str, _Rows]]
 
 
 def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> KernelReport:
@@ -52,20 +67,18 @@ def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> KernelRep
     return report
 
 
-_Jobs = Iterator[tuple[str, _Rows]]
-
-
 def _render_jobs(plan: KernelPlan) -> _Jobs:
-    wanted = [(TARGETS, what, name, batch, plan.size) for what, name, batch in plan.targets]
-    wanted += [(OTHERS, *row) for row in plan.others]
-    for group, what, name, batch, size in wanted:
-        yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, what, name, batch, size)
+    for group, runs in ((TARGETS, plan.targets), (OTHERS, plan.others)):
+        for run in runs:
+            what, name, batch, size = run
+            yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, run)
 
 
-def _time(plan: KernelPlan, group: str, what: str, name: str, batch: int, size: int) -> list[TimedRow]:
+def _time(plan: KernelPlan, group: str, wanted: Run) -> list[TimedRow]:
     """One row, of a renderer or of the refinement."""
+    what, name, batch, size = wanted
     scene = BenchScene.random(batch, size, plan.device)
-    row = partial(TimedRow, group, what, name, batch, size)
+    row = partial(TimedRow, group, *wanted)
     if what in (LABELS, GRADIENT):
         run = _renderer(scene, name)
         run.check()
@@ -79,8 +92,9 @@ def _time(plan: KernelPlan, group: str, what: str, name: str, batch: int, size: 
         timing = time_calls(partial(captured.refine, scene.bodies), plan.device, plan.budget)
         moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
         return [row("call", timing, moved, count_bytes(launches))]
-    call = _torch_gradient(scene, name)
-    if what in (TORCH_REFINEMENT, MINIMISE):
+    if what == TORCH_GRADIENT:
+        call = _torch_gradient(scene, name)
+    else:
         refine_all = _refine_by_autograd if what == TORCH_REFINEMENT else partial(refine, iterations=NUM_ITERATIONS)
         call = partial(refine_all, scene.bodies, scene.energies(GRADIENTS[name])[0])
     timing = time_calls(call, plan.device, plan.budget)
@@ -98,28 +112,19 @@ def _renderer(scene: BenchScene, name: str) -> ExactRun | MeshRun:
 def _torch_gradient(scene: BenchScene, name: str) -> Callable[[], object]:
     """L_seg and its gradient through autograd: with respect to posed ellipsoids, or to projected vertices."""
     posed, camera, targets = scene.posed, scene.camera, scene.targets
-    if name in GRADIENTS:
-        leaf = posed.centres.detach().requires_grad_()
-        ellipsoids = Ellipsoids(leaf, posed.axes.detach(), posed.semi_axes.detach())
-
-        def exact() -> object:
-            gradient = GRADIENTS[name]
-            loss = ellipsoid_label_loss(ellipsoids, camera, targets, gradient=gradient, validate=False)[0]
-            return torch.autograd.grad(loss.sum(), leaf)
-
-        return exact
+    loss: Callable[[], torch.Tensor]
+    leaf = posed.centres.detach().requires_grad_()
     if name == TORCH_ITSELF:
-        leaf = posed.centres.detach().requires_grad_()
-        return lambda: torch.autograd.grad(_Nothing.apply(leaf).sum(), leaf)
-    level = LEVELS[name]
-    mesh = ellipbody_mesh(level, device=targets.device)
-    screen = ScreenCamera(perspective=False)
-    vertices = camera.project(posed.vertices(level)).detach().requires_grad_()
-
-    def triangles() -> object:
-        return torch.autograd.grad(mesh_label_loss(vertices, mesh, screen, targets, validate=False)[0].sum(), vertices)
-
-    return triangles
+        loss = partial(_Nothing.apply, leaf)
+    elif name in GRADIENTS:
+        ellipsoids = Ellipsoids(leaf, posed.axes.detach(), posed.semi_axes.detach())
+        draw = partial(ellipsoid_label_loss, gradient=GRADIENTS[name], validate=False)
+        loss = lambda: draw(ellipsoids, camera, targets)[0]  # noqa: E731
+    else:
+        mesh, screen = ellipbody_mesh(LEVELS[name], device=targets.device), ScreenCamera(perspective=False)
+        leaf = camera.project(posed.vertices(LEVELS[name])).detach().requires_grad_()
+        loss = lambda: mesh_label_loss(leaf, mesh, screen, targets, validate=False)[0]  # noqa: E731
+    return lambda: torch.autograd.grad(loss().sum(), leaf)
 
 
 class _Nothing(torch.autograd.Function):
@@ -137,7 +142,7 @@ class _Nothing(torch.autograd.Function):
 
 
 def _kernel_jobs(plan: KernelPlan) -> _Jobs:
-    for batch in plan.kernels:
+    for batch in plan.batches:
         for name, make in _KERNEL_RUNS.items():
             yield f"kernels, {name}, B = {batch}", partial(_time_kernels, plan, name, make, batch)
 
@@ -171,7 +176,7 @@ def _peer_jobs(plan: KernelPlan, report: KernelReport) -> _Jobs:
         if not peer.is_installed:
             report.remarks.append(f"{name}: not timed, {peer.package} is not installed")
             continue
-        for batch in plan.peers:
+        for batch in plan.batches:
             yield f"{name}, B = {batch}", partial(_time_peer, plan, report, name, batch)
 
 
@@ -180,17 +185,17 @@ def _time_peer(plan: KernelPlan, report: KernelReport, name: str, batch: int) ->
     points = scene.camera.project(scene.posed.vertices(LEVELS[MESH])).detach().contiguous()
     view = MeshView(points, mesh, scene.targets)
     leaf = points.clone().requires_grad_()
+
+    def time_call(what: str, call: Callable[[], object]) -> TimedRow:
+        timing, memory = time_calls(call, plan.device, plan.budget), peak_memory(call, plan.device)
+        return TimedRow(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
+
     try:
         adapter = PEERS[name].adapt(view)
         agreement = float((adapter.labels() == PEERS[OURS].adapt(view).labels()).float().mean())
-        calls: dict[str, Callable[[], object]] = {LABELS: adapter.labels}
+        rows = [time_call(LABELS, adapter.labels)]
         if hasattr(adapter, "loss"):
-            calls[GRADIENT] = lambda: torch.autograd.grad(adapter.loss(leaf), leaf)
-        rows = []
-        for what, call in calls.items():
-            timing, memory = time_calls(call, plan.device, plan.budget), peak_memory(call, plan.device)
-            row = TimedRow(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
-            rows.append(row)
+            rows.append(time_call(GRADIENT, lambda: torch.autograd.grad(adapter.loss(leaf), leaf)))
         return rows
     except Exception as error:  # whatever somebody else's package raises
         if name == OURS:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
+
+# Groups of rows in the order of the table.
+TARGETS = "The paper's targets"
+OTHERS = "Other renderers, batches and sizes"
+KERNELS = "Kernels, each in its place in a run"
+STARTS = "Starts"
+PEER_ROWS = "Peers: the same mesh, the same target"
+GROUPS = (TARGETS, OTHERS, KERNELS, STARTS, PEER_ROWS)
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
 MINIMISE = "50 iterations, one target, with set-up"
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
+
+Run = tuple[str, str, int, int]  # what, renderer, B, side of the picture [px]
 
 
 @dataclass(frozen=True)
@@ -18,21 +29,19 @@ class KernelPlan:
 
     Attributes:
         device: "cpu" or "cuda:0".
-        size: Side of the picture [px].
-        targets: Rows that stand first: (what, renderer, B).
-        others: More of them: (what, renderer, B, size).
-        kernels: Batches whose kernels are timed one by one.
-        peers: Batches that peers draw.
+        size: Side of the picture of kernels and peers [px].
+        targets: Runs that stand first.
+        others: More of them.
+        batches: Those whose kernels are timed one by one, and that peers draw.
         budget: For each row [s].
         start: Whether to time a cold and a warm start.
     """
 
     device: str
     size: int
-    targets: tuple[tuple[str, str, int], ...]
-    others: tuple[tuple[str, str, int, int], ...]
-    kernels: tuple[int, ...]
-    peers: tuple[int, ...]
+    targets: tuple[Run, ...]
+    others: tuple[Run, ...]
+    batches: tuple[int, ...]
     budget: float
     start: bool = True
 
@@ -47,26 +56,22 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         batches, middle = (1, 8, 128, 1024), 128
         exact, mesh, labels, refined = (1, 128, 1024), (128,), (128,), (1, 1024)
     targets = (
-        *((GRADIENT, EXACT, batch) for batch in exact),
-        *((GRADIENT, MESH, batch) for batch in mesh),
-        *((LABELS, name, batch) for name in (EXACT, MESH) for batch in labels),
-        *((REFINEMENT, EXACT, batch) for batch in refined),
-        *((TORCH_GRADIENT, name, 1) for name in (EXACT, MESH)),
+        *product([GRADIENT], [EXACT], exact, [size]),
+        *product([GRADIENT], [MESH], mesh, [size]),
+        *product([LABELS], [EXACT, MESH], labels, [size]),
+        *product([REFINEMENT], [EXACT], refined, [size]),
+        *product([TORCH_GRADIENT], [EXACT, MESH], [1], [size]),
     )
     if quick:
-        return KernelPlan(device, size, targets, (), (1,), (1,), 0.1, start=False)
-    grid = [
-        *((LABELS, name, batch, size) for name in (EXACT, *LEVELS) for batch in batches),
-        *((GRADIENT, name, batch, size) for name in (*GRADIENTS, *LEVELS) for batch in batches),
-    ]
-    sizes = [(what, name, middle, side) for name in (EXACT, MESH) for what in (LABELS, GRADIENT) for side in (128, 512)]
-    more = [
-        *((REFINEMENT, name, batch, size) for name in (COVERAGE, PARTDR) for batch in refined),
-        *((MINIMISE, EXACT, batch, size) for batch in refined),
-        *((TORCH_GRADIENT, name, 1, size) for name in (TORCH_ITSELF, COVERAGE, PARTDR)),
+        return KernelPlan(device, size, targets, (), (1,), 0.1, start=False)
+    others = (
+        *product([LABELS], [EXACT, *LEVELS], batches, [size]),
+        *product([GRADIENT], [*GRADIENTS, *LEVELS], batches, [size]),
+        *product([LABELS, GRADIENT], [EXACT, MESH], [middle], [128, 512]),
+        *product([REFINEMENT], [COVERAGE, PARTDR], refined, [size]),
+        *product([MINIMISE], [EXACT], refined, [size]),
+        *product([TORCH_GRADIENT], [TORCH_ITSELF, COVERAGE, PARTDR], [1], [size]),
         (TORCH_REFINEMENT, EXACT, 1, size),
-        *((TORCH_GRADIENT, name, middle, size) for name in (EXACT, COVERAGE, PARTDR, MESH)),
-    ]
-    first = {(what, name, batch, size) for what, name, batch in targets}
-    others = tuple(row for row in (*grid, *sizes, *more) if row not in first)
-    return KernelPlan(device, size, targets, others, (1, middle), (1, middle), 0.4)
+        *product([TORCH_GRADIENT], [EXACT, COVERAGE, PARTDR, MESH], [middle], [size]),
+    )
+    return KernelPlan(device, size, targets, tuple(row for row in others if row not in targets), (1, middle), 0.4)

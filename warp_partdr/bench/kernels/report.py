@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from ..machine import in_words
 from ..report import format_time, make_table, print_tables
 from ..timing import Timing
+from .plan import GROUPS
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-# Groups of rows in the order of the table.
-TARGETS = "The paper's targets"
-OTHERS = "Other renderers, batches and sizes"
-KERNELS = "Kernels, each in its place in a run"
-STARTS = "Starts"
-PEER_ROWS = "Peers: the same mesh, the same target"
-GROUPS = (TARGETS, OTHERS, KERNELS, STARTS, PEER_ROWS)
 
 NOTES = (
     "The spread is the interquartile range. graph: one replay of a captured graph, on the device's clock; call: from "
@@ -60,21 +54,27 @@ class TimedRow:
     memory: int | None = None
     agreement: float | None = None
 
-    @property
-    def fastest(self) -> float | None:
-        """The least disturbed run [s]; differences have none."""
-        return None if self.how == "kernel" else self.timing.fastest
-
-    @property
-    def images_per_second(self) -> float | None:
-        """Bodies a second."""
-        return self.batch / self.timing.median if self.batch and self.timing.median > 0 else None
-
-    def bandwidth_share(self, copy_bandwidth: float) -> float | None:
-        """Bytes moved a second, as a share of ``copy_bandwidth`` [B/s]."""
-        if self.moved is None or self.timing.median <= 0:
-            return None
-        return self.moved / self.timing.median / copy_bandwidth
+    def as_dict(self, copy_bandwidth: float) -> dict[str, Any]:
+        """For JSON: seconds, bytes, and shares; ``copy_bandwidth`` in B/s."""
+        median = self.timing.median
+        rate = 1 / median if median > 0 else None  # differences may be lost in noise
+        return {
+            "group": self.group,
+            "name": self.name,
+            "renderer": self.renderer,
+            "batch": self.batch,
+            "size_px": self.size,
+            "how": self.how,
+            "median_s": median,
+            "spread_s": self.timing.spread,
+            "fastest_s": None if self.how == "kernel" else self.timing.fastest,
+            "repeats": len(self.timing.seconds),
+            "images_per_second": self.batch * rate if self.batch and rate else None,
+            "moved_bytes": self.moved,
+            "share_of_copy_bandwidth": self.moved * rate / copy_bandwidth if self.moved is not None and rate else None,
+            "memory_bytes": self.memory,
+            "label_agreement": self.agreement,
+        }
 
 
 @dataclass
@@ -95,87 +95,57 @@ class KernelReport:
     rows: list[TimedRow] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def find(self, name: str, renderer: str, batch: int, size: int) -> TimedRow | None:
-        """The row of a run, if there is one; kernels and peers aside."""
-        wanted = (name, renderer, batch, size)
-        for row in self.rows:
-            if row.group in (TARGETS, OTHERS) and (row.name, row.renderer, row.batch, row.size) == wanted:
-                return row
-        return None
-
     def as_dict(self) -> dict[str, Any]:
         """For JSON: seconds, bytes and shares, unrounded."""
         return {
             "device": self.device,
             "machine": self.machine,
             "copy_bandwidth_bytes_per_second": self.copy_bandwidth,
-            "rows": [self._row_as_dict(row) for row in self.rows],
+            "rows": [row.as_dict(self.copy_bandwidth) for row in self.rows],
             "remarks": self.remarks,
             "notes": list(NOTES),
         }
 
-    def _row_as_dict(self, row: TimedRow) -> dict[str, Any]:
-        return {
-            "group": row.group,
-            "name": row.name,
-            "renderer": row.renderer,
-            "batch": row.batch,
-            "size_px": row.size,
-            "how": row.how,
-            "median_s": row.timing.median,
-            "spread_s": row.timing.spread,
-            "fastest_s": row.fastest,
-            "repeats": len(row.timing.seconds),
-            "images_per_second": row.images_per_second,
-            "moved_bytes": row.moved,
-            "share_of_copy_bandwidth": row.bandwidth_share(self.copy_bandwidth),
-            "memory_bytes": row.memory,
-            "label_agreement": row.agreement,
-        }
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-_HEADINGS = (
-    *("", "renderer", "B", "px", "", "median", "spread", "fastest"),
-    *("images/s", "moved [MB]", "of a copy", "memory [MB]", "agrees"),
+def _megabytes(value: float) -> str:
+    return _number(1e-6 * value)
+
+
+_COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (  # heading, name in the JSON, format
+    ("", "name", str),
+    ("renderer", "renderer", str),
+    ("B", "batch", lambda batch: str(batch or "")),
+    ("px", "size_px", lambda size: str(size or "")),
+    ("", "how", str),
+    ("median", "median_s", format_time),
+    ("spread", "spread_s", format_time),
+    ("fastest", "fastest_s", format_time),
+    ("images/s", "images_per_second", _number),
+    ("moved [MB]", "moved_bytes", _megabytes),
+    ("of a copy", "share_of_copy_bandwidth", lambda share: f"{100 * share:.0f} %"),
+    ("memory [MB]", "memory_bytes", _megabytes),
+    ("agrees", "label_agreement", lambda share: f"{100 * share:.3f} %"),
 )
 _WORDS = (0, 1, 4)  # columns
+_OF_SEVERAL = ("spread_s", "fastest_s")  # empty where there is one run
 
 
 def print_kernels(report: KernelReport, console: Console) -> None:
     """A table for each group of rows."""
     copies = f"A copy within the device reads and writes {report.copy_bandwidth / 1e9:.4g} GB/s"
-    tables = []
-    for group in GROUPS:
-        cells = [_cells(row, report.copy_bandwidth) for row in report.rows if row.group == group]
-        tables.append(make_table(group, _HEADINGS, cells, left=_WORDS))
+    rows = [row.as_dict(report.copy_bandwidth) for row in report.rows]
+    headings = [heading for heading, _, _ in _COLUMNS]
+    tables = [
+        make_table(group, headings, [_cells(row) for row in rows if row["group"] == group], left=_WORDS)
+        for group in GROUPS
+    ]
     print_tables([in_words(report.machine), copies], tables, report.remarks, NOTES, console)
 
 
-def _cells(row: TimedRow, copy_bandwidth: float) -> list[str]:
-    several = len(row.timing.seconds) > 1
-    return [
-        row.name,
-        row.renderer,
-        str(row.batch or ""),
-        str(row.size or ""),
-        row.how,
-        format_time(row.timing.median),
-        format_time(row.timing.spread) if several else "",
-        format_time(row.fastest) if row.fastest is not None and several else "",
-        _number(row.images_per_second),
-        _number(row.moved, 1e-6),
-        _percent(row.bandwidth_share(copy_bandwidth), 0),
-        _number(row.memory, 1e-6),
-        _percent(row.agreement, 3),
-    ]
-
-
-def _number(value: float | None, scale: float = 1.0) -> str:
-    if value is None:
-        return ""
-    value *= scale
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def _percent(share: float | None, digits: int) -> str:
-    return "" if share is None else f"{100 * share:.{digits}f} %"
+def _cells(row: dict[str, Any]) -> list[str]:
+    hidden = _OF_SEVERAL if row["repeats"] == 1 else ()
+    return ["" if row[key] is None or key in hidden else form(row[key]) for _, key, form in _COLUMNS]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import torch
 import warp as wp
@@ -15,19 +14,19 @@ import warp as wp
 from ...body.ellipbody import bone_tree
 from ...cameras import ScreenCamera
 from ...interop.arrays import contiguous, warp_array
+from ...interop.loss_graph import Buffers
 from ...kernels import kinematics
 from ...kernels.ellipsoids.picture import launch_draw
 from ...kernels.ellipsoids.silhouette import Seen, launch_see
 from ...kernels.labels import LabelTarget
-from ...kernels.mesh import push_xy, push_z, rasterize
-from ...kernels.mesh.triangles import ImageArrays, MeshArrays
 from ...kernels.refine.state import EllipsoidArrays
-from ...kernels.side_stream import launch_side_by_side
 from ...refinement.captured import CapturedRefinement
 from ...refinement.stepper import LEARNING_RATE
 from ...render.captured import CapturedEllipsoids
+from ...render.ellipsoid_passes import arrays_of
 from ...render.ellipsoids import ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss
+from ...render.mesh_passes import MeshOptions, mesh_recipe, prepare_raster
 from ...render.options import DEFAULT_DEPTH_WEIGHT, Gradient
 from ...render.part_mesh import ellipbody_mesh
 from ...render.renderers import RendererEllipsoids
@@ -42,39 +41,30 @@ class ExactRun:
     """The exact renderer."""
 
     def __init__(self, scene: BenchScene, gradient: Gradient) -> None:
-        posed, batch = scene.posed, scene.batch_size
+        posed, shape = scene.posed, scene.targets.shape
         self._scene, self._gradient = scene, gradient
+        tensors = (posed.centres, posed.axes, posed.semi_axes, scene.camera.intrinsics)
+        self._ellipsoids = arrays_of([contiguous(tensor) for tensor in tensors])
         ellipsoids = EllipsoidArrays()
-        ellipsoids.centres = warp_array(contiguous(posed.centres), wp.vec3)
-        ellipsoids.axes = warp_array(contiguous(posed.axes), wp.mat33)
-        ellipsoids.semi_axes = warp_array(contiguous(posed.semi_axes), wp.vec3)
-        ellipsoids.camera = warp_array(contiguous(scene.camera.intrinsics), wp.vec4)
-        self._ellipsoids = [ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera]
-        where = ellipsoids.centres.device
-        self._part_labels = wp.array(LABELS.part_groups[1:], dtype=wp.uint8, device=where)
-        self._seen = Seen.empty(batch, posed.centres.shape[1], where)
-        self._labels = wp.full((batch, scene.size, scene.size), _POISON, dtype=wp.uint8, device=where)
-        self._nearest = wp.empty(self._labels.shape if where.is_cpu else (0, 0, 0), dtype=float, device=where)
-        self._no_labels = wp.empty((0, 0, 0), dtype=wp.uint8, device=where)
-        self._no_depth = wp.empty((0, 0, 0), dtype=float, device=where)
-        self._no_losses = wp.empty((0, 0), dtype=float, device=where)
-        labels = LABELS.part_groups[1:].tolist()
+        ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera = self._ellipsoids
+        where, labels = ellipsoids.centres.device, LABELS.part_groups[1:].tolist()
         self._picture = CapturedEllipsoids(RendererEllipsoids(gradient), labels, scene.targets, ellipsoids)
         self._picture.update()
+        self._part_labels = wp.array(labels, dtype=wp.uint8, device=where)
+        self._seen = Seen.empty(scene.batch_size, len(labels), where)
+        self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
+        self._images = {
+            "nearest": wp.empty(shape if where.is_cpu else (0, 0, 0), dtype=float, device=where),
+            "parts": self._labels,
+            "labels": wp.empty((0, 0, 0), dtype=wp.uint8, device=where),
+            "depth": wp.empty((0, 0, 0), dtype=float, device=where),
+            "losses": wp.empty((0, 0), dtype=float, device=where),
+        }
 
     def labels(self) -> None:
         """The hard label image alone: of the 20 parts, so the index of the nearest is its label."""
         launch_see(self._ellipsoids, self._part_labels, near=-math.inf, perspective=False, seen=self._seen)
-        launch_draw(
-            self._seen.silhouettes,
-            perspective=False,
-            target=LabelTarget(),
-            nearest=self._nearest,
-            parts=self._labels,
-            labels=self._no_labels,
-            depth=self._no_depth,
-            losses=self._no_losses,
-        )
+        launch_draw(self._seen.silhouettes, perspective=False, target=LabelTarget(), **self._images)
 
     def gradient(self) -> None:
         """Project, render, L_seg and its gradient, as forces on the ellipsoids."""
@@ -86,84 +76,44 @@ class ExactRun:
         Raises:
             AssertionError: If they differ.
         """
+        scene, drawn = self._scene, self._picture.drawn
         wp.synchronize_device(self._labels.device)  # torch, which made the inputs, has streams of its own
-        self._picture.drawn.loss.fill_(math.nan)
-        self._picture.drawn.forces.values.fill_(math.nan)
+        drawn.loss.fill_(math.nan)
+        drawn.forces.values.fill_(math.nan)
         self.labels()
         self.gradient()
-        centres = self._scene.posed.centres.detach().requires_grad_()
-        moved = replace(self._scene.posed, centres=centres)
-        loss, image = ellipsoid_label_loss(
-            moved, self._scene.camera, self._scene.targets, gradient=self._gradient, validate=False
-        )
+        centres = scene.posed.centres.detach().requires_grad_()
+        moved = replace(scene.posed, centres=centres)
+        loss, image = ellipsoid_label_loss(moved, scene.camera, scene.targets, gradient=self._gradient, validate=False)
         (want,) = torch.autograd.grad(loss.sum(), centres)
         wp.synchronize_device(self._labels.device)
         torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
-        torch.testing.assert_close(wp.to_torch(self._picture.drawn.loss).sum(1), loss.detach())
-        scale = float(want.abs().max())
-        have = wp.to_torch(self._picture.drawn.forces.values).sum(2)[..., :3]
-        torch.testing.assert_close(have, want, rtol=1e-3, atol=1e-4 * scale)
+        torch.testing.assert_close(wp.to_torch(drawn.loss).sum(1), loss.detach())
+        _assert_near(wp.to_torch(drawn.forces.values).sum(2)[..., :3], want)
 
 
 class MeshRun:
-    """The mesh renderer, from projected vertices."""
+    """The mesh renderer, from projected vertices.
+
+    Attributes:
+        labels: Draws the hard label image alone.
+        gradient: Renders, and takes L_seg and its gradient.
+    """
 
     def __init__(self, scene: BenchScene, subdivisions: int) -> None:
-        self._scene = scene
-        self._mesh = mesh = ellipbody_mesh(subdivisions, device=scene.targets.device)
+        self._scene, device = scene, scene.targets.device
+        self._mesh = mesh = ellipbody_mesh(subdivisions, device=device)
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
-        shape = (scene.batch_size, scene.size, scene.size)
-        self._arrays = arrays = MeshArrays()
-        arrays.vertices, arrays.faces = warp_array(contiguous(self._points), wp.vec3), warp_array(mesh.faces, wp.vec3i)
-        arrays.face_labels, arrays.edges = warp_array(mesh.face_labels), warp_array(mesh.edges)
-        arrays.near, arrays.perspective = -math.inf, False
-        where = arrays.vertices.device
-        self._zbuffer = rasterize.ZBuffer.make(*shape, where)
-        self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
-        self._label_image, self._images = ImageArrays(), ImageArrays()
-        self._label_image.labels = self._images.labels = self._labels
-        self._images.depth = wp.full(shape, -9.0, dtype=wp.float32, device=where)
-        self._images.face_index = wp.full(shape, -9, dtype=wp.int32, device=where)
-        lanes = rasterize.pixel_lanes(shape, where.is_cpu)
-        self._losses = wp.full(lanes, math.nan, dtype=wp.float32, device=where)
-        self._found = push_xy.SilhouetteList.make(scene.batch_size, arrays.edges.shape[0], where)
-        self._hidden = push_z.HiddenPixels.make(self._zbuffer.keys)
-        self._grad = wp.full((*arrays.vertices.shape, 3), math.nan, dtype=wp.float32, device=where)
-        self._target = target = LabelTarget()
-        target.target = warp_array(contiguous(scene.targets))
-        target.scale = wp.ones(scene.batch_size, dtype=wp.float32, device=where)
-        extents = (scene.batch_size, rasterize.NUM_EXTENTS, mesh.num_labels + 1)
-        target.extents = wp.zeros(extents, dtype=wp.vec4i, device=where)
-
-    def labels(self) -> None:
-        """The hard label image alone."""
-        rasterize.launch_rasterize(self._arrays, self._label_image, zbuffer=self._zbuffer)
-
-    def gradient(self) -> None:
-        """Render, L_seg and its gradient."""
-        rasterize.launch_rasterize(self._arrays, self._images, zbuffer=self._zbuffer, background=False)
-        target = self._target
-        rasterize.launch_compare_labels(self._labels, target.target, extents=target.extents, losses=self._losses)
-        self._grad.zero_()
-        push_edges = partial(
-            push_xy.launch_push_edges,
-            self._arrays,
-            self._images,
-            max_distance=math.inf,
-            gradient=target,
-            found=self._found,
-            grad_vertices=self._grad,
-        )
-        push_depths = partial(
-            push_z.launch_push_depths,
-            self._arrays,
-            self._images,
-            depth_weight=DEFAULT_DEPTH_WEIGHT,
-            gradient=target,
-            hidden=self._hidden,
-            grad_vertices=self._grad,
-        )
-        launch_side_by_side(push_edges, push_depths)
+        self._labels = torch.full_like(scene.targets, _POISON)
+        nothing = (torch.empty(0, 0, 0, dtype=kind, device=device) for kind in (torch.float32, torch.int32))
+        topology = mesh.faces, mesh.face_labels, mesh.edges
+        options = MeshOptions(-math.inf, False, math.inf, DEFAULT_DEPTH_WEIGHT)
+        self.labels, _ = prepare_raster((self._points, *topology), (self._labels, *nothing), options, background=False)
+        recipe = mesh_recipe(*topology, mesh.num_labels, options)
+        num_losses = recipe.num_losses(device, *scene.targets.shape)
+        self._losses = torch.full((scene.batch_size, num_losses), math.nan, device=device)
+        self._grad = torch.full_like(self._points, math.nan)
+        self.gradient = recipe.prepare(Buffers((self._points,), scene.targets, self._losses, (self._grad,)))
 
     def check(self) -> None:
         """Hold the runs against ``mesh_label_loss``.
@@ -171,20 +121,23 @@ class MeshRun:
         Raises:
             AssertionError: If they differ.
         """
-        wp.synchronize_device(self._labels.device)
+        device = wp.device_from_torch(self._labels.device)
+        wp.synchronize_device(device)
+        self.labels()
+        self.gradient()
         leaf = self._points.clone().requires_grad_()
         loss, image = mesh_label_loss(
             leaf, self._mesh, ScreenCamera(perspective=False), self._scene.targets, validate=False
         )
         (want,) = torch.autograd.grad(loss.sum(), leaf)
-        for run in (self.labels, self.gradient):
-            self._labels.fill_(_POISON)
-            run()
-            wp.synchronize_device(self._labels.device)
-            torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
-        torch.testing.assert_close(wp.to_torch(self._losses).sum((1, 2)), loss.detach())
-        scale = float(want.abs().max())
-        torch.testing.assert_close(wp.to_torch(self._grad), want, rtol=1e-3, atol=1e-4 * scale)
+        wp.synchronize_device(device)
+        torch.testing.assert_close(self._labels, image.labels, rtol=0, atol=0)
+        torch.testing.assert_close(self._losses.sum(1), loss.detach())
+        _assert_near(self._grad, want)
+
+
+def _assert_near(have: torch.Tensor, want: torch.Tensor) -> None:
+    torch.testing.assert_close(have, want, rtol=1e-3, atol=1e-4 * float(want.abs().max()))
 
 
 class KinematicsRun:

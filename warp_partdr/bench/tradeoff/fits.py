@@ -34,17 +34,17 @@ class Scores:
     Attributes:
         part_f1: Of 20 parts and background, of exact ellipsoids at 512 px.
         accuracy: Share of the picture's pixels with the right label.
-        joint_error: Mean distance of 14 joints after the best similarity [mm].
+        joint_error_mm: Mean distance of 14 joints after the best similarity.
     """
 
     part_f1: np.ndarray
     accuracy: np.ndarray
-    joint_error: np.ndarray
+    joint_error_mm: np.ndarray
 
 
 def score_bodies(bodies: BodyParameters, people: People) -> Scores:
     """Compare a body for each person with the truth."""
-    counts = confusion(draw_truth(bodies, _SCORED), _true_labels(people), NUM_PARTS + 1)
+    counts = _confusion(draw_truth(bodies, _SCORED), people)
     joints = LandmarkGather(JOINTS, bodies.shift.device)(bodies.posed())
     error = 1000 * pa_mpjpe(joints, people.joints)
     return Scores(part_f1(counts), accuracy(counts), error.cpu().numpy())
@@ -53,14 +53,18 @@ def score_bodies(bodies: BodyParameters, people: People) -> Scores:
 def own_part_f1(setting: Setting, bodies: BodyParameters, people: People) -> np.ndarray:
     """Part F1, shape (N,), of the bodies as the setting's renderer draws them."""
     size = _SCORED, _SCORED
-    one = (bodies.select(torch.tensor([index], device=bodies.shift.device)) for index in range(len(people)))
-    drawn = [setting.renderer.draw(body.posed(), body.camera(_SCORED), size).labels for body in one]
-    return part_f1(confusion(torch.cat(drawn), _true_labels(people), NUM_PARTS + 1))
+    drawn = [setting.renderer.draw(body.posed(), body.camera(_SCORED), size).labels for body in one_by_one(bodies)]
+    return part_f1(_confusion(torch.cat(drawn), people))
 
 
-def _true_labels(people: People) -> torch.Tensor:
-    """Labels at the centres of the compared pictures' pixels."""
-    return people.labels[:, 1::3, 1::3]
+def _confusion(drawn: torch.Tensor, people: People) -> np.ndarray:
+    """Pixels by label that is drawn and true one, at the centres of the compared pictures' pixels."""
+    return confusion(drawn, people.labels[:, 1::3, 1::3], NUM_PARTS + 1)
+
+
+def one_by_one(bodies: BodyParameters) -> list[BodyParameters]:
+    """Batches of one body each."""
+    return [bodies.select(index) for index in torch.arange(bodies.batch_size, device=bodies.shift.device).split(1)]
 
 
 def refine_all(
@@ -72,16 +76,16 @@ def refine_all(
         The bodies, and the seconds that an iteration took for one of them.
     """
     prior = PosePrior().to(start.shift.device)
+    run: Callable[..., object]
     if isinstance(setting.renderer, RendererMesh):
         # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
         energy = setting.energy(people.observation(), prior, weights)
-        begin = time.perf_counter()
-        found = refine(start, energy, iterations=setting.iterations, learning_rate=RATE)
+        run = partial(refine, energy=energy, iterations=setting.iterations, learning_rate=RATE)
     else:
         energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
-        captured = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE)
-        begin = time.perf_counter()
-        found = captured.refine(start)
+        run = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE).refine
+    begin = time.perf_counter()
+    found = run(start)
     float(found.energy.sum())  # until the device is done
     seconds = time.perf_counter() - begin
     return found.parameters, seconds / (len(people) * setting.iterations)
@@ -94,14 +98,13 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
     """
     setting = replace(setting, iterations=_TIMED_ITERATIONS)
     prior = PosePrior().to(start.shift.device)
-    runs: list[Callable[[], object]] = []
-    for person in range(min(_TIMED_PEOPLE, len(people))):
+    bodies = one_by_one(start)[:_TIMED_PEOPLE]
+    fastest = []
+    for person, body in enumerate(bodies):
         energy = setting.energy(people.observation(person), prior)
-        body = start.select(torch.tensor([person], device=start.shift.device))
         if isinstance(setting.renderer, RendererMesh):
-            runs.append(partial(refine, body, energy, iterations=setting.iterations))
+            run: Callable[[], object] = partial(refine, body, energy, iterations=setting.iterations)
         else:
-            captured = CapturedRefinement(energy, 1, iterations=setting.iterations)
-            runs.append(partial(captured.refine, body))
-    fastest = [time_calls(run, device, budget / len(runs)).fastest for run in runs]
-    return Timing(tuple(seconds / setting.iterations for seconds in fastest))
+            run = partial(CapturedRefinement(energy, 1, iterations=setting.iterations).refine, body)
+        fastest.append(time_calls(run, device, budget / len(bodies)).fastest / setting.iterations)
+    return Timing(tuple(fastest))

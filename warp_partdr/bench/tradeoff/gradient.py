@@ -12,6 +12,7 @@ from ...inputs.observation import REFERENCE_SIZE, resize_nearest
 from ...refinement.stepper import SHAPE_RATE
 from ...synthetic.tradeoff_people import TRUTH_SIZE, People
 from ..renderers import COVERAGE
+from .fits import one_by_one
 from .plan import Setting
 
 # Adam moves lengths and thicknesses [m] that much slower than angles [rad]: so one of their units counts as less.
@@ -23,12 +24,12 @@ class GradientError:
     """Of gradients against true ones, over all numbers of a body and its camera; an array of shape (N,) each.
 
     Attributes:
-        angle: Between the two [degrees].
-        ratio: Of their lengths.
+        angle_deg: Between the two.
+        length_ratio: Of their lengths.
     """
 
-    angle: np.ndarray
-    ratio: np.ndarray
+    angle_deg: np.ndarray
+    length_ratio: np.ndarray
 
 
 def gradient_error(setting: Setting, people: People, bodies: BodyParameters, true: torch.Tensor) -> GradientError:
@@ -45,18 +46,15 @@ def true_gradient(people: People, bodies: BodyParameters) -> torch.Tensor:
     That is the coverage gradient in pictures as fine as the truth: 3 to 24 samples a side of a pixel. They are large,
     so they are drawn one at a time.
     """
-    setting = Setting(COVERAGE, TRUTH_SIZE)
-    one = (torch.tensor([index], device=people.labels.device) for index in range(len(people)))
-    return torch.cat([_gradient(setting, bodies.select(index), people.labels[index]) for index in one])
+    pairs = zip(one_by_one(bodies), people.labels.split(1), strict=True)
+    return torch.cat([_gradient(Setting(COVERAGE, TRUTH_SIZE), body, labels) for body, labels in pairs])
 
 
 def _gradient(setting: Setting, bodies: BodyParameters, labels: torch.Tensor) -> torch.Tensor:
     """Of L_seg [pixels of a 256 px picture], in the unit of a step of each number, shape (B, P)."""
     leaves = bodies.leaves()
-    posed, camera = leaves.posed(), leaves.camera(setting.size)
-    loss, _ = setting.renderer.label_loss(posed, camera, labels)
-    scaled = (REFERENCE_SIZE / setting.size) ** 2 * loss.sum()
+    loss, _ = setting.renderer.label_loss(leaves.posed(), leaves.camera(setting.size), labels)
     names = leaves.tensors()
-    grads = torch.autograd.grad(scaled, list(names.values()))
-    rows = [_STEPS.get(name, 1.0) * grad for name, grad in zip(names, grads, strict=True)]
-    return torch.cat([row.reshape(len(row), -1) for row in rows], dim=1)
+    grads = torch.autograd.grad((REFERENCE_SIZE / setting.size) ** 2 * loss.sum(), list(names.values()))
+    rows = [_STEPS.get(name, 1.0) * grad.reshape(len(grad), -1) for name, grad in zip(names, grads, strict=True)]
+    return torch.cat(rows, dim=1)

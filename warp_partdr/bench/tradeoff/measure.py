@@ -19,16 +19,18 @@ from ...evaluation.partbench.samples import partbench_samples
 from ...fit.fitting import Progress
 from ...fit.options import FitOptions
 from ...fit.stages import Quality
+from ...refinement.energy import Weights
 from ...refinement.stepper import Refinement
 from ...synthetic.tradeoff_people import JOINTS, People, make_people
 from ..jobs import Job, run_jobs
 from ..machine import about
-from ..renderers import LEVELS
-from .fits import own_part_f1, refine_all, score_bodies, time_iteration
+from ..renderers import COVERAGE, LEVELS, MESH, PARTDR
+from .fits import one_by_one, own_part_f1, refine_all, score_bodies, time_iteration
 from .gradient import gradient_error, true_gradient
-from .plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, RATE, WITHOUT_KEYPOINTS, Setting, TradeoffPlan
+from .plan import DISTANCE, ITERATIONS, NAMES, RATE, Setting, TradeoffPlan
 from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, LABELS_ALONE, Fit, Precision, TradeoffReport
 
+_WITHOUT_KEYPOINTS = Weights(proj=0.0)
 _LEVELS = ("clean", "realistic")  # of PartBench
 
 
@@ -55,9 +57,8 @@ def _time_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> It
     def work(name: str, size: int) -> None:
         report.times[name, size] = time_iteration(Setting(name, size), people, start, plan.device, plan.budget)
 
-    for name in NAMES:
-        for size in plan.sizes:
-            yield f"time, {name}, {size} px", partial(work, name, size)
+    for name, size in product(NAMES, plan.sizes):
+        yield f"time, {name}, {size} px", partial(work, name, size)
 
 
 def _fit_jobs(plan: TradeoffPlan, report: TradeoffReport, crowds: tuple[People, ...]) -> Iterator[Job]:
@@ -72,29 +73,26 @@ def _fit_jobs(plan: TradeoffPlan, report: TradeoffReport, crowds: tuple[People, 
 
 
 def _fit(report: TradeoffReport, people: People, setting: Setting, distance: float, seen: str) -> None:
-    weights = WITHOUT_KEYPOINTS if seen == LABELS_ALONE else None
+    weights = _WITHOUT_KEYPOINTS if seen == LABELS_ALONE else None
     bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
-    own = None
-    if setting.name in LEVELS and setting == Setting(setting.name):
-        own = own_part_f1(setting, bodies, people)
-    report.fits.append(Fit(people.name, seen, setting, distance, score_bodies(bodies, people), own, seconds))
+    is_mesh = setting.name in LEVELS and setting == Setting(setting.name)
+    own = own_part_f1(setting, bodies, people) if is_mesh else None
+    report.fits[people.name, seen, setting, distance] = Fit(score_bodies(bodies, people), own, seconds)
 
 
 def _gradient_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> Iterator[Job]:
     def work(distance: float) -> None:
         bodies = people.starts(distance)
         true = true_gradient(people, bodies)
-        for name in NAMES:
-            for size in plan.sizes:
-                setting = Setting(name, size)
-                report.gradients[name, size, distance] = gradient_error(setting, people, bodies, true)
+        for name, size in product(NAMES, plan.sizes):
+            report.gradients[name, size, distance] = gradient_error(Setting(name, size), people, bodies, true)
 
     for distance in plan.gradient_distances:
         yield f"gradients, {distance} rad off", partial(work, distance)
 
 
 def _precision_jobs(report: TradeoffReport, people: People) -> Iterator[Job]:
-    for name in PRECISION_NAMES:
+    for name in (MESH, PARTDR, COVERAGE):
         yield f"numbers, {name}", partial(_compare_numbers, report, people, Setting(name))
 
 
@@ -107,31 +105,32 @@ def _compare_numbers(report: TradeoffReport, people: People, setting: Setting) -
         begin = time.perf_counter()
         found[numbers] = _refine_in_torch(setting, people, start, kind)
         seconds[numbers] = (time.perf_counter() - begin) / (len(people) * setting.iterations)
-    stored = {name: tensor.bfloat16().float() for name, tensor in found[FLOAT32].tensors().items()}
-    found[BFLOAT16], seconds[BFLOAT16] = BodyParameters(**stored), seconds[FLOAT32]
+    found[BFLOAT16], seconds[BFLOAT16] = _cast(found[FLOAT32], torch.bfloat16, torch.float32), seconds[FLOAT32]
     reference = gather(found[FLOAT32].posed())
-    for numbers, bodies in found.items():
-        bodies = _cast(bodies, torch.float32)
+    for numbers, kept in found.items():
+        bodies = _cast(kept, torch.float32)
         moved = 1000 * (gather(bodies.posed()) - reference).norm(dim=-1).mean()
-        report.precisions.append(
-            Precision(setting.name, numbers, score_bodies(bodies, people), float(moved), seconds[numbers])
-        )
+        scores = score_bodies(bodies, people)
+        report.precisions.append(Precision(setting.name, numbers, scores, float(moved), seconds[numbers]))
 
 
 def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, kind: torch.dtype) -> BodyParameters:
     prior = PosePrior().to(start.shift.device, kind)
     found = []
-    for person in range(len(people)):
+    for person, body in enumerate(one_by_one(_cast(start, kind))):
         seen = people.observation(person)
         energy = setting.energy(replace(seen, points=seen.points.to(kind)), prior)
-        body = _cast(start.select(torch.tensor([person], device=start.shift.device)), kind)
         refined = Refinement(body, energy, iterations=setting.iterations, learning_rate=RATE).run()
         found.append(refined.parameters.tensors().values())
     return BodyParameters(*(torch.cat(column) for column in zip(*found, strict=True)))
 
 
-def _cast(bodies: BodyParameters, kind: torch.dtype) -> BodyParameters:
-    return BodyParameters(**{name: tensor.to(kind) for name, tensor in bodies.tensors().items()})
+def _cast(bodies: BodyParameters, *kinds: torch.dtype) -> BodyParameters:
+    """Numbers of the first kind, then of the next: what it lost stays lost."""
+    tensors = bodies.tensors()
+    for kind in kinds:
+        tensors = {name: tensor.to(kind) for name, tensor in tensors.items()}
+    return BodyParameters(**tensors)
 
 
 def _quality_jobs(plan: TradeoffPlan, report: TradeoffReport) -> Iterator[Job]:

@@ -14,8 +14,6 @@ NAMES = (*LEVELS, PARTDR, COVERAGE, EXACT)  # renderer and gradient, in the orde
 SIZE, ITERATIONS, DISTANCE = 256, 50, 0.15  # what stays the same while others change
 NEAR, FAR = 0.05, 0.3
 RATE = 0.02  # of Adam: between those of a fit's stages
-WITHOUT_KEYPOINTS = Weights(proj=0.0)
-PRECISION_NAMES = ("mesh E1", PARTDR, COVERAGE)
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class TradeoffPlan:
-    """Amount of what is run.
+    """Amount of what is run; ``SIZE``, ``ITERATIONS`` and ``DISTANCE`` are among its numbers.
 
     Attributes:
         device: "cpu" or a CUDA device.

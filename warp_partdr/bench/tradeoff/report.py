@@ -27,19 +27,11 @@ class Fit:
     """One setting's refinements of some people.
 
     Attributes:
-        truth: ``ELLIPBODY`` or ``ANNY``.
-        seen: ``KEYPOINTS_TOO`` or ``LABELS_ALONE``.
-        setting: Their renderer, gradient, picture size and iterations.
-        distance: Of starts from the truth [rad].
         scores: Their nearness to the truth.
         own_part_f1: Of meshes, the part F1 of the mesh itself, shape (N,).
         seconds: That an iteration took for each of all bodies at once.
     """
 
-    truth: str
-    seen: str
-    setting: Setting
-    distance: float
     scores: Scores
     own_part_f1: np.ndarray | None
     seconds: float
@@ -57,7 +49,7 @@ class Precision:
     name: str
     numbers: str
     scores: Scores
-    moved: float
+    moved_mm: float
     seconds: float
 
 
@@ -69,7 +61,8 @@ class TradeoffReport:
         device: "cpu" or a CUDA device.
         machine: Machine and versions by name.
         times: Of an iteration, of one body, by renderer and picture size.
-        fits: All refinements.
+        fits: All refinements, by whose truth it is (``ELLIPBODY`` or ``ANNY``), what they see (``KEYPOINTS_TOO`` or
+            ``LABELS_ALONE``), setting, and distance of starts from the truth [rad].
         gradients: Of EllipBodies, by renderer, picture size and distance from the truth [rad].
         precisions: Other numbers than float32.
         qualities: Figures of whole fits (``scoring.summarise``) by PartBench's level and quality.
@@ -78,7 +71,7 @@ class TradeoffReport:
     device: str
     machine: dict[str, str]
     times: dict[tuple[str, int], Timing] = field(default_factory=dict)
-    fits: list[Fit] = field(default_factory=list)
+    fits: dict[tuple[str, str, Setting, float], Fit] = field(default_factory=dict)
     gradients: dict[tuple[str, int, float], GradientError] = field(default_factory=dict)
     precisions: list[Precision] = field(default_factory=list)
     qualities: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
@@ -87,18 +80,21 @@ class TradeoffReport:
         """Of an iteration, of one body [s]."""
         return self.times[setting.name, setting.size].median
 
-    def fit(self, truth: str, setting: Setting, distance: float = DISTANCE, seen: str = KEYPOINTS_TOO) -> Fit | None:
-        """The refinements of a setting, if it was run."""
-        wanted = (truth, seen, setting, distance)
-        return next((fit for fit in self.fits if (fit.truth, fit.seen, fit.setting, fit.distance) == wanted), None)
+    def fit(self, truth: str, setting: Setting, distance: float = DISTANCE, seen: str = KEYPOINTS_TOO) -> Fit:
+        """The refinements of a setting."""
+        return self.fits[truth, seen, setting, distance]
 
-    def gradient(self, setting: Setting, distance: float = DISTANCE) -> GradientError | None:
-        """The gradients of a setting, if they were found; its iterations do not matter."""
-        return self.gradients.get((setting.name, setting.size, distance))
+    def gradient(self, setting: Setting) -> GradientError:
+        """The gradients of a setting at ``DISTANCE``; its iterations do not matter."""
+        return self.gradients[setting.name, setting.size, DISTANCE]
 
     def settings(self) -> list[Setting]:
         """Those of the main table."""
         return [Setting(name, size) for name, size in self.times]
+
+    def iterations(self) -> list[int]:
+        """Those that were run, from the fewest."""
+        return sorted({setting.iterations for _, _, setting, _ in self.fits})
 
     def as_dict(self) -> dict[str, Any]:
         """For ``save_figures``."""
@@ -114,23 +110,30 @@ class TradeoffReport:
                 }
                 for (name, size), timing in self.times.items()
             ],
-            "fits": [_fit_as_dict(fit) for fit in self.fits],
-            "gradients": [
+            "fits": [
                 {
-                    "renderer": name,
-                    "size_px": size,
+                    "truth": truth,
+                    "seen": seen,
+                    "renderer": setting.name,
+                    "size_px": setting.size,
+                    "iterations": setting.iterations,
                     "distance_rad": distance,
-                    "angle_deg": error.angle,
-                    "length_ratio": error.ratio,
+                    **vars(fit.scores),
+                    "own_part_f1": fit.own_part_f1,
+                    "batch_seconds": fit.seconds,
                 }
+                for (truth, seen, setting, distance), fit in self.fits.items()
+            ],
+            "gradients": [
+                {"renderer": name, "size_px": size, "distance_rad": distance, **vars(error)}
                 for (name, size, distance), error in self.gradients.items()
             ],
             "precisions": [
                 {
                     "renderer": row.name,
                     "numbers": row.numbers,
-                    **_scores_as_dict(row.scores),
-                    "moved_mm": row.moved,
+                    **vars(row.scores),
+                    "moved_mm": row.moved_mm,
                     "seconds": row.seconds,
                 }
                 for row in self.precisions
@@ -138,24 +141,6 @@ class TradeoffReport:
             "qualities": self.qualities,
             "found": mesh_gains(self),
         }
-
-
-def _scores_as_dict(scores: Scores) -> dict[str, Any]:
-    return {"part_f1": scores.part_f1, "accuracy": scores.accuracy, "joint_error_mm": scores.joint_error}
-
-
-def _fit_as_dict(fit: Fit) -> dict[str, Any]:
-    return {
-        "truth": fit.truth,
-        "seen": fit.seen,
-        "renderer": fit.setting.name,
-        "size_px": fit.setting.size,
-        "iterations": fit.setting.iterations,
-        "distance_rad": fit.distance,
-        **_scores_as_dict(fit.scores),
-        "own_part_f1": fit.own_part_f1,
-        "batch_seconds": fit.seconds,
-    }
 
 
 def front(points: Sequence[tuple[float, float]]) -> set[int]:
@@ -171,20 +156,15 @@ def mesh_gains(report: TradeoffReport) -> list[str]:
     """Part F1 that a mesh of the next level gains, E0 to E3, on the same people: one line a step."""
     said = []
     for truth in (ELLIPBODY, ANNY):
-        fits = [report.fit(truth, Setting(name)) for name in LEVELS]
-        known = [fit for fit in fits if fit is not None and fit.own_part_f1 is not None]
-        for coarse, fine in pairwise(known):
-            for what, gain in (
-                ("part F1 of the mesh itself", _gain(fine.own_part_f1, coarse.own_part_f1)),
-                ("part F1 of the ellipsoids", _gain(fine.scores.part_f1, coarse.scores.part_f1)),
+        for coarse, fine in pairwise(LEVELS):
+            fits = [report.fit(truth, Setting(name)) for name in (coarse, fine)]
+            for what, values in (
+                ("part F1 of the mesh itself", [fit.own_part_f1 for fit in fits]),
+                ("part F1 of the ellipsoids", [fit.scores.part_f1 for fit in fits]),
             ):
-                said.append(f"{truth}: {what}, {coarse.setting.name} to E{LEVELS[fine.setting.name]}: {gain}")
+                gain = np.diff(np.array(values), axis=0)[0]
+                low, high = bootstrap_sum(gain / len(gain), lambda sums: sums)
+                said.append(
+                    f"{truth}: {what}, {coarse} to E{LEVELS[fine]}: {gain.mean():+.4f} ({low:+.4f} to {high:+.4f})"
+                )
     return said
-
-
-def _gain(fine: np.ndarray | None, coarse: np.ndarray | None) -> str:
-    assert fine is not None
-    assert coarse is not None
-    gain = fine - coarse
-    low, high = bootstrap_sum(gain, lambda sums: sums / len(gain))
-    return f"{gain.mean():+.4f} ({low:+.4f} to {high:+.4f})"

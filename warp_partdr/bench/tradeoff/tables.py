@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
 from ..machine import in_words
 from ..report import make_table, print_tables
-from .plan import DISTANCE, ITERATIONS, NAMES, PRECISION_NAMES, SIZE, Setting
+from .plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
 from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, TradeoffReport, front, mesh_gains
 
 if TYPE_CHECKING:
@@ -40,64 +41,50 @@ def print_tradeoff(report: TradeoffReport, console: Console) -> None:
     print_tables([in_words(report.machine)], tables, mesh_gains(report), NOTES, console)
 
 
-_SETTING_COLUMNS = (  # heading, format, and which values are best: the least (1), the greatest (-1), or none is (0)
-    ("EllipBody: part F1", "{:.3f}", -1),
-    ("joints [mm]", "{:.1f}", 1),
-    ("found", "{:.0%}", 0),
-    ("Anny: part F1", "{:.3f}", -1),
-    ("joints [mm]", "{:.1f}", 1),
-    ("gradient off [°]", "{:.1f}", 1),
-    ("length", "{:.2f}", 0),
-)
-
-
 def _settings_table(report: TradeoffReport) -> Table:
-    headings = [_RENDERER, "px", "an iteration [ms]", "in a batch [ms]"]
-    headings += [heading for heading, _, _ in _SETTING_COLUMNS]
-    title = f"{ITERATIONS} iterations from starts {DISTANCE} rad off"
+    def of_fits(truth: str, value: Callable[[Fit], float]) -> list[float]:
+        return [value(report.fit(truth, setting)) for setting in settings]
+
+    def of_gradients(name: str) -> list[float]:
+        return [float(np.median(getattr(report.gradient(setting), name))) for setting in settings]
+
     settings = report.settings()
-    figures = []
-    for setting in settings:
-        own, anny = report.fit(ELLIPBODY, setting), report.fit(ANNY, setting)
-        gradient = report.gradient(setting)
-        if own is None or anny is None or gradient is None:
-            return make_table(title, headings, [])
-        figures.append(
-            [
-                own.scores.part_f1.mean(),
-                own.scores.joint_error.mean(),
-                own.found,
-                anny.scores.part_f1.mean(),
-                anny.scores.joint_error.mean(),
-                np.median(gradient.angle),
-                np.median(gradient.ratio),
-                own.seconds,
-            ]
-        )
     times = [report.time(setting) for setting in settings]
-    rows = [
-        [setting.name, str(setting.size), f"{1e3 * time:.3g}", f"{1e3 * values[-1]:.3g}"]
-        for setting, time, values in zip(settings, times, figures, strict=True)
-    ]
-    for column, (_, form, sign) in enumerate(_SETTING_COLUMNS):
-        points = [(time, sign * values[column]) for time, values in zip(times, figures, strict=True)]
-        best = front(points) if sign else ()
-        for index, (row, values) in enumerate(zip(rows, figures, strict=True)):
-            row.append(form.format(values[column]) + ("*" if index in best else " "))
-    return make_table(title, headings, rows, sections=True)
+    columns = (  # heading, format, values, and which are best: the least (1), the greatest (-1), or none is (0)
+        ("an iteration [ms]", "{:.3g}", [1e3 * time for time in times], 0),
+        ("in a batch [ms]", "{:.3g}", of_fits(ELLIPBODY, lambda fit: 1e3 * fit.seconds), 0),
+        ("EllipBody: part F1", "{:.3f}", of_fits(ELLIPBODY, _part_f1), -1),
+        ("joints [mm]", "{:.1f}", of_fits(ELLIPBODY, _joint_error), 1),
+        ("found", "{:.0%}", of_fits(ELLIPBODY, lambda fit: fit.found), 0),
+        ("Anny: part F1", "{:.3f}", of_fits(ANNY, _part_f1), -1),
+        ("joints [mm]", "{:.1f}", of_fits(ANNY, _joint_error), 1),
+        ("gradient off [°]", "{:.1f}", of_gradients("angle_deg"), 1),
+        ("length", "{:.2f}", of_gradients("length_ratio"), 0),
+    )
+    rows = [[setting.name, str(setting.size)] for setting in settings]
+    for _, form, values, sign in columns:
+        best = front([(time, sign * value) for time, value in zip(times, values, strict=True)]) if sign else set()
+        for index, (row, value) in enumerate(zip(rows, values, strict=True)):
+            row.append(form.format(value) + ("*" if index in best else " "))
+    headings = [_RENDERER, "px", *(heading for heading, *_ in columns)]
+    return make_table(f"{ITERATIONS} iterations from starts {DISTANCE} rad off", headings, rows, sections=True)
+
+
+def _part_f1(fit: Fit) -> float:
+    return float(fit.scores.part_f1.mean())
+
+
+def _joint_error(fit: Fit) -> float:
+    return float(fit.scores.joint_error_mm.mean())
 
 
 def _cell(fit: Fit) -> str:
-    return f"{fit.scores.part_f1.mean():.3f}, {fit.scores.joint_error.mean():.0f} mm"
+    return f"{_part_f1(fit):.3f}, {_joint_error(fit):.0f} mm"
 
 
 def _iterations_table(report: TradeoffReport) -> Table:
-    counts = sorted({fit.setting.iterations for fit in report.fits})
-    rows = []
-    for name in NAMES:
-        fits = [report.fit(ELLIPBODY, Setting(name, SIZE, count)) for count in counts]
-        if all(fits):
-            rows.append([name, *(_cell(fit) for fit in fits if fit is not None)])
+    counts = report.iterations()
+    rows = [[name, *(_cell(report.fit(ELLIPBODY, Setting(name, SIZE, count))) for count in counts)] for name in NAMES]
     return make_table(
         f"EllipBody: part F1 and joints after so many iterations at {SIZE} px, from {DISTANCE} rad off",
         [_RENDERER, *map(str, counts)],
@@ -106,13 +93,12 @@ def _iterations_table(report: TradeoffReport) -> Table:
 
 
 def _starts_table(report: TradeoffReport) -> Table:
-    distances = sorted({fit.distance for fit in report.fits})
+    distances = sorted({distance for *_, distance in report.fits})
     rows = []
     for seen in (KEYPOINTS_TOO, LABELS_ALONE):
         for name in NAMES:
             fits = [report.fit(ELLIPBODY, Setting(name), distance, seen) for distance in distances]
-            if all(fits):
-                rows.append([name, seen, *(f"{_cell(fit)}, {fit.found:.0%}" for fit in fits if fit is not None)])
+            rows.append([name, seen, *(f"{_cell(fit)}, {fit.found:.0%}" for fit in fits)])
     return make_table(
         f"EllipBody: part F1, joints, found, {ITERATIONS} iterations at {SIZE} px, by distance of the start [rad]",
         [_RENDERER, "sees", *map(str, distances)],
@@ -122,14 +108,12 @@ def _starts_table(report: TradeoffReport) -> Table:
 
 
 def _gradients_table(report: TradeoffReport) -> Table:
-    sizes = sorted({size for _, size, _ in report.gradients})
-    distances = sorted({distance for _, _, distance in report.gradients})
+    distances = sorted({distance for *_, distance in report.gradients})
     rows = []
-    for name in NAMES:
-        for size in sizes:
-            errors = [report.gradients.get((name, size, distance)) for distance in distances]
-            cells = [f"{np.median(each.angle):.1f}, {np.median(each.ratio):.2f}" for each in errors if each is not None]
-            rows.append([name, str(size), *cells])
+    for setting in report.settings():
+        errors = [report.gradients[setting.name, setting.size, distance] for distance in distances]
+        cells = [f"{np.median(error.angle_deg):.1f}, {np.median(error.length_ratio):.2f}" for error in errors]
+        rows.append([setting.name, str(setting.size), *cells])
     title = "Gradient: angle [°] and length, medians, by distance [rad]"
     return make_table(title, [_RENDERER, "px", *map(str, distances)], rows, sections=True)
 
@@ -140,28 +124,20 @@ def _precisions_table(report: TradeoffReport) -> Table:
             row.name,
             row.numbers,
             f"{row.scores.part_f1.mean():.4f}",
-            f"{row.scores.joint_error.mean():.2f}",
-            f"{row.moved:.2f}",
+            f"{row.scores.joint_error_mm.mean():.2f}",
+            f"{row.moved_mm:.2f}",
             f"{1e3 * row.seconds:.3g}",
         ]
-        for name in PRECISION_NAMES
         for row in report.precisions
-        if row.name == name
     ]
     headings = [_RENDERER, "numbers", "part F1", "joints [mm]", "joints moved [mm]", "an iteration [ms]"]
     return make_table(f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px", headings, rows, left=(0, 1))
 
 
 def _qualities_table(report: TradeoffReport) -> Table:
+    columns = {"part_f1": ".3f", "foreground_f1": ".3f", "pa_mpjpe_mm": ".1f", "seconds": ".2f"}
     rows = [
-        [
-            quality,
-            level,
-            f"{figures['part_f1']:.3f}",
-            f"{figures['foreground_f1']:.3f}",
-            f"{figures['pa_mpjpe_mm']:.1f}",
-            f"{figures['seconds']:.2f}",
-        ]
+        [quality, level, *(f"{figures[name]:{form}}" for name, form in columns.items())]
         for level, qualities in report.qualities.items()
         for quality, figures in qualities.items()
     ]
