@@ -64,7 +64,7 @@ class MeshPasses:
         picture = _empty_picture((vertices.shape[0], *size), vertices.device)
 
         def work(part: slice) -> None:
-            self._prepare_raster(vertices[part], [image[part] for image in picture[:3]])[0]()
+            self.prepare_raster(vertices[part], [image[part] for image in picture[:3]])[0]()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return picture
@@ -101,7 +101,7 @@ class MeshPasses:
         target = buffers.target.expand(batch, -1, -1)  # a view: what is written there later is seen
         images = _empty_picture((batch, *target.shape[1:]), device)[:3]
         extents = torch.empty((batch, rasterize.NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
-        draw, zbuffer = self._prepare_raster(vertices, images, background=False)
+        draw, zbuffer = self.prepare_raster(vertices, images, background=False)
         of_target = LabelTarget()
         of_target.target = warp_array(target)
         of_target.extents = warp_array(extents, wp.vec4i)
@@ -120,7 +120,7 @@ class MeshPasses:
 
         return launch
 
-    def _prepare_raster(
+    def prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
     ) -> tuple[_Launch, rasterize.ZBuffer]:
         """Launch that fills labels, depth and face-index map, and the z-buffer that it empties again."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import torch
 import warp as wp
@@ -16,17 +17,14 @@ from ...cameras import ScreenCamera
 from ...interop.arrays import contiguous, warp_array
 from ...interop.loss_graph import Buffers
 from ...kernels import kinematics
-from ...kernels.ellipsoids.picture import launch_draw
-from ...kernels.ellipsoids.silhouette import Seen, launch_see
-from ...kernels.labels import LabelTarget
 from ...kernels.refine.state import EllipsoidArrays
 from ...refinement.captured import CapturedRefinement
 from ...refinement.stepper import LEARNING_RATE
 from ...render.captured import CapturedEllipsoids
-from ...render.ellipsoid_passes import arrays_of
+from ...render.ellipsoid_passes import ellipsoid_passes
 from ...render.ellipsoids import ellipsoid_label_loss
 from ...render.mesh import mesh_label_loss
-from ...render.mesh_passes import MeshOptions, mesh_recipe, prepare_raster
+from ...render.mesh_passes import mesh_passes
 from ...render.options import DEFAULT_DEPTH_WEIGHT, Gradient
 from ...render.part_mesh import ellipbody_mesh
 from ...render.renderers import RendererEllipsoids
@@ -38,37 +36,29 @@ _SUBDIVISIONS = 1  # of the mesh that kinematics places
 
 
 class ExactRun:
-    """The exact renderer."""
+    """The exact renderer.
+
+    Attributes:
+        labels: Draws the hard label image alone: of the 20 parts, so the index of the nearest is its label.
+        gradient: Projects, renders, and takes L_seg and its gradient, as forces on the ellipsoids.
+    """
 
     def __init__(self, scene: BenchScene, gradient: Gradient) -> None:
-        posed, shape = scene.posed, scene.targets.shape
-        self._scene, self._gradient = scene, gradient
-        tensors = (posed.centres, posed.axes, posed.semi_axes, scene.camera.intrinsics)
-        self._ellipsoids = arrays_of([contiguous(tensor) for tensor in tensors])
+        self._scene, self._renderer = scene, RendererEllipsoids(gradient)
         ellipsoids = EllipsoidArrays()
-        ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera = self._ellipsoids
-        where, labels = ellipsoids.centres.device, LABELS.part_groups[1:].tolist()
-        self._picture = CapturedEllipsoids(RendererEllipsoids(gradient), labels, scene.targets, ellipsoids)
-        self._picture.update()
-        self._part_labels = wp.array(labels, dtype=wp.uint8, device=where)
-        self._seen = Seen.empty(scene.batch_size, len(labels), where)
-        self._labels = wp.full(shape, _POISON, dtype=wp.uint8, device=where)
-        self._images = {
-            "nearest": wp.empty(shape if where.is_cpu else (0, 0, 0), dtype=float, device=where),
-            "parts": self._labels,
-            "labels": wp.empty((0, 0, 0), dtype=wp.uint8, device=where),
-            "depth": wp.empty((0, 0, 0), dtype=float, device=where),
-            "losses": wp.empty((0, 0), dtype=float, device=where),
-        }
-
-    def labels(self) -> None:
-        """The hard label image alone: of the 20 parts, so the index of the nearest is its label."""
-        launch_see(self._ellipsoids, self._part_labels, near=-math.inf, perspective=False, seen=self._seen)
-        launch_draw(self._seen.silhouettes, perspective=False, target=LabelTarget(), **self._images)
-
-    def gradient(self) -> None:
-        """Project, render, L_seg and its gradient, as forces on the ellipsoids."""
-        self._picture.launch()
+        ellipsoids.centres = warp_array(contiguous(scene.posed.centres), wp.vec3)
+        ellipsoids.axes = warp_array(contiguous(scene.posed.axes), wp.mat33)
+        ellipsoids.semi_axes = warp_array(contiguous(scene.posed.semi_axes), wp.vec3)
+        ellipsoids.camera = warp_array(contiguous(scene.camera.intrinsics), wp.vec4)
+        posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
+        labels = LABELS.part_groups[1:].tolist()
+        self._labels = wp.full(scene.targets.shape, _POISON, dtype=wp.uint8, device=ellipsoids.centres.device)
+        passes = ellipsoid_passes(tuple(labels), False, near=-math.inf, **vars(self._renderer))
+        draw, _, _ = passes.prepare_picture(posed, parts=self._labels)
+        self.labels = partial(draw, slice(0, scene.batch_size))
+        picture = CapturedEllipsoids(self._renderer, labels, scene.targets, ellipsoids)
+        picture.update()
+        self.gradient, self._drawn = picture.launch, picture.drawn
 
     def check(self) -> None:
         """Hold the runs against ``ellipsoid_label_loss``.
@@ -76,7 +66,7 @@ class ExactRun:
         Raises:
             AssertionError: If they differ.
         """
-        scene, drawn = self._scene, self._picture.drawn
+        scene, drawn = self._scene, self._drawn
         wp.synchronize_device(self._labels.device)  # torch, which made the inputs, has streams of its own
         drawn.loss.fill_(math.nan)
         drawn.forces.values.fill_(math.nan)
@@ -84,7 +74,8 @@ class ExactRun:
         self.gradient()
         centres = scene.posed.centres.detach().requires_grad_()
         moved = replace(scene.posed, centres=centres)
-        loss, image = ellipsoid_label_loss(moved, scene.camera, scene.targets, gradient=self._gradient, validate=False)
+        gradient = self._renderer.gradient
+        loss, image = ellipsoid_label_loss(moved, scene.camera, scene.targets, gradient=gradient, validate=False)
         (want,) = torch.autograd.grad(loss.sum(), centres)
         wp.synchronize_device(self._labels.device)
         torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
@@ -106,14 +97,15 @@ class MeshRun:
         self._points = scene.camera.project(scene.posed.vertices(subdivisions)).detach().contiguous()
         self._labels = torch.full_like(scene.targets, _POISON)
         nothing = (torch.empty(0, 0, 0, dtype=kind, device=device) for kind in (torch.float32, torch.int32))
-        topology = mesh.faces, mesh.face_labels, mesh.edges
-        options = MeshOptions(-math.inf, False, math.inf, DEFAULT_DEPTH_WEIGHT)
-        self.labels, _ = prepare_raster((self._points, *topology), (self._labels, *nothing), options, background=False)
-        recipe = mesh_recipe(*topology, mesh.num_labels, options)
-        num_losses = recipe.num_losses(device, *scene.targets.shape)
+        passes = mesh_passes(
+            *(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels),
+            *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT),
+        )
+        self.labels, _ = passes.prepare_raster(self._points, (self._labels, *nothing), background=False)
+        num_losses = passes.num_losses(device, *scene.targets.shape)
         self._losses = torch.full((scene.batch_size, num_losses), math.nan, device=device)
         self._grad = torch.full_like(self._points, math.nan)
-        self.gradient = recipe.prepare(Buffers((self._points,), scene.targets, self._losses, (self._grad,)))
+        self.gradient = passes.prepare(Buffers((self._points,), scene.targets, self._losses, (self._grad,)))
 
     def check(self) -> None:
         """Hold the runs against ``mesh_label_loss``.
