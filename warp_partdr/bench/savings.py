@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 
@@ -22,7 +22,7 @@ from .jobs import run_jobs
 from .machine import in_words
 from .report import make_table, print_tables
 from .scene import BenchScene
-from .timing import Timing, peak_memory, time_in_turn
+from .timing import peak_memory, time_in_turn
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,110 +35,73 @@ _TIPS = ("left_hand", "right_hand", "left_foot", "right_foot")
 _NO_PARTS = [0] * _NUM_PARTS
 
 
-@dataclass(frozen=True)
-class Saving:
-    """One thing that need not be modelled.
-
-    Attributes:
-        name: Of the thing saved.
-        whole: Modelled otherwise.
-        needed: Modelled instead.
-        before: Time of ``whole``.
-        after: Time of ``needed``.
-        base: Time of the same call with nothing in it that could be saved, 0 where that means nothing.
-        memory_before: Peak memory of ``whole`` [bytes]; on CUDA.
-        memory_after: Of ``needed``.
-    """
-
-    name: str
-    whole: str
-    needed: str
-    before: Timing
-    after: Timing
-    base: Timing
-    memory_before: int | None
-    memory_after: int | None
-
-    @property
-    def share(self) -> float:
-        """Time that is left, as a share of what depends on the thing saved."""
-        return (self.after.median - self.base.median) / (self.before.median - self.base.median)
-
-
 Call = Callable[[], object]
+_Option = tuple[str, Call]  # its name, and what is timed
+_Case = tuple[str, _Option, _Option, Call | None]  # saving, the whole, what is needed, and nothing that could be saved
 
 
-@dataclass(frozen=True)
-class _Case:
-    name: str
-    whole: tuple[str, Call]
-    needed: tuple[str, Call]
-    base: Call | None = None
-
-
-def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None = None) -> list[Saving]:
+def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None = None) -> list[dict[str, Any]]:
     """Time each saving.
 
     Args:
         device: "cpu" or a CUDA device.
         budget: Of each of the two or three figures of a row [s].
         progress: Called with (name, rows done, rows in all).
+
+    Returns:
+        For JSON, a row for each thing that need not be modelled. ``left`` is the time that is left, as a share of what
+        depends on the thing saved; ``nothing_s`` is 0 where that means nothing; bytes are peaks on CUDA, else None.
     """
-    rows: list[Saving] = []
+    rows: list[dict[str, Any]] = []
 
     def add(case: _Case) -> None:
-        (whole, before), (needed, after) = case.whole, case.needed
-        calls = [before, after] + ([] if case.base is None else [case.base])
-        timings = time_in_turn(calls, device, budget * len(calls))
-        base = Timing((0.0,)) if case.base is None else timings[2]
-        memory = [peak_memory(call, device) for call in (before, after)]
-        rows.append(Saving(case.name, whole, needed, timings[0], timings[1], base, memory[0], memory[1]))
+        name, (whole, before), (needed, after), base = case
+        calls = [before, after] + ([] if base is None else [base])
+        seconds = [timing.median for timing in time_in_turn(calls, device, budget * len(calls))]
+        whole_s, needed_s, nothing_s = seconds if len(seconds) == 3 else (*seconds, 0.0)
+        rows.append(
+            {
+                "name": name,
+                "whole": whole,
+                "needed": needed,
+                "whole_s": whole_s,
+                "needed_s": needed_s,
+                "nothing_s": nothing_s,
+                "left": (needed_s - nothing_s) / (whole_s - nothing_s),
+                "whole_bytes": peak_memory(before, device),
+                "needed_bytes": peak_memory(after, device),
+            }
+        )
 
-    run_jobs([(case.name, partial(add, case)) for case in _cases(device)], progress)
-    return rows
-
-
-def _cases(device: str) -> Iterator[_Case]:
     scene = BenchScene.random(_BATCH["cpu" if device == "cpu" else "cuda"], _SIZE, device)
-    yield from _body_cases(scene)
-    yield from _sphere_cases(scene.batch_size, device)
+    cases = [*_body_cases(scene), *_sphere_cases(scene.batch_size, device)]
+    run_jobs([(case[0], partial(add, case)) for case in cases], progress)
+    return rows
 
 
 def _body_cases(scene: BenchScene) -> Iterator[_Case]:
     camera, targets = scene.camera, scene.targets
     posed = Ellipsoids(*[t.detach() for t in (scene.posed.centres, scene.posed.axes, scene.posed.semi_axes)])
-    vertices = scene.posed.vertices(1).detach()
     loss = partial(_loss_of_ellipsoids, posed, camera, targets)
+    maps = partial(_loss_of_maps, posed, camera, targets)
+    yield "L_seg against labels", (f"{_NUM_PARTS} maps of floats", maps), ("the label image", loss), None
 
-    yield _Case(
-        "L_seg against labels",
-        (f"{_NUM_PARTS} maps of floats", partial(_loss_of_maps, posed, camera, targets)),
-        ("the label image", loss),
-    )
-    silhouette = (targets > 0).to(torch.uint8)
-    yield _Case(
-        "z gradient of one label, mesh E1",
-        ("looked for", partial(_loss_of_mesh, vertices, camera, silhouette, 1.0)),
-        ("left out", partial(_loss_of_mesh, vertices, camera, silhouette, 0.0)),
-    )
-    yield _Case(
-        "sizes of the body",
-        ("gradients of all parameters", partial(_loss_of_body, scene, ())),
-        ("lengths, thicknesses frozen", partial(_loss_of_body, scene, ("lengths", "thicknesses"))),
-    )
+    of_mesh = partial(_loss_of_mesh, scene.posed.vertices(1).detach(), camera, (targets > 0).to(torch.uint8))
+    looked_for, left_out = ("looked for", partial(of_mesh, 1.0)), ("left out", partial(of_mesh, 0.0))
+    yield "z gradient of one label, mesh E1", looked_for, left_out, None
+
+    of_body = partial(_loss_of_body, scene)
+    frozen = "lengths, thicknesses frozen", partial(of_body, ("lengths", "thicknesses"))
+    yield "sizes of the body", ("gradients of all parameters", partial(of_body, ())), frozen, None
+
     no_tips = [0 if name in _TIPS else part for part, name in enumerate(PART_NAMES, start=1)]
-    yield _Case(
-        "hands and feet",
-        ("drawn", loss),
-        ("left out by the label set", partial(loss, part_labels=no_tips)),
-        partial(loss, part_labels=_NO_PARTS),
-    )
+    without = "left out by the label set", partial(loss, part_labels=no_tips)
+    yield "hands and feet", ("drawn", loss), without, partial(loss, part_labels=_NO_PARTS)
+
     large_camera, large_targets = _in_larger_picture(camera, targets, times=4)
-    yield _Case(
-        "region of interest",
-        (f"picture of {large_targets.shape[1]} px", partial(_loss_of_ellipsoids, posed, large_camera, large_targets)),
-        (f"crop of {_SIZE} px", loss),
-    )
+    large = partial(_loss_of_ellipsoids, posed, large_camera, large_targets)
+    size = large_targets.shape[1]
+    yield "region of interest", (f"picture of {size} px", large), (f"crop of {_SIZE} px", loss), None
 
 
 def _sphere_cases(batch: int, device: str) -> Iterator[_Case]:
@@ -159,23 +122,15 @@ def _sphere_cases(batch: int, device: str) -> Iterator[_Case]:
     few = Ellipsoids(*[t[:, :_FEW].contiguous() for t in (spheres.centres, spheres.axes, spheres.semi_axes)])
     beside = spheres.centres.clone()
     beside[:, _FEW:, 0] += 100.0
-    gradient: Gradient
-    for gradient in ("edges", "coverage", "partdr"):
+    apart = replace(spheres, centres=beside)
+    for gradient in get_args(Gradient):
         loss = partial(_loss_of_ellipsoids, gradient=gradient)
         whole = partial(loss, spheres, camera, targets)
         none = partial(loss, spheres, camera, torch.zeros_like(targets), part_labels=_NO_PARTS)
-        yield _Case(
-            f"parts of a scene, {gradient}",
-            (f"{_NUM_PARTS} equal spheres", whole),
-            (f"{_FEW} of them", partial(loss, few, camera, few_targets)),
-            none,
-        )
-        yield _Case(
-            f"parts out of the picture, {gradient}",
-            (f"{_NUM_PARTS} equal spheres in it", whole),
-            (f"{_FEW} in it, the others beside", partial(loss, replace(spheres, centres=beside), camera, few_targets)),
-            none,
-        )
+        fewer = f"{_FEW} of them", partial(loss, few, camera, few_targets)
+        yield f"parts of a scene, {gradient}", (f"{_NUM_PARTS} equal spheres", whole), fewer, none
+        in_it = f"{_FEW} in it, the others beside", partial(loss, apart, camera, few_targets)
+        yield f"parts out of the picture, {gradient}", (f"{_NUM_PARTS} equal spheres in it", whole), in_it, none
 
 
 def _leaves(ellipsoids: Ellipsoids) -> Ellipsoids:
@@ -238,48 +193,22 @@ def _in_larger_picture(
     return camera.in_full(Crop(start, start, 1.0, (_SIZE, _SIZE))), labels
 
 
-_HEADINGS = (
-    *("what", "whole", "needed"),
-    *("whole [ms]", "needed [ms]", "nothing [ms]", "left", "whole [MB]", "needed [MB]"),
-)
+_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {  # heading: name in the row, format
+    "what": ("name", str),
+    "whole": ("whole", str),
+    "needed": ("needed", str),
+    "whole [ms]": ("whole_s", lambda seconds: f"{1e3 * seconds:.2f}"),
+    "needed [ms]": ("needed_s", lambda seconds: f"{1e3 * seconds:.2f}"),
+    "nothing [ms]": ("nothing_s", lambda seconds: f"{1e3 * seconds:.2f}" if seconds else ""),
+    "left": ("left", lambda share: f"{100 * share:.0f} %"),
+    "whole [MB]": ("whole_bytes", lambda size: "" if size is None else f"{size / 1e6:.1f}"),
+    "needed [MB]": ("needed_bytes", lambda size: "" if size is None else f"{size / 1e6:.1f}"),
+}
 
 
-def print_savings(rows: Sequence[Saving], machine: Mapping[str, str], console: Console) -> None:
+def print_savings(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, str], console: Console) -> None:
     """A table."""
-    cells = [
-        [
-            row.name,
-            row.whole,
-            row.needed,
-            f"{1e3 * row.before.median:.2f}",
-            f"{1e3 * row.after.median:.2f}",
-            f"{1e3 * row.base.median:.2f}" if row.base.median else "",
-            f"{100 * row.share:.0f} %",
-            *("" if size is None else f"{size / 1e6:.1f}" for size in (row.memory_before, row.memory_after)),
-        ]
-        for row in rows
-    ]
+    cells = [[form(row[name]) for name, form in _COLUMNS.values()] for row in rows]
     title = "Model only what a scene requires: L_seg and its gradient through torch, medians"
     note = "left: needed over whole, each less the time of a scene without parts, where that was taken."
-    print_tables([in_words(machine)], [make_table(title, _HEADINGS, cells, left=(0, 1, 2))], [], [note], console)
-
-
-def savings_as_dict(rows: Sequence[Saving], machine: Mapping[str, str]) -> dict[str, Any]:
-    """For JSON: seconds and bytes."""
-    return {
-        "machine": machine,
-        "rows": [
-            {
-                "name": row.name,
-                "whole": row.whole,
-                "needed": row.needed,
-                "whole_s": row.before.median,
-                "needed_s": row.after.median,
-                "nothing_s": row.base.median,
-                "left": row.share,
-                "whole_bytes": row.memory_before,
-                "needed_bytes": row.memory_after,
-            }
-            for row in rows
-        ],
-    }
+    print_tables([in_words(machine)], [make_table(title, [*_COLUMNS], cells, left=(0, 1, 2))], [], [note], console)

@@ -73,7 +73,7 @@ def bench_savings(device: DeviceOption = "auto", out: OutOption = _OUT) -> None:
     """Time savings; see ``_SAVINGS_HELP``."""
     where = _begin(device, out)
     from ..bench.machine import about
-    from ..bench.savings import print_savings, run_savings, savings_as_dict
+    from ..bench.savings import print_savings, run_savings
     from ..kernels.launch import set_num_threads
     from .progress import FitProgress
 
@@ -81,7 +81,7 @@ def bench_savings(device: DeviceOption = "auto", out: OutOption = _OUT) -> None:
     with FitProgress() as progress:
         rows = run_savings(where, progress=progress)
     machine = about(where)
-    files = _save(out, f"savings-{where}", savings_as_dict(rows, machine))
+    files = _save(out, f"savings-{where}", {"machine": machine, "rows": rows})
     _show(partial(print_savings, rows, machine), files)
 
 
