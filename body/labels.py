@@ -298,6 +298,3 @@ def _packaged() -> dict[str, LabelSet]:
 
 
 LABEL_SETS = _packaged()
-
-# For helps: "cdcl14 (CDCL, 15 classes), ...", background counted.
-DESCRIBED = ", ".join(f"{name} ({each.of}, {len(each.channel_ids)} classes)" for name, each in LABEL_SETS.items())

@@ -38,17 +38,13 @@ def test_help_teaches(run: Run) -> None:
     assert '{"format": "coco17", "keypoints": [[x, y, confidence], ...]}' in said  # not taken for markup
     for name in (*LABEL_SETS, *SKELETONS, *EVERY_FILE, "--parts", "--person", "--model", "Example"):
         assert name in said, name
-    told = " ".join(said.split())
-    for labels in LABEL_SETS.values():
-        assert f"{labels.name} ({labels.of}, {len(labels.channel_ids)} classes)" in told
     assert max(map(len, said.splitlines())) <= 100
 
 
-def test_options_of_a_fit_fit_on_a_screen(run: Run) -> None:
-    said = run("fit --help", COLUMNS="100")[1]
-    options = said[said.index("─ Options") :].splitlines()
-    assert sum(line.lstrip("│* ").startswith("--") for line in options) <= 14
-    assert len(options) <= 40
+def test_help_of_a_fit_fits_on_a_screen(run: Run) -> None:
+    lines = run("fit --help", COLUMNS="100")[1].splitlines()
+    assert sum(line.lstrip("│* ").startswith("--") for line in lines) <= 14
+    assert len(lines) <= 53
 
 
 def test_version(run: Run) -> None:

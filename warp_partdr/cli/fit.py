@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..body.labels import DESCRIBED
+from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
 from .options import DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
@@ -36,31 +36,26 @@ class QualityName(StrEnum):
     accurate = "accurate"
 
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids to one person: 2D keypoints and part labels in, pose and measurements out.
-Then clothe it in a detailed model: a skinned mesh.
+FIT_HELP = f"""Fit a body of 20 ellipsoids to one person's keypoints and part labels; clothe it in a skinned mesh.
 
-Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14 --out fitted`
+Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14`
 
-**Keypoints**, in pixels of the picture: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, a plain list,
-OpenPose's own JSON, COCO annotations, or MMPose predictions. Formats: {", ".join(SKELETONS)}.
+**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO
+and MMPose write them. Formats: {", ".join(SKELETONS)}.
 
-**Part labels**, as large as the picture: an image of ids, or a network's probabilities. Label sets:
-{DESCRIBED}; or a JSON file of your own: `{{"groups": {{"head": ["head", "neck"], ...}}, "ids": {{"0":
-"background", "1": "head", ...}}}}`, whose parts are those of ellipbody20. Id 255 is ignored. Without --parts, the
-keypoints alone are fitted.
+**Part labels**, as large as the picture: ids, or a network's probabilities; without them, keypoints alone are fitted.
+Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
 
-**Results** in FOLDER: overlay.png (look at this first), parts.png, body.npz (parameters), body.json (measurements in
-cm, joints), ellipbody.glb (opens in Blender), loss.png, report.json. Of the detailed model: detailed.png, detailed.glb,
-detailed.obj, detailed.ply, detailed.bvh, detailed.npz, registration.json, as `partdr register` leaves them. Older
-results there are replaced.
+**Results**: overlay.png (look at this first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
+(opens in Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
+registration.json. Older ones are replaced.
 
-**Settings** for --set and --config, all in docs/fitting.md: `outline=false` (no last stage: joints nearer to the truth,
-outlines farther from the labels), `outline=labels-first` (the reverse), `trust_background=true`, `weights.prior=5`,
-`labels.size=256`, `mesh=true` (the paper's renderer), `network=FILE.safetensors`, `threads=4`.
+**Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
+the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true` (the paper's renderer), `threads=4`.
 """
 
-_QUALITY_HELP = "On PartBench's clean people: part F1 0.86, 0.88, 0.90 in 0.4, 1 and 1.15 of balanced's time."
-_START_HELP = "The label network's body, and a search where that ends far off; or a search at once."
+_QUALITY_HELP = "fast, balanced or accurate: part F1 0.86, 0.88, 0.90 on PartBench in 0.4, 1, 1.15 of the time."
+_START_HELP = "network (a search where that ends far off) or search."
 
 
 def fit(
@@ -70,8 +65,8 @@ def fit(
     ] = None,
     out: OutOption = Path("out"),
     model: Annotated[str, typer.Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
-    quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP)] = QualityName.balanced,
-    start: Annotated[StartName, typer.Option(help=_START_HELP)] = StartName.network,
+    quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP, metavar="NAME")] = QualityName.balanced,
+    start: Annotated[StartName, typer.Option(help=_START_HELP, metavar="NAME")] = StartName.network,
     device: DeviceOption = "auto",
     explain: Annotated[
         bool, typer.Option("--explain", help="First say what is modelled, what is left out, and why.")

@@ -25,7 +25,7 @@ LabelsOption = Annotated[
     str | None,
     typer.Option(
         "--labels",
-        help="Label set of the part labels, or a JSON file; default: labels.json beside them.",
+        help="Label set, or a JSON file of one; default: labels.json there.",
         metavar="NAME",
         show_default=False,
     ),
@@ -40,9 +40,9 @@ SetOption = Annotated[
 class SettingOptions:
     """The options --config and --set."""
 
-    config: Annotated[
-        Path | None, typer.Option(help="Settings as TOML; --set goes before them.", metavar="FILE.toml")
-    ] = None
+    config: Annotated[Path | None, typer.Option(help="Settings as TOML; --set goes before them.", metavar="FILE")] = (
+        None
+    )
     overrides: SetOption = None
 
     def read(self) -> dict[str, Any]:
@@ -73,9 +73,9 @@ def take_whole(values: dict[str, Any], name: str) -> int:
 class PersonFiles:
     """Options for the files of one person."""
 
-    keypoints: Annotated[
-        Path | None, typer.Option(help="2D keypoints, JSON.", metavar="FILE.json", show_default=False)
-    ] = None
+    keypoints: Annotated[Path | None, typer.Option(help="2D keypoints, JSON.", metavar="FILE", show_default=False)] = (
+        None
+    )
     keypoint_format: Annotated[
         str | None,
         typer.Option("--format", help="Of the keypoints, if the file does not say.", metavar="NAME"),
