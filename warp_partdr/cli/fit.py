@@ -51,7 +51,7 @@ Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md)
 registration.json. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
-the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true` (the paper's renderer), `threads=4`.
+the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`.
 """
 
 _QUALITY_HELP = "fast, balanced or accurate: part F1 0.86, 0.88, 0.90 on PartBench in 0.4, 1, 1.15 of the time."
