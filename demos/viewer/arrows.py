@@ -32,12 +32,7 @@ class Arrows:
         self.actor = plotter.add_mesh(self._mesh, scalars="rgb", rgb=True, lighting=False, render=False)
 
     def show(self, places: np.ndarray, forces: np.ndarray) -> None:
-        """Point the arrows.
-
-        Args:
-            places: Where they begin, y down, shape (N, 2).
-            forces: x to the right, y down and z away, shape (N, 3).
-        """
+        """Point the arrows from places (N, 2), y down, along forces (N, 3), y down and z away."""
         across = np.linalg.norm(forces[:, :2], axis=1)
         chosen = np.argsort(across)[-self._most :]
         places, forces, across = places[chosen], forces[chosen], across[chosen]

@@ -69,11 +69,11 @@ class Controls:
         bodies = (*PRESETS, RANDOM)
         targets = bodies if self._given.truth is not None else (_GIVEN, *bodies)
         film = f"begin to film the window; again: write {folder / FILM}"
-        skeleton, network = partial(self._toggle, "skeleton_only"), self._start_from_network
+        play, skeleton = partial(_flip, self, "playing"), partial(_flip, scene, "skeleton_only")
         return [
             [
                 "",
-                Button("play", "space", "play or pause the refinement", self._play, lambda: self.playing),
+                Button("play", "space", "play or pause the refinement", play, lambda: self.playing),
                 Button("step", "n", "one iteration", self._step),
                 Button("restart", "BackSpace", "back to the start", state.restart),
                 "   ",
@@ -85,7 +85,7 @@ class Controls:
             [
                 "start",
                 *_each(bodies, "start from ", self._start, self._has_start, first_key=1),
-                Button(NETWORK, "k", _HINTS[NETWORK], network),
+                Button(NETWORK, "k", _HINTS[NETWORK], self._start_from_network),
             ],
             self._cycle("target", "t", _each(targets, "target: ", self._set_target, self._has_target)),
             [
@@ -143,9 +143,6 @@ class Controls:
         self.keys[key] = go_on
         return [f"{label}  [{key}]", *buttons]
 
-    def _play(self) -> None:
-        self.playing = not self.playing
-
     def _step(self) -> None:
         self.playing = False
         self._state.step()
@@ -177,9 +174,6 @@ class Controls:
     def _has(self, **settings: Any) -> bool:
         return all(getattr(self._state.settings, name) == value for name, value in settings.items())
 
-    def _toggle(self, name: str) -> None:
-        setattr(self._scene, name, not getattr(self._scene, name))
-
     def _toggle_depth(self) -> None:
         settings = self._state.settings
         if settings.offers_depth:
@@ -188,7 +182,7 @@ class Controls:
             self._scene.message = "PartDR's z gradient: only of parts, with partdr or E0 to E3"
 
     def _toggle_outline(self) -> None:
-        self._toggle("outline_arrows")
+        _flip(self._scene, "outline_arrows")
         if self._scene.outline_arrows and self._has(supervision="keypoints"):
             self._scene.message = "keypoints pull on no outline; follow the silhouette or the parts"
 
@@ -274,6 +268,10 @@ def _each(names: Iterable[str], hint: str, do: _Do, is_on: _IsOn, first_key: int
         Button(name, f"F{key}" if first_key else "", hint + name, partial(do, name), partial(is_on, name))
         for key, name in enumerate(names, start=first_key)
     ]
+
+
+def _flip(of: object, name: str) -> None:
+    setattr(of, name, not getattr(of, name))
 
 
 def _same(one: BodyParameters, other: BodyParameters) -> bool:

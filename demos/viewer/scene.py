@@ -146,13 +146,7 @@ class Scene:
         )
 
     def wear(self, vertices: np.ndarray, faces: np.ndarray, parts: np.ndarray) -> None:
-        """Show a detailed body instead of the ellipsoids that the state has now.
-
-        Args:
-            vertices: In the camera frame [m], shape (V, 3).
-            faces: Shape (F, 3).
-            parts: Label of each face, shape (F,).
-        """
+        """Show vertices (V, 3) [m] and faces (F, 3) with labels (F,) instead of the ellipsoids of now."""
         skin = self._pv.PolyData.from_regular_faces(vertices @ _FLIP, faces)
         skin.cell_data["rgb"] = PART_COLOURS[parts]
         mapper = self._skin.mapper

@@ -33,26 +33,17 @@ QUALITIES: dict[str, dict[str, Any]] = {
 class Settings:
     """Settings of the refinement.
 
-    Attributes:
-        supervision: Beside the keypoints: nothing, the whole silhouette, or the parts.
-        depth_gradient: Whether PartDR's z gradient counts where there is one; see ``offers_depth``.
-        renderer: "exact" ellipsoids, or their mesh of a level.
-        gradient: Of the exact renderer; a mesh has PartDR's alone.
-        size: Side of the drawn crop [px].
-        steps: Iterations over which the learning rate falls to a tenth; it stays there.
-        learning_rate: As in ``refine``, whose own is for starts that are nearer.
-
     Raises:
         InputError: If a value is none of its choices.
     """
 
-    supervision: Supervision = "parts"
-    depth_gradient: bool = True
-    renderer: RendererName = "exact"
-    gradient: Gradient = "partdr"
-    size: int = 256
-    steps: int = 100
-    learning_rate: float = 0.06
+    supervision: Supervision = "parts"  # beside the keypoints: nothing, the whole silhouette, or the parts
+    depth_gradient: bool = True  # whether PartDR's z gradient counts where there is one; see ``offers_depth``
+    renderer: RendererName = "exact"  # ellipsoids, or their mesh of a level
+    gradient: Gradient = "partdr"  # of the exact renderer; a mesh has PartDR's alone
+    size: int = 256  # side of the drawn crop [px]
+    steps: int = 100  # over which the learning rate falls to a tenth; it stays there
+    learning_rate: float = 0.06  # as in ``refine``, whose own is for starts that are nearer
 
     def __post_init__(self) -> None:
         for name, allowed in CHOICES.items():

@@ -118,13 +118,7 @@ class DemoState:
         return self.prior.lower_limits, self.prior.upper_limits
 
     def set_number(self, field: str, index: int | tuple[int, int], value: float) -> None:
-        """Change one of the body's numbers within its ``bounds``; the edited body is the new start.
-
-        Args:
-            field: "lengths", "thicknesses" or "rotations".
-            index: Of the number; of rotations, (part, axis).
-            value: The new one [m] or [rad].
-        """
+        """Change one of the body's numbers [m] or [rad] within its ``bounds``; the edited body is the new start."""
         low, high = self.bounds(field)
         values = self.body.tensors()[field].detach().clone()
         values[0][index] = min(max(value, float(low[index])), float(high[index]))
@@ -158,24 +152,16 @@ class DemoState:
         }
 
     def forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pull of the losses of keypoints and labels on each ellipsoid: minus their gradient at its centre.
-
-        Returns:
-            Centres in the camera frame [m], and the pull [a metre], shape (20, 3) each.
-        """
+        """Centres of the ellipsoids (20, 3) [m], and minus the gradient of the losses of keypoints and labels there."""
         centres = self.posed.centres.clone().requires_grad_()
         terms = self.energy.terms(self.body.detach(), replace(self.posed, centres=centres), ("proj", "seg"))
         (slope,) = torch.autograd.grad(torch.stack(list(terms.values())).sum(), centres)
         return centres.detach()[0].numpy(), -slope[0].numpy()
 
     def outline_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pull of the loss of labels on the vertices of the mesh, most of them on its silhouettes.
+        """Vertices of the mesh that labels pull, (N, 3) [m], most of them on silhouettes, and their pull.
 
-        Of exact ellipsoids, the vertices are those of level 2, with PartDR's gradient.
-
-        Returns:
-            Those with a pull in the camera frame [m], and their pull [a metre], shape (N, 3) each; N = 0 where no
-            labels are followed.
+        Of exact ellipsoids, they are those of level 2, with PartDR's gradient. N = 0 where no labels are followed.
         """
         energy, level = self.energy, self.settings.level
         if energy.target is None or energy.observation.label_set is None:

@@ -49,17 +49,11 @@ _UNKNOWN_COLOUR = 238  # of a pixel
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Target of the refinement; pictures of it are kept while it is in use.
+    """Target of the refinement; pictures of it are kept while it is in use."""
 
-    Attributes:
-        observation: Keypoints and labels in the crop; no labels where the user has none.
-        truth: The body it was drawn from; None of a photo.
-        photo: The crop of the user's photo, RGB, shape (N, N, 3), uint8; None without.
-    """
-
-    observation: Observation
-    truth: BodyParameters | None = None
-    photo: np.ndarray | None = None
+    observation: Observation  # no labels where the user has none
+    truth: BodyParameters | None = None  # the body it was drawn from
+    photo: np.ndarray | None = None  # the crop of the user's, RGB, shape (N, N, 3), uint8
 
     @property
     def label_set(self) -> LabelSet:
@@ -73,11 +67,7 @@ class Target:
 
 
 def body_of(name: str, seed: int = 0) -> BodyParameters:
-    """A body by name.
-
-    Args:
-        name: One of ``PRESETS``, or "random".
-        seed: Of a random one.
+    """A body by name: one of ``PRESETS``, or "random", which the seed draws.
 
     Raises:
         InputError: If there is no such body.
@@ -89,21 +79,16 @@ def body_of(name: str, seed: int = 0) -> BodyParameters:
         rng = np.random.default_rng(seed)
         rotations = draw_pose("prior", rng).rotations
         turn = rng.uniform(-_WIDEST_TURN, _WIDEST_TURN)
-        sizes = {}
         for field, spread in _SPREAD.items():
             usual = body.tensors()[field]
             share = torch.from_numpy(rng.normal(1.0, spread, usual.shape)).float()
-            sizes[field] = usual * share.clamp(*SIZES[field])
-        body = replace(body, **sizes)
+            body = replace(body, **{field: usual * share.clamp(*SIZES[field])})
     else:
         kind, drawn, turn = _PRESETS[name]
         rotations = np.zeros((20, 3)) if kind is None else draw_pose(kind, np.random.default_rng(drawn)).rotations
     yaw = rotation_from_axis_angle(torch.tensor([0.0, math.radians(turn), 0.0]))
-    return replace(
-        body,
-        orientation=rotation_to_6d(body.global_orient() @ yaw),
-        rotations=torch.from_numpy(rotations)[None].float(),
-    )
+    orientation = rotation_to_6d(body.global_orient() @ yaw)
+    return replace(body, orientation=orientation, rotations=torch.from_numpy(rotations)[None].float())
 
 
 def network_body(target: Target) -> BodyParameters:

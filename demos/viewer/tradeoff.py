@@ -24,28 +24,19 @@ _MOST = 8  # rows that are kept
 class TradeoffRow:
     """One setting: what can be said of it at the start, and how far it came.
 
-    Attributes:
-        drawn: Renderer and gradient.
-        size: Side of the picture [px].
-        followed: What is followed.
-        milliseconds: Of an iteration: of one at the start, then the median of the last.
-        angle: Between its gradient of L_seg and the derivative of the wrongly labelled area [degrees], at the start;
-            None where the true body isn't known, and where anything but all that the parts say is followed.
-        outline: How far the farthest silhouette of the mesh is from the ellipsoid's [px of 256], at the start.
-        iterations: How many it was followed for from the start, in the longest run.
-        f1: Part F1 of the drawn labels then; None without labels.
-        joints: How far joints are from the target's then [mm]; None of a photo.
+    ``angle``, between its gradient of L_seg and the derivative of the wrongly labelled area at the start, is None where
+    the true body isn't known, and where anything but all that the parts say is followed.
     """
 
-    drawn: str
-    size: int
+    drawn: str  # renderer and gradient
+    size: int  # of the picture [px]
     followed: str
-    milliseconds: float
-    angle: float | None
-    outline: float
-    iterations: int = 0
-    f1: float | None = None
-    joints: float | None = None
+    milliseconds: float  # of an iteration: of one at the start, then the median of the last
+    angle: float | None  # [degrees]
+    outline: float  # how far the farthest silhouette of the mesh is from the ellipsoid's at the start [px of 256]
+    iterations: int = 0  # in the longest run
+    f1: float | None = None  # of the drawn labels then; None without labels
+    joints: float | None = None  # how far they are from the target's then [mm]; None of a photo
 
 
 class Tradeoff:

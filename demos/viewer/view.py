@@ -13,6 +13,7 @@ from ..inputs.observation import REFERENCE_SIZE
 
 _HALF = REFERENCE_SIZE / 2
 _X, _Y, _Z = torch.eye(3)
+_FACING = BodyParameters.mean(1).global_orient()[0]
 
 # Name: unit, smallest, largest. Pixels are those of a picture of 256 a side.
 VIEW: dict[str, tuple[str, float, float]] = {
@@ -32,7 +33,7 @@ def view_of(body: BodyParameters) -> dict[str, float]:
     The body turns about its own vertical, is tilted about the picture's x axis, then rolls in the picture:
     R = Rz(roll) Rx(tilt) Ry(turn) R_facing.
     """
-    turned = (body.global_orient()[0] @ _facing().mT).double()
+    turned = (body.global_orient()[0] @ _FACING.mT).double()
     tilt = math.asin(min(max(float(turned[2, 1]), -1.0), 1.0))
     turn = math.atan2(-float(turned[2, 0]), float(turned[2, 2]))
     roll = math.atan2(-float(turned[0, 1]), float(turned[1, 1]))
@@ -50,11 +51,7 @@ def seen_as(body: BodyParameters, view: dict[str, float]) -> BodyParameters:
     )
     return replace(
         body.detach(),
-        orientation=rotation_to_6d(roll @ tilt @ turn @ _facing())[None],
+        orientation=rotation_to_6d(roll @ tilt @ turn @ _FACING)[None],
         log_scale=torch.tensor([math.log(scale / _HALF)]),
         shift=torch.tensor([[x / _HALF, y / _HALF]]),
     )
-
-
-def _facing() -> torch.Tensor:
-    return BodyParameters.mean(1).global_orient()[0]

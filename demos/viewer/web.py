@@ -89,9 +89,8 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
         ready: Called with the port when the page can be opened.
 
     Raises:
-        InputError: If PyVista's web backend isn't installed, or it can't listen there.
+        InputError: If it can't listen there.
     """
-    check_backend()
     for name in _LOGS:
         logging.getLogger(name).addFilter(_is_of_open_page)
     server, pictures = _make_page(window)

@@ -34,17 +34,11 @@ lets other machines in), `port=8080` (0 takes a free one), `browser=true` (opens
 
 @dataclass(frozen=True)
 class WebAddress:
-    """Settings of the page that --web shows.
+    """Settings of the page that --web shows."""
 
-    Attributes:
-        host: Address to listen at.
-        port: Port to listen at; 0 takes a free one.
-        browser: Whether to open the browser, if there is a screen.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-    browser: bool = True
+    host: str = "127.0.0.1"  # to listen at
+    port: int = 8080  # 0 takes a free one
+    browser: bool = True  # whether to open it, if there is a screen
 
     def __post_init__(self) -> None:
         if not 0 <= self.port < 2**16:
@@ -83,7 +77,7 @@ def demo(
     values = settings.read()
     address = _web_address(values, web)
     if web:
-        import_module("..viewer.web", __package__).check_backend()
+        _viewer("web").check_backend()
     elif record is None and not profile and not _has_display():
         raise InputError(
             "demo: no display (DISPLAY is not set); expected one, or --web for a browser, or --record out.gif or "
@@ -95,19 +89,17 @@ def demo(
 
     choose_device("cpu")
     torch.set_num_threads(1)  # the tensors are small
-    # By name: the demo stands above the package, which imports nothing of it until it is asked for.
-    state, recording = (import_module(f"..viewer.{name}", __package__) for name in ("state", "recording"))
     if record is not None:
-        recording.check_format(record)
-    seed = take_whole(values, "seed")
-    check_keys(values, [*(field.name for field in fields(state.Settings)), "seed", *_ADDRESS_KEYS])
-    chosen = read_section(state.Settings, values)
+        _viewer("recording").check_format(record)
+    seed, settings_of_demo = take_whole(values, "seed"), _viewer("settings").Settings
+    check_keys(values, [*(field.name for field in fields(settings_of_demo)), "seed", *_ADDRESS_KEYS])
+    chosen = read_section(settings_of_demo, values)
     first, goal = _bodies(files, photo, start, target, seed)
-    shown = state.DemoState(first, goal, chosen)
+    shown = _viewer("state").DemoState(first, goal, chosen)
     if record is not None:
-        _record(shown, recording, record, chosen.steps)
+        _record(shown, record, chosen.steps)
         return
-    window = import_module("..viewer.window", __package__).Window(shown, out, off_screen=profile or web, seed=seed + 1)
+    window = _viewer("window").Window(shown, out, off_screen=profile or web, seed=seed + 1)
     if profile:
         for what, took in window.profile().items():
             typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {chosen.size}x{chosen.size}")
@@ -123,6 +115,11 @@ def demo(
 _ADDRESS_KEYS = tuple(field.name for field in fields(WebAddress))
 
 
+def _viewer(name: str) -> Any:
+    """A module of the demo, which stands above the package: nothing of it is imported until it is asked for."""
+    return import_module(f"..viewer.{name}", __package__)
+
+
 def _web_address(values: dict[str, Any], web: bool) -> WebAddress:
     """The settings of --web, taken out of the others."""
     given = {name: values.pop(name) for name in _ADDRESS_KEYS if name in values}
@@ -133,7 +130,7 @@ def _web_address(values: dict[str, Any], web: bool) -> WebAddress:
 
 def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, seed: int) -> tuple[Any, Any]:
     """The body to begin with and the target."""
-    targets = import_module("..viewer.targets", __package__)
+    targets = _viewer("targets")
     if files.keypoints is not None:
         goal = targets.person_target(files.read(photo))
     elif any(given is not None for given in (photo, files.parts, files.labels)):
@@ -154,7 +151,7 @@ def _serve(window: Any, address: WebAddress) -> None:
     import contextlib
     import webbrowser
 
-    web = import_module("..viewer.web", __package__)
+    web = _viewer("web")
 
     def ready(taken: int) -> None:
         page = web.page_address(address.host, taken)
@@ -166,17 +163,17 @@ def _serve(window: Any, address: WebAddress) -> None:
         asyncio.run(web.serve(window, address.host, address.port, ready))
 
 
-def _record(shown: Any, recording: Any, path: Path, steps: int) -> None:
+def _record(shown: Any, path: Path, steps: int) -> None:
     from .progress import FitProgress
 
-    scene = import_module("..viewer.scene", __package__).Scene(shown)
+    scene = _viewer("scene").Scene(shown)
     try:
+        pictures = []
         with FitProgress() as progress:
-            pictures = []
-            for picture in recording.frames(scene, steps):
+            for picture in _viewer("recording").frames(scene, steps):
                 pictures.append(picture)
                 progress("recording", len(shown.history), steps)
-            recording.write(pictures, path)
+        _viewer("recording").write(pictures, path)
     finally:
         scene.close()
     typer.echo(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB")
