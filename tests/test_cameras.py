@@ -18,14 +18,13 @@ def full() -> Perspective:
     return Perspective(torch.tensor([[900.0, 950.0]], dtype=DOUBLE), torch.tensor([[320.0, 240.0]], dtype=DOUBLE))
 
 
-def test_weak_perspective_by_hand():
-    image = weak().project(POINTS)
-    torch.testing.assert_close(image[0, 0], torch.tensor([222.0, 47.0, 0.2], dtype=DOUBLE))
-
-
-def test_perspective_by_hand():
-    image = full().project(torch.tensor([[[0.5, -0.25, 2.0]]], dtype=DOUBLE))
-    torch.testing.assert_close(image[0, 0], torch.tensor([545.0, 121.25, 2.0], dtype=DOUBLE))
+def test_projections_by_hand():
+    for camera, point, seen in (
+        (weak(), [0.1, -0.4, 0.2], [222.0, 47.0, 0.2]),
+        (full(), [0.5, -0.25, 2.0], [545.0, 121.25, 2.0]),
+    ):
+        image = camera.project(torch.tensor([[point]], dtype=DOUBLE))
+        torch.testing.assert_close(image[0, 0], torch.tensor(seen, dtype=DOUBLE))
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, 1e-12])

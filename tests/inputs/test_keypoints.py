@@ -11,7 +11,7 @@ import torch
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import LandmarkGather
-from warp_partdr.body.skeletons import SKELETONS, skeleton
+from warp_partdr.body.skeletons import skeleton
 from warp_partdr.inputs.keypoint_files import parse_keypoints
 from warp_partdr.inputs.keypoints import MIN_CONFIDENCE, Keypoints2D, choose_person, person_height
 
@@ -80,15 +80,16 @@ def test_many_people_are_read_as_each_alone(rng: np.random.Generator) -> None:
 
 def test_height_is_the_upper_quartile_of_what_long_bones_say(rng: np.random.Generator) -> None:
     shares = {"shoulder-hip": 0.27, "hip-knee": 0.24, "knee-ankle": 0.247}
-    landmarks = SKELETONS["coco17"].landmarks
     for _ in range(50):
         confidence = (rng.random(17) * (rng.random(17) < 0.7)).astype(np.float32)
         person = Keypoints2D("coco17", (rng.random((17, 2)) * 300).astype(np.float32), confidence)
         told = []
         for bone, share in shares.items():
             for side in ("left", "right"):
-                start, end = (landmarks.index(f"{side}_{joint}") for joint in bone.split("-"))
+                start, end = (COCO.index(f"{side}_{joint}") for joint in bone.split("-"))
                 if person.confident[[start, end]].all():
                     told.append(np.linalg.norm(person.points[start] - person.points[end]) / share)
         if told:
             assert person_height(person) == pytest.approx(np.quantile(told, 0.75), rel=1e-6)
+    face = Keypoints2D("coco17", person.points, (np.arange(17) < 5).astype(np.float32))
+    assert person_height(face) == pytest.approx(np.ptp(person.points[:5], axis=0).max())  # no bone is seen

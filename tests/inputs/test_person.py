@@ -63,18 +63,6 @@ def paint(keypoints: Keypoints2D, size: tuple[int, int], thickness: float = 0.04
     return groups
 
 
-def test_person_height() -> None:
-    keypoints = standing(height=200)
-    assert person_height(keypoints) == pytest.approx(200, rel=0.03)
-    seated = keypoints.points.copy()
-    seated[13:15] = seated[11:13] + np.array([0, 5])  # Thighs toward the camera.
-    seated[15:17] = seated[13:15] + np.array([0, 0.247 * 200])
-    assert person_height(Keypoints2D("coco17", seated, keypoints.confidence)) == pytest.approx(200, rel=0.06)
-    assert person_height(without(keypoints, set(range(17)) - {5, 7, 9})) == pytest.approx(200, rel=0.06)  # an arm
-    face = without(keypoints, range(5, 17))
-    assert person_height(face) == pytest.approx(0.09 * 200, rel=0.01)
-
-
 def test_choose_person() -> None:
     small, large = standing(30, 10, 60), standing(100, 10, 150)
     faint = Keypoints2D("coco17", large.points + 200, large.confidence / 10)
