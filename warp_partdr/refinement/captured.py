@@ -35,7 +35,7 @@ from ..render.captured import CapturedEllipsoids
 from ..render.renderers import RendererEllipsoids
 from .energy import TERMS, Energy
 from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
-from .tables import LANDMARK_NAMES, landmark_arrays, landmark_shares, mixture_arrays, rule_arrays, skeleton_arrays
+from .tables import LANDMARK_NAMES, landmark_arrays, mixture_arrays, rule_arrays, skeleton_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
@@ -70,13 +70,15 @@ class CapturedRefinement:
     ) -> None:
         free = BodyParameters.free(frozen)
         iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
-        energies = _as_list(energies)
+        energies = [energies] if isinstance(energies, Energy) else list(energies)
         self._energy = energy = energies[0]
         self._device = energy.observation.points.device
         if energy.observation.maps is not None:
             raise ValueError("energies: probabilities of labels; expected labels, ``refine`` takes probabilities")
         if not can_capture(energy):
             raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
+        for other in energies:
+            _check_alike(energy, other)
 
         def buffer(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
             return torch.zeros(*shape, dtype=dtype, device=self._device)
@@ -86,34 +88,29 @@ class CapturedRefinement:
         self._parameters, self._gradient, self._best = buffer(*rows), buffer(*rows), buffer(*rows)
         self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
         self._history = buffer(iterations + 1, batch_size)
-        self._points = buffer(len(energies), len(LANDMARK_NAMES), 2)
-        self._votes = buffer(len(energies), len(LANDMARK_NAMES))
-        self._lengths = buffer(len(energies), *ROW["lengths"])
-        self._thicknesses = buffer(len(energies), *ROW["thicknesses"])
-        self._depths = buffer(len(energies), NUM_PARTS)
         # At rate 0, after the last step, the energy is looked at once more.
         shares = [rate_share(step, iterations) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
         with on_torch_stream(self._device) as where:
             self._state = self._make_state(where)
-            self._problem = self._make_problem(where, free)
-            self._renderer = self._make_renderer(len(energies))
+            self._problem = self._make_problem(where, energies, free)
+            self._renderer = self._make_renderer(energies)
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
-        self.observe(energies)
         if batch_size > 0:
             self._rewind_graph = capture_graph(self._rewind, self._device)
             self._graph = capture_graph(self.iterate, self._device)
 
-    def _make_renderer(self, count: int) -> CapturedEllipsoids | None:
+    def _make_renderer(self, energies: Sequence[Energy]) -> CapturedEllipsoids | None:
         """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
-        energy = self._energy
-        self._targets = torch.zeros(count, energy.size, energy.size, dtype=torch.uint8, device=self._device)
-        label_set = energy.observation.label_set
-        if energy.target is None or label_set is None:
+        renderer, label_set = self._energy.renderer, self._energy.observation.label_set
+        targets = [energy.target for energy in energies if energy.target is not None]
+        if not targets or label_set is None:
             return None
-        assert isinstance(energy.renderer, RendererEllipsoids)
+        assert isinstance(renderer, RendererEllipsoids)
         labels = [int(group) for group in label_set.part_groups[1:]]
-        return CapturedEllipsoids(energy.renderer, labels, self._targets, self._state.ellipsoids)
+        made = CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids)
+        made.update()
+        return made
 
     def _make_state(self, where: str) -> State:
         """Allocate the bodies' state."""
@@ -151,56 +148,25 @@ class CapturedRefinement:
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
         return state
 
-    def _make_problem(self, where: str, free: Collection[str]) -> Problem:
-        """Set up the problem's constants; ``observe`` writes the observations into them."""
+    def _make_problem(self, where: str, energies: Sequence[Energy], free: Collection[str]) -> Problem:
+        """Set up the problem's constants, those of the N observations among them."""
         energy, problem = self._energy, Problem()
+        points = torch.zeros(len(energies), len(LANDMARK_NAMES), 2, device=self._device)
+        votes = torch.zeros(len(energies), len(LANDMARK_NAMES), device=self._device)
+        for row, each in enumerate(energies):
+            index = [LANDMARK_NAMES.index(name) for name in each.observation.landmarks]
+            points[row, index], votes[row, index] = each.observation.points, each.votes
+        lengths = torch.stack([each.usual_lengths for each in energies])
+        thicknesses = torch.stack([each.usual_thicknesses for each in energies])
+        nowhere = torch.zeros(NUM_PARTS, device=self._device)
+        depths = torch.stack([nowhere if each.depths is None else each.depths for each in energies])
+        seen = {name for each in energies for name in each.observation.landmarks}
         problem.skeleton, problem.half_size = skeleton_arrays(where), energy.size / 2
-        problem.landmarks = landmark_arrays(where, warp_array(self._points, wp.vec2), warp_array(self._votes))
-        problem.rules = rule_arrays(
-            where, energy.prior, warp_array(self._lengths), warp_array(self._thicknesses), warp_array(self._depths)
-        )
+        problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))
+        problem.rules = rule_arrays(where, energy.prior, *map(warp_array, (lengths, thicknesses, depths)))
         problem.mixture = mixture_arrays(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         return problem
-
-    def observe(self, energies: Energy | Sequence[Energy]) -> None:
-        """Copy the observations of other energies into the fixed buffers; all else stays.
-
-        Raises:
-            ValueError: If there are not as many as before, or they differ in more than their observations.
-        """
-        energies = _as_list(energies)
-        if len(energies) != len(self._points):
-            raise ValueError(f"energies: {len(energies)}; expected {len(self._points)}, as at first")
-        for energy in energies:
-            for name in ("size", "weights", "prior", "renderer"):
-                if getattr(energy, name) != getattr(self._energy, name):
-                    raise ValueError(f"energies: {name} differs; expected {getattr(self._energy, name)}, as at first")
-            if (energy.target is None) != (self._renderer is None):
-                raise ValueError("energies: some with labels, some without; expected the same of all")
-            label_set, expected = energy.observation.label_set, self._energy.observation.label_set
-            if energy.target is not None and expected is not None and label_set != expected:
-                raise ValueError(f"energies: another label set; expected {expected.name!r}")
-            if (energy.depths is None) != (self._energy.depths is None):
-                raise ValueError("energies: some with depths, some without; expected the same of all")
-        self._votes.zero_()
-        for row, energy in enumerate(energies):
-            index = [LANDMARK_NAMES.index(name) for name in energy.observation.landmarks]
-            self._points[row, index] = energy.observation.points
-            self._votes[row, index] = energy.votes
-            self._lengths[row], self._thicknesses[row] = energy.usual_lengths, energy.usual_thicknesses
-            if energy.depths is not None:
-                self._depths[row] = energy.depths
-            if energy.target is not None:
-                self._targets[row] = energy.target
-        table = self._problem.landmarks
-        seen = {name for energy in energies for name in energy.observation.landmarks}
-        with on_torch_stream(self._device):
-            for array, rows in zip((table.shares, table.first_share), landmark_shares(seen), strict=True):
-                array.assign(rows)
-        if self._renderer is not None:
-            with on_torch_stream(self._device):
-                self._renderer.update()
 
     def iterate(self) -> None:
         """Launch one iteration on Warp's current stream: draw, compare, step; what ``refine`` replays.
@@ -232,7 +198,8 @@ class CapturedRefinement:
         """
         batch = self._parameters.shape[0]
         for name, tensor in start.tensors().items():
-            check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=("energies", self._points))
+            like = ("energies", self._parameters)
+            check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=like)
         with torch.no_grad():
             rows = [
                 tensor.reshape(batch, width) for tensor, width in zip(start.tensors().values(), _WIDTHS, strict=True)
@@ -295,8 +262,17 @@ def _join(parts: Sequence[Refined]) -> Refined:
     )
 
 
-def _as_list(energies: Energy | Sequence[Energy]) -> list[Energy]:
-    return [energies] if isinstance(energies, Energy) else list(energies)
+def _check_alike(first: Energy, other: Energy) -> None:
+    """Raise ValueError if energies differ in more than their observations."""
+    for name in ("size", "weights", "prior", "renderer"):
+        if getattr(other, name) != getattr(first, name):
+            raise ValueError(f"energies: {name} differs; expected {getattr(first, name)}, as at first")
+    for name, what in (("target", "labels"), ("depths", "depths")):
+        if (getattr(other, name) is None) != (getattr(first, name) is None):
+            raise ValueError(f"energies: some with {what}, some without; expected the same of all")
+    expected = first.observation.label_set
+    if first.target is not None and expected is not None and other.observation.label_set != expected:
+        raise ValueError(f"energies: another label set; expected {expected.name!r}")
 
 
 def _split(rows: torch.Tensor) -> dict[str, torch.Tensor]:

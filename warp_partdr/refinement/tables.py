@@ -54,13 +54,13 @@ def skeleton_arrays(device: str) -> SkeletonArrays:
     return table
 
 
-def landmark_arrays(device: str, points: wp.array, votes: wp.array) -> Landmarks:
-    """All ``LANDMARK_NAMES`` on a Warp device, with the keypoints' ``points`` and ``votes``."""
+def landmark_arrays(device: str, names: Collection[str], points: wp.array, votes: wp.array) -> Landmarks:
+    """All ``LANDMARK_NAMES`` on a Warp device, with the keypoints' ``points`` and ``votes``; ``names`` are seen."""
     parts, normalised, weights = landmark_points(LANDMARK_NAMES)
     first, second = normalised.swapaxes(0, 1)
     table = Landmarks()
     table.landmarks = _structs(Landmark, device, parts=parts, shares=weights, first=first, second=second)
-    shares, first_share = landmark_shares(LANDMARK_NAMES)
+    shares, first_share = _landmark_shares(names)
     table.shares = wp.array(shares, dtype=LandmarkShare, device=device)
     table.first_share = wp.array(first_share, dtype=int, device=device)
     table.points = points
@@ -68,17 +68,12 @@ def landmark_arrays(device: str, points: wp.array, votes: wp.array) -> Landmarks
     return table
 
 
-def landmark_shares(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of ``LandmarkShare`` sorted by part, and the index of each part's first, shape (P + 1,).
-
-    There are as many rows as all ``LANDMARK_NAMES`` have, those of ``names`` first. The others are never read, for each
-    costs time in every iteration.
-    """
+def _landmark_shares(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of ``LandmarkShare`` of ``names`` sorted by part, and the index of each part's first, shape (P + 1,)."""
     parts, normalised, weights = landmark_points(LANDMARK_NAMES)
-    index, end = np.nonzero(weights > 0)
-    named = np.isin(LANDMARK_NAMES, list(names))[index]
-    order = np.lexsort((np.arange(len(index)), parts[index, end], ~named))
-    index, end, count = index[order], end[order], np.count_nonzero(named)
+    index, end = np.nonzero((weights > 0) & np.isin(LANDMARK_NAMES, list(names))[:, None])
+    order = np.argsort(parts[index, end], kind="stable")
+    index, end = index[order], end[order]
     rows = _rows(
         LandmarkShare,
         landmark=index,
@@ -86,7 +81,7 @@ def landmark_shares(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
         normalised=normalised[index, end],
         counts=np.equal(end, 0),
     )
-    return rows, np.searchsorted(parts[index, end][:count], np.arange(NUM_PARTS + 1)).astype(np.int32)
+    return rows, np.searchsorted(parts[index, end], np.arange(NUM_PARTS + 1)).astype(np.int32)
 
 
 def rule_arrays(
