@@ -21,6 +21,7 @@ from warp_partdr.network.checkpoint import load_ellipbodynet, save_ellipbodynet
 from warp_partdr.network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig
 from warp_partdr.network.heads import soft_argmax
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.predicted import posed_landmarks
 from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
@@ -28,7 +29,6 @@ from warp_partdr.training.config import make_config, read_config
 from warp_partdr.training.loop import run_training
 from warp_partdr.training.picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, seg_term
-from warp_partdr.training.predicted_bodies import posed_landmarks
 
 SIZE = 64
 TINY = {

@@ -10,6 +10,7 @@ from scenes.bodies import moved_bodies, unsure_observation, walker
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.network.predicted import posed_landmarks
 from warp_partdr.reference.losses import (
     IGNORE,
     joint_loss,
@@ -27,7 +28,7 @@ from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 from warp_partdr.training.picture_data import JOINTS
 from warp_partdr.training.picture_losses import HIPS, body_terms
-from warp_partdr.training.predicted_bodies import posed_landmarks, weighted_losses
+from warp_partdr.training.task import weighted_losses
 
 SIZE, LABELS = 64, label_set("surreal14")
 REFERENCE_SIZE = 256  # [px] of the crop in whose pixels losses count

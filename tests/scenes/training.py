@@ -13,8 +13,7 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 
 from warp_partdr.training.config import TrainingConfig, find_task, make_config
-from warp_partdr.training.predicted_bodies import weighted_losses
-from warp_partdr.training.task import Task
+from warp_partdr.training.task import Task, weighted_losses
 
 TASK = "scenes.training:TinyTask"
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
 from ..body.parameters import BodyParameters, crop_camera
-from ..body.posing import Posed, pose
+from ..body.posing import LandmarkGather, Posed, pose
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
+from ..render.ellipsoids import draw_ellipsoids
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,10 @@ class Predicted:
         """Some of the bodies."""
         return Predicted(**{name: value[index] for name, value in vars(self).items()})
 
+    def drawn(self, size: int) -> torch.Tensor:
+        """Part labels of the bodies in their crops, shape (B, size, size), uint8."""
+        return draw_ellipsoids(self.posed(), self.camera(size), (size, size), validate=False).labels
+
     def parameters(self) -> BodyParameters:
         """Parameters for a fit, detached."""
         return BodyParameters(
@@ -55,3 +61,13 @@ class Predicted:
             log_scale=self.log_scale,
             shift=self.shift,
         ).detach()
+
+
+def posed_landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
+    """Landmarks of posed bodies, shape (B, L, 3) [m]."""
+    return _gather(names, posed.joints.device)(posed)
+
+
+@lru_cache(maxsize=8)
+def _gather(names: tuple[str, ...], device: torch.device) -> LandmarkGather:
+    return LandmarkGather(names, device)

@@ -45,7 +45,7 @@ EQUATIONS: dict[int, Equation] = {
         formula="L = λ_3D L_3D + λ_proj L_proj + λ_seg L_seg",
         book="losses.learning_objective",
         kernels=(),
-        torch=("training.predicted_bodies.weighted_losses",),
+        torch=("training.task.weighted_losses",),
         tests=("tests/reference/test_losses.py::test_training_loss_is_the_books",),
     ),
     4: Equation(

@@ -21,15 +21,14 @@ from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, po
 from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table
 from ..network.landmarks import LANDMARKS
-from ..network.predicted import Predicted
+from ..network.predicted import Predicted, posed_landmarks
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
 from ..synthetic.training_people import PeopleBatch, PeopleMaker
 from .config import TrainingConfig
-from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
-from .task import PACKAGED_NETWORK, Task
+from .task import PACKAGED_NETWORK, Task, weighted_losses
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -97,7 +96,7 @@ class LabelTask(Task):
             predicted = self._predict(model, people)
             points = (predicted.posed().joints[:, _LSP], people.joints[:, _LSP])
             joints.append(torch.stack([mpjpe(*points, centre_on=_HIPS), pa_mpjpe(*points)]))
-            counts.append(confusion(draw_bodies(predicted, people.parts.shape[-1]), people.parts, NUM_PARTS + 1).sum(0))
+            counts.append(confusion(predicted.drawn(people.parts.shape[-1]), people.parts, NUM_PARTS + 1).sum(0))
         errors = torch.cat(joints, dim=1).mean(1) * 1000
         matrix = pooled(counts)
         return {
@@ -112,7 +111,7 @@ class LabelTask(Task):
         from PIL import Image
 
         people = self._held_out[0]
-        drawn = draw_bodies(self._predict(model, people), people.parts.shape[-1])
+        drawn = self._predict(model, people).drawn(people.parts.shape[-1])
         names = list(TRAINING_LABEL_SETS)
         seen = [names[index] for index in people.label_sets.tolist()]
         rows = []

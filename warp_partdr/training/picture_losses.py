@@ -19,10 +19,10 @@ from ..inputs.observation import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
+from ..network.predicted import posed_landmarks
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..render.options import Gradient
 from .picture_data import JOINTS, Examples
-from .predicted_bodies import posed_landmarks
 
 HIPS = [JOINTS.index(f"{side}_hip") for side in ("left", "right")]  # whose middle joints are measured from
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre

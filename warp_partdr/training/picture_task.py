@@ -19,14 +19,14 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_ellipbodynet, save_ellipbodynet
 from ..network.ellipbodynet import EllipBodyNet, EllipBodyNetConfig, PicturePrediction
+from ..network.predicted import posed_landmarks
 from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .config import Phase, TrainingConfig
 from .picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
 from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
-from .predicted_bodies import draw_bodies, posed_landmarks, weighted_losses
-from .task import PACKAGED_NETWORK, Task
+from .task import PACKAGED_NETWORK, Task, weighted_losses
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -137,10 +137,7 @@ class PictureTask(Task):
             apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
             places.append(apart[examples.keypoints[..., 2] > 0])
             size = examples.groups.shape[-1]
-            shown = {
-                "part F1": draw_bodies(prediction.bodies, size),
-                "segmentation F1": prediction.part_labels(size),
-            }
+            shown = {"part F1": prediction.bodies.drawn(size), "segmentation F1": prediction.part_labels(size)}
             for part_groups, chosen in label_sets(examples):
                 table = torch.tensor([0, *part_groups], dtype=torch.uint8, device=device)
                 classes = 1 + max(group for group in part_groups if group != IGNORE)
@@ -167,7 +164,7 @@ class PictureTask(Task):
         prediction = model(shown)
         size = shown.shape[-1]
         photos = shown.permute(0, 2, 3, 1).cpu().numpy()
-        drawn = draw_bodies(prediction.bodies, size).cpu().numpy()
+        drawn = prediction.bodies.drawn(size).cpu().numpy()
         over = np.where(drawn[..., None] > 0, PART_COLOURS[drawn] // 4 * 3 + photos // 4, photos)
         rows = (photos, over, PART_COLOURS[prediction.part_labels(size).cpu().numpy()])
         return Image.fromarray(np.concatenate([np.concatenate(list(row), axis=1) for row in rows]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -99,3 +99,11 @@ class Task(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from such a state."""
+
+
+def weighted_losses(
+    terms: Mapping[str, torch.Tensor], weights: Mapping[str, float], left_out: Collection[str]
+) -> dict[str, torch.Tensor]:
+    """The terms times their weights, but for those left out, and "total", their sum."""
+    weighted = {name: weights[name] * term for name, term in terms.items() if name not in left_out}
+    return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
