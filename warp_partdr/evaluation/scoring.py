@@ -33,50 +33,29 @@ _MEANS = (  # figure, field of ``Score``, and digits
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of one picture, by (target, rendered) class.
+    """Pixels of one picture, by (target, rendered) class."""
 
-    Attributes:
-        classes: Their names, background first.
-        parts: Without ignored pixels, shape (C, C).
-        undisputed: Nor background that confident keypoints contradict (``ignore_missing_limbs``), shape (C, C).
-        filled: With ignored pixels as background, shape (C, C).
-        foreground: Background and person, shape (2, 2).
-    """
-
-    classes: tuple[str, ...]
-    parts: np.ndarray
-    undisputed: np.ndarray
-    filled: np.ndarray
-    foreground: np.ndarray
+    classes: tuple[str, ...]  # their names, background first
+    parts: np.ndarray  # without ignored pixels, shape (C, C)
+    undisputed: np.ndarray  # nor background that keypoints contradict (``ignore_missing_limbs``), shape (C, C)
+    filled: np.ndarray  # with ignored pixels as background, shape (C, C)
+    foreground: np.ndarray  # background and person, shape (2, 2)
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of one fit.
+    """Errors of one fit."""
 
-    Attributes:
-        source: Of the sample.
-        sample: Its name.
-        method: How it was fitted.
-        keypoints: Distance of each confident keypoint, as a share of the person's height, shape (K,).
-        seconds: Wall time.
-        hypotheses: Number of starts.
-        pixels: None if the sample has no labels to be scored against.
-        mpjpe: [mm], pelvis-centred; NaN if the true joints are not known.
-        pa_mpjpe: [mm], the same.
-        pve: [mm], the same for vertices, and NaN if the method has none.
-    """
-
-    source: str
-    sample: str
-    method: str
-    keypoints: np.ndarray
-    seconds: float
-    hypotheses: int
-    pixels: Pixels | None = None
-    mpjpe: float = math.nan
-    pa_mpjpe: float = math.nan
-    pve: float = math.nan
+    source: str  # of the sample
+    sample: str  # its name
+    method: str  # how it was fitted
+    keypoints: np.ndarray  # distance of each confident keypoint, as a share of the person's height, shape (K,)
+    seconds: float  # wall time
+    hypotheses: int  # number of starts
+    pixels: Pixels | None = None  # None if the sample has no labels to be scored against
+    mpjpe: float = math.nan  # [mm], pelvis-centred; NaN if the true joints are not known
+    pa_mpjpe: float = math.nan  # [mm], the same
+    pve: float = math.nan  # [mm], the same for vertices, and NaN if the method has none
 
 
 def score_fit(

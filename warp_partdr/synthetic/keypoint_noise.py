@@ -30,11 +30,7 @@ _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 
 
 class KeypointNoise:
-    """The noise model of keypoints.
-
-    Args:
-        rng: Source of chance.
-    """
+    """The noise model of keypoints, of one source of chance."""
 
     def __init__(self, rng: TorchRng) -> None:
         self.rng = rng

@@ -74,11 +74,7 @@ def draw_absent(count: int, rng: TorchRng) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 class LabelNoise:
-    """The noise model of labels.
-
-    Args:
-        rng: Source of chance.
-    """
+    """The noise model of labels, of one source of chance."""
 
     def __init__(self, rng: TorchRng) -> None:
         self.rng = rng

@@ -23,20 +23,12 @@ _LARGEST_TURN_ELSEWHERE = 2.9
 
 @dataclass(frozen=True)
 class Clip:
-    """Poses of one person, F frames, in a world frame with y up.
+    """Poses of one person, F frames, in a world frame with y up."""
 
-    Attributes:
-        name: Source and clip, like ``asf.01_05``.
-        global_orient: Rotation of the pelvis, shape (F, 3, 3).
-        rotations: Local rotations of the bones, shape (F, 20, 3, 3).
-        directions: World directions of the mocap's own bones that the parts stand for, shape (F, 20, 3), to check the
-            retargeting; NaN where the mocap has none.
-    """
-
-    name: str
-    global_orient: np.ndarray
-    rotations: np.ndarray
-    directions: np.ndarray
+    name: str  # source and clip, like ``asf.01_05``
+    global_orient: np.ndarray  # rotation of the pelvis, shape (F, 3, 3)
+    rotations: np.ndarray  # local rotations of the bones, shape (F, 20, 3, 3)
+    directions: np.ndarray  # of the mocap's own bones in the world, NaN where it has none, shape (F, 20, 3)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -82,12 +74,7 @@ def concatenate(clips: Sequence[Clip], name: str) -> Clip:
 
 
 def joint_positions(global_orient: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Joints of mean bodies relative to the pelvis [m], shape (F, 21, 3), in the frame of ``global_orient``.
-
-    Args:
-        global_orient: Rotation of the pelvis, shape (F, 3, 3).
-        rotations: Local rotations, shape (F, 20, 3, 3).
-    """
+    """Joints of mean bodies relative to the pelvis [m], shape (F, 21, 3), in the frame of the pelvis' orientation."""
     return mean_body(torch.tensor(rotations), torch.tensor(global_orient)).joints.numpy()
 
 

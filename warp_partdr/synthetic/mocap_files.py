@@ -41,31 +41,19 @@ WALKING_PITCH = {"pelvis": 1.4, "abdomen": 6.2, "chest": 3.7, "neck": -2.1, "hea
 
 # Mocap joints whose rotation a part follows. Where an EllipBody bone spans two mocap bones it lies halfway between
 # their rotations; at rest it points as the first.
-_EXPMAP_BONES: dict[str, tuple[str, ...]] = {
-    "abdomen": ("LowerBack",),
-    "chest": ("Spine", "Spine1"),
-    "neck": ("Neck", "Neck1"),
-    "head": ("Head",),
-    "shoulder": ("{Side}Shoulder",),
-    "upper_leg": ("{Side}UpLeg",),
-    "lower_leg": ("{Side}Leg",),
-    "foot": ("{Side}Foot",),
-    "upper_arm": ("{Side}Arm",),
-    "forearm": ("{Side}ForeArm",),
-    "hand": ("{Side}FingerBase",),
-}
-_ASF_BONES: dict[str, tuple[str, ...]] = {
-    "abdomen": ("lowerback",),
-    "chest": ("upperback", "thorax"),
-    "neck": ("lowerneck", "upperneck"),
-    "head": ("head",),
-    "shoulder": ("{s}clavicle",),
-    "upper_leg": ("{s}femur",),
-    "lower_leg": ("{s}tibia",),
-    "foot": ("{s}foot",),
-    "upper_arm": ("{s}humerus",),
-    "forearm": ("{s}radius",),
-    "hand": ("{s}hand",),
+_EXPMAP, _ASF = 0, 1  # columns
+_FOLLOWED = {
+    "abdomen": ("LowerBack", "lowerback"),
+    "chest": ("Spine Spine1", "upperback thorax"),
+    "neck": ("Neck Neck1", "lowerneck upperneck"),
+    "head": ("Head", "head"),
+    "shoulder": ("{Side}Shoulder", "{s}clavicle"),
+    "upper_leg": ("{Side}UpLeg", "{s}femur"),
+    "lower_leg": ("{Side}Leg", "{s}tibia"),
+    "foot": ("{Side}Foot", "{s}foot"),
+    "upper_arm": ("{Side}Arm", "{s}humerus"),
+    "forearm": ("{Side}ForeArm", "{s}radius"),
+    "hand": ("{Side}FingerBase", "{s}hand"),
 }
 # DeepMimic's humanoid: x forward, y up, z to the right, arms hanging. Joints in file order, after time and position.
 _DEEPMIMIC_AXES = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -160,14 +148,12 @@ def _retarget(name: str, root: np.ndarray, bones: _Bones, trunk_pitch: dict[str,
     return Clip(name, root_world, local, directions)
 
 
-def _follow(
-    table: dict[str, tuple[str, ...]], world: Mapping[str, np.ndarray], rest: Mapping[str, np.ndarray]
-) -> _Bones:
+def _follow(column: int, world: Mapping[str, np.ndarray], rest: Mapping[str, np.ndarray]) -> _Bones:
     """Bones of EllipBody's parts, of world rotations and rest directions by mocap joint."""
     bones = {}
-    for kind, names in table.items():
+    for kind, names in _FOLLOWED.items():
         for side in ("",) if kind in PART_NAMES else ("Left", "Right"):
-            own = [name.format(Side=side, s=side[:1].lower()) for name in names]
+            own = names[column].format(Side=side, s=side[:1].lower()).split()
             rotations = [world[name] for name in own]
             rotation = rotations[0] if len(own) == 1 else _halfway(*rotations)
             bones[f"{side.lower()}_{kind}".lstrip("_")] = rotation, rest[own[0]]
@@ -191,7 +177,7 @@ def _read_expmap(folder: Path) -> Iterator[Clip]:
             world: dict[str, np.ndarray] = {}
             for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
                 world[name] = world[parent] @ exponentials[:, joint] if parent else exponentials[:, joint]
-            yield _retarget(f"expmap.{key}", world[names[0]], _follow(_EXPMAP_BONES, world, rest))
+            yield _retarget(f"expmap.{key}", world[names[0]], _follow(_EXPMAP, world, rest))
 
 
 @dataclass(frozen=True)
@@ -243,7 +229,7 @@ def _read_asf(folder: Path) -> Iterator[Clip]:
                 angles[:, bone.channels] = np.array(channels[bone_name])
             world[bone_name] = world[bone.parent] @ (bone.axis @ _euler_xyz(angles) @ bone.axis.T)
         rest = {bone_name: bone.direction for bone_name, bone in skeleton.items()}
-        yield _retarget(f"asf.{name}", world["root"], _follow(_ASF_BONES, world, rest))
+        yield _retarget(f"asf.{name}", world["root"], _follow(_ASF, world, rest))
 
 
 def _read_deepmimic(folder: Path) -> Iterator[Clip]:

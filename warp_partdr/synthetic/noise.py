@@ -40,26 +40,15 @@ _OUTSIDE = -1.0  # [px]: a keypoint that far beyond the border is not found
 
 @dataclass(frozen=True)
 class Level:
-    """Amount of noise.
+    """Amount of noise."""
 
-    Attributes:
-        strength: Of keypoint jitter, of wandering boundaries, of lost small parts and of confused hands and feet; 0
-            leaves labels and keypoints as they are.
-        dropout: Chance of each keypoint to be missing; twice that for hidden ones.
-        swap: Chance that a limb's keypoints change sides; the same for a limb's labels.
-        growth: The most by which labels are dilated or eroded [px].
-        holes: Mean number of holes in the labels.
-        missing: Chance that the labels miss a limb.
-        stranger: Chance that somebody else stands before a part of the person.
-    """
-
-    strength: float
-    dropout: float = 0.0
-    swap: float = 0.0
-    growth: int = 0
-    holes: float = 0.0
-    missing: float = 0.0
-    stranger: float = 0.0
+    strength: float  # of jitter, wandering boundaries, lost small parts, confused hands and feet; 0 leaves all as it is
+    dropout: float = 0.0  # chance of each keypoint to be missing; twice that for hidden ones
+    swap: float = 0.0  # chance that a limb's keypoints change sides; the same for a limb's labels
+    growth: int = 0  # the most by which labels are dilated or eroded [px]
+    holes: float = 0.0  # mean number of holes in the labels
+    missing: float = 0.0  # chance that the labels miss a limb
+    stranger: float = 0.0  # chance that somebody else stands before a part of the person
 
 
 LEVELS: dict[str, Level] = {

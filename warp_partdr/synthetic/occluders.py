@@ -29,17 +29,11 @@ _OCCLUDER = _Thing(0.12, (0.06, 0.4), 0.2, 0.6, hides=True)
 
 @dataclass(frozen=True)
 class Occluders:
-    """Things between camera and person in a crop.
+    """Things between camera and person in a crop."""
 
-    Attributes:
-        mask: Pixels whose labels it changes, shape (B, S, S), bool.
-        hiding: Pixels where it hides the person, too: all but the holes, shape (B, S, S), bool.
-        groups: Group ids that labels have there, 0 and 255 included, shape (B, S, S), uint8.
-    """
-
-    mask: torch.Tensor
-    hiding: torch.Tensor
-    groups: torch.Tensor
+    mask: torch.Tensor  # pixels whose labels it changes, shape (B, S, S), bool
+    hiding: torch.Tensor  # pixels where it hides the person, too: all but the holes, shape (B, S, S), bool
+    groups: torch.Tensor  # group ids that labels have there, 0 and 255 included, shape (B, S, S), uint8
 
 
 def draw_occluders(

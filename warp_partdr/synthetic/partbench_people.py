@@ -36,29 +36,17 @@ _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
 
 @dataclass(frozen=True)
 class Person:
-    """A person and the whole truth.
+    """A person and the whole truth."""
 
-    Attributes:
-        name: Such as "person 007".
-        kind: Of pose: "prior" or a key of ``POSES``.
-        parts: Part labels, 0 = background, shape (H, W), uint8.
-        keypoints: COCO-17 in the picture, as COCO's annotators place them [px], shape (17, 2).
-        hidden: Which of them are behind something, shape (17,), bool.
-        height: Of the person standing, in the picture [px].
-        joints: LSP's 14 joints, camera frame [m], shape (14, 3).
-        vertices: Anny's, camera frame [m], shape (V, 3), float32.
-        camera: That drew the labels, B = 1.
-    """
-
-    name: str
-    kind: str
-    parts: np.ndarray
-    keypoints: np.ndarray
-    hidden: np.ndarray
-    height: float
-    joints: np.ndarray
-    vertices: np.ndarray
-    camera: Camera
+    name: str  # such as "person 007"
+    kind: str  # of pose: "prior" or a key of ``POSES``
+    parts: np.ndarray  # part labels, 0 = background, shape (H, W), uint8
+    keypoints: np.ndarray  # COCO-17 in the picture, as COCO's annotators place them [px], shape (17, 2)
+    hidden: np.ndarray  # which of them are behind something, shape (17,), bool
+    height: float  # of the person standing, in the picture [px]
+    joints: np.ndarray  # LSP's 14 joints, camera frame [m], shape (14, 3)
+    vertices: np.ndarray  # Anny's, camera frame [m], shape (V, 3), float32
+    camera: Camera  # that drew the labels, B = 1
 
 
 def pose_kind(index: int) -> str:

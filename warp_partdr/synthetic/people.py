@@ -53,9 +53,8 @@ def coco_landmarks(model: DetailedModel, names: tuple[str, ...]) -> tuple[str, .
 def upright(ups: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Rotations of the pelvis in a world with y up, shape (B, 3, 3).
 
-    Args:
-        ups: Direction of the vertical, upward, in the pelvis' frame, unit vectors, shape (B, 3).
-        yaw: Heading about the vertical; 0 looks along z [rad], shape (B,).
+    Of upward unit vectors in its frame, ``ups`` (B, 3), and the heading about the vertical, ``yaw`` (B,) [rad]; 0 looks
+    along z.
     """
     turned = rotation_between(ups, ups.new_tensor([0.0, 1.0, 0.0]).expand_as(ups))
     # The pelvis' own heading goes, so that the yaw alone says where the person looks.
@@ -65,12 +64,9 @@ def upright(ups: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
 
 
 def seen_by_camera(orientation: torch.Tensor, pitch: torch.Tensor, roll: torch.Tensor | None = None) -> torch.Tensor:
-    """Orientations of a world with y up, (B, 3, 3), in the frame of a camera that a yaw of 0 faces.
+    """Orientations (B, 3, 3) of a world with y up, in the frame of a camera that a yaw of 0 faces.
 
-    Args:
-        orientation: Shape (B, 3, 3).
-        pitch: Angle by which the camera looks down [rad], shape (B,).
-        roll: Angle about its axis [rad], shape (B,); 0 if None.
+    It looks down by ``pitch`` (B,) and is turned about its axis by ``roll`` (B,) [rad].
     """
     zero = torch.zeros_like(pitch)
     camera = rotation_from_axis_angle(torch.stack([pitch, zero, zero], dim=1))

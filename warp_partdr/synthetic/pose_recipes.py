@@ -105,12 +105,7 @@ POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
 
 
 def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
-    """A random pose of a kind, in which no limb is inside another part.
-
-    Args:
-        kind: "prior", or a key of ``POSES``.
-        rng: Source of chance.
-    """
+    """A random pose of a kind, "prior" or a key of ``POSES``, in which no limb is inside another part."""
     while True:
         drawn = _from_prior(rng) if kind == "prior" else _from_recipe(kind, rng)
         if drawn is not None and clear_poses(torch.from_numpy(drawn.rotations)[None].float()):

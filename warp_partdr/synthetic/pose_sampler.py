@@ -25,15 +25,10 @@ _AT_ONCE = 4096  # poses, of which a few arrays of 13 kB each are in memory
 
 @dataclass(frozen=True)
 class PoseBank:
-    """Poses that somebody took.
+    """Poses that somebody took."""
 
-    Attributes:
-        rotations: Local rotation vectors [rad], shape (N, 20, 3), float32.
-        ups: Directions of the vertical, upward, in the pelvis' frame, shape (N, 3), float32.
-    """
-
-    rotations: torch.Tensor
-    ups: torch.Tensor
+    rotations: torch.Tensor  # local rotation vectors [rad], shape (N, 20, 3), float32
+    ups: torch.Tensor  # directions of the vertical, upward, in the pelvis' frame, shape (N, 3), float32
 
     @classmethod
     def read(cls, source: Path | str, *, held_out: bool = False) -> PoseBank:

@@ -25,12 +25,7 @@ Poses = tuple[torch.Tensor, torch.Tensor]  # rotation vectors (N, 20, 3) and up 
 
 
 def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) -> Posed:
-    """Mean adults in poses, the pelvis at the origin.
-
-    Args:
-        rotations: Local rotations, shape (B, 20, 3, 3), float32 or float64.
-        orientation: Global orientation, shape (B, 3, 3); upright in the body frame if None.
-    """
+    """Mean adults of local rotations (B, 20, 3, 3) and orientations (B, 3, 3), or upright; the pelvis at the origin."""
     batch, sizes = len(rotations), _mean_sizes(rotations.device, rotations.dtype)
     if orientation is None:
         orientation = torch.eye(3, dtype=rotations.dtype, device=rotations.device).expand(batch, 3, 3)
@@ -52,11 +47,7 @@ _APART = np.array(
 
 
 def clear_poses(rotations: torch.Tensor) -> torch.Tensor:
-    """Poses in which no limb's bone of a mean body passes through a part that it doesn't hang on, shape (N,), bool.
-
-    Args:
-        rotations: Rotation vectors [rad], shape (N, 20, 3), float32.
-    """
+    """True for poses (N, 20, 3) [rad] with no limb of a mean body inside a part that it doesn't hang on, shape (N,)."""
     posed = mean_body(rotation_from_axis_angle(rotations))
     along, apart = (torch.from_numpy(values).to(posed.centres.device) for values in (_ALONG, _APART))
     bones = posed.semi_axes[:, _LIMBS, :1] * posed.axes[:, _LIMBS, :, 0]
@@ -107,12 +98,7 @@ def draw_from_prior(rng: np.random.Generator) -> Poses | None:
 
 
 class PriorSampler:
-    """Draws of the packaged prior's mixture in batches.
-
-    Attributes:
-        lower: Joint limits of the prior [rad], shape (20, 3).
-        upper: The same.
-    """
+    """Draws of the packaged prior's mixture in batches; ``lower`` and ``upper`` are its joint limits (20, 3) [rad]."""
 
     def __init__(self, device: torch.device) -> None:
         prior, mixture = _pose_mixture()

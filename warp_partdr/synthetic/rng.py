@@ -11,12 +11,7 @@ from ..interop.precision import matmul_precision
 
 
 class TorchRng:
-    """A generator and the distributions that training needs; nothing waits for the device.
-
-    Args:
-        seed: Of the generator.
-        device: Where the numbers are made.
-    """
+    """A generator on a device and the distributions that training needs; nothing waits for the device."""
 
     def __init__(self, seed: int, device: torch.device | str) -> None:
         self.device = torch.device(device)

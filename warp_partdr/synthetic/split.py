@@ -17,11 +17,7 @@ NUM_CELLS = LEVELS ** len(PHENOTYPE_RANGES)
 
 
 def cell_of(phenotypes: np.ndarray) -> np.ndarray:
-    """The cell that people are in; those beyond ``PHENOTYPE_RANGES`` are in the outermost.
-
-    Args:
-        phenotypes: Values as ``anny_shape`` takes them, shape (..., 6).
-    """
+    """Cells of phenotype values (..., 6), shape (...); those beyond ``PHENOTYPE_RANGES`` are in the outermost."""
     low, high = PHENOTYPE_RANGES.T
     levels = np.floor((phenotypes - low) / (high - low) * LEVELS).clip(0, LEVELS - 1).astype(np.int64)
     return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (LEVELS,) * len(PHENOTYPE_RANGES))

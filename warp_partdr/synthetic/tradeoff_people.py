@@ -41,21 +41,13 @@ _TURNS = 8  # orientations that the search for a person's EllipBody starts from
 
 @dataclass(frozen=True)
 class People(Movable):
-    """N people in a square crop each.
+    """N people in a square crop each."""
 
-    Attributes:
-        name: ``ELLIPBODY`` or ``ANNY``.
-        bodies: The true bodies; of Annys, the EllipBodies whose joints lie nearest to theirs, mean in thickness.
-        labels: True part labels, shape (N, ``TRUTH_SIZE``, ``TRUTH_SIZE``), uint8.
-        points: COCO's keypoints with noise, -1 to 1 in the crop, shape (N, 17, 2).
-        joints: True ``JOINTS``, in the camera frame [m], shape (N, 14, 3).
-    """
-
-    name: str
-    bodies: BodyParameters
-    labels: torch.Tensor
-    points: torch.Tensor
-    joints: torch.Tensor
+    name: str  # ``ELLIPBODY`` or ``ANNY``
+    bodies: BodyParameters  # the true ones; of Annys, EllipBodies of mean thickness with joints nearest to theirs
+    labels: torch.Tensor  # true part labels, shape (N, ``TRUTH_SIZE``, ``TRUTH_SIZE``), uint8
+    points: torch.Tensor  # COCO's keypoints with noise, -1 to 1 in the crop, shape (N, 17, 2)
+    joints: torch.Tensor  # true ``JOINTS``, in the camera frame [m], shape (N, 14, 3)
 
     def __len__(self) -> int:
         """N."""

@@ -45,31 +45,17 @@ _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place th
 
 @dataclass(frozen=True)
 class PeopleBatch:
-    """B people: what a network sees, and the truth; crops have side 2, coordinates -1 to 1, and S pixels a side.
+    """B people: what a network sees, and the truth; crops have side 2, coordinates -1 to 1, and S pixels a side."""
 
-    Attributes:
-        groups: Group ids as a predictor gives them, 0 = background, 255 = unknown and beyond the picture's border,
-            shape (B, S, S), uint8.
-        label_sets: Index into ``TRAINING_LABEL_SETS`` of the groups' label set, shape (B,), int64.
-        keypoints: ``LANDMARKS`` as a detector gives them: crop coordinates and confidence, all 0 where missing, shape
-            (B, 24, 3).
-        parts: True part labels 0 to 20 in the same crop, 255 beyond the picture's border, shape (B, S, S), uint8.
-        points: True ``LANDMARKS`` in the crop, those of the bones, not of COCO's annotators, shape (B, 24, 2).
-        joints: True ``JOINT_NAMES`` of Anny, camera frame, pelvis at 0 [m], shape (B, 21, 3).
-        orientation: EllipBody's global orientation, camera frame, shape (B, 3, 3).
-        rotations: EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3).
-        lengths: ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12).
-    """
-
-    groups: torch.Tensor
-    label_sets: torch.Tensor
-    keypoints: torch.Tensor
-    parts: torch.Tensor
-    points: torch.Tensor
-    joints: torch.Tensor
-    orientation: torch.Tensor
-    rotations: torch.Tensor
-    lengths: torch.Tensor
+    groups: torch.Tensor  # group ids, 0 = background, 255 = unknown or beyond the picture, shape (B, S, S), uint8
+    label_sets: torch.Tensor  # index into ``TRAINING_LABEL_SETS`` of the groups' label set, shape (B,), int64
+    keypoints: torch.Tensor  # ``LANDMARKS`` as seen: crop coordinates, confidence; 0 where missing, shape (B, 24, 3)
+    parts: torch.Tensor  # true part labels 0 to 20, 255 beyond the picture, shape (B, S, S), uint8
+    points: torch.Tensor  # true ``LANDMARKS`` of the bones, not of COCO's annotators, shape (B, 24, 2)
+    joints: torch.Tensor  # true ``JOINT_NAMES`` of Anny, camera frame, pelvis at 0 [m], shape (B, 21, 3)
+    orientation: torch.Tensor  # EllipBody's global orientation, camera frame, shape (B, 3, 3)
+    rotations: torch.Tensor  # EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3)
+    lengths: torch.Tensor  # ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12)
 
 
 @dataclass(frozen=True)
@@ -217,11 +203,7 @@ class PeopleMaker:
         )
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
-        """The pelvis in the camera frame: upright as ``ups`` says, looking anywhere, tilted with the camera, (B, 3, 3).
-
-        Args:
-            ups: Direction of the vertical, upward, in the pelvis' frame, shape (B, 3).
-        """
+        """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""
         count, rng = len(ups), self._rng
         yaw = rng.uniform(count, low=-np.pi, high=np.pi)
         pitch, roll = (torch.deg2rad(mean + spread * rng.normal(count)) for mean, spread in (_PITCH, _ROLL))
@@ -241,7 +223,7 @@ class PeopleMaker:
     def _crop(
         self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor
     ) -> _Crop:
-        """The picture's border, and the square that ``fitting.observe`` cuts out, about.
+        """The picture's border, and the square that ``observe`` cuts out, about.
 
         Args:
             vertices: Of the body, shape (B, V, 2) [m].

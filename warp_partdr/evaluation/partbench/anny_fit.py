@@ -35,17 +35,11 @@ _START = {"gender": 0.5, "age": 0.7, "muscle": 0.5, "weight": 0.5, "height": 0.3
 
 @dataclass(frozen=True)
 class AnnyFit:
-    """A fitted Anny body; does what a ``FitResult`` does for scores.
+    """A fitted Anny body; does what a ``FitResult`` does for scores."""
 
-    Attributes:
-        first: EllipBody's fit, where it started.
-        body: The body in the camera frame, B = 1 [m].
-        camera: In pixels of the full picture, B = 1.
-    """
-
-    first: FitResult
-    body: Detailed
-    camera: WeakPerspective
+    first: FitResult  # EllipBody's fit, where it started
+    body: Detailed  # the body in the camera frame, B = 1 [m]
+    camera: WeakPerspective  # in pixels of the full picture, B = 1
 
     @property
     def hypotheses(self) -> int:
