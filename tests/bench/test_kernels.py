@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from io import BytesIO, StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from warp_partdr.bench.kernels.plan import (
     KernelPlan,
     plan_kernels,
 )
-from warp_partdr.bench.kernels.report import KernelReport, TimedRow, print_kernels
+from warp_partdr.bench.kernels.report import copy_share, make_row, print_kernels
 from warp_partdr.bench.kernels.runs import ExactRun, MeshRun, refined_once
 from warp_partdr.bench.machine import about
 from warp_partdr.bench.renderers import EXACT, MESH, PARTDR
@@ -63,17 +64,17 @@ PLAN = KernelPlan(
 
 
 @pytest.fixture(scope="module")
-def report(device: str) -> KernelReport:
+def figures(device: str) -> dict[str, Any]:
     return run_kernels(replace(PLAN, device=device))
 
 
 def test_bandwidth_and_images() -> None:
-    row = TimedRow(TARGETS, "a", "b", 8, 256, "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000).as_dict(6e9)
+    row = make_row(TARGETS, ("a", "b", 8, 256), "graph", Timing((1e-3, 2e-3, 3e-3)), moved=3_000_000)
     assert row["images_per_second"] == pytest.approx(4000)
-    assert row["share_of_copy_bandwidth"] == pytest.approx(0.25)  # 1.5 GB/s of 6
+    assert copy_share(row, 6e9) == pytest.approx(0.25)  # 1.5 GB/s of 6
     # A difference within the noise.
-    nothing = TimedRow(KERNELS, "a", "b", 8, 256, "kernel", Timing((-1e-9,)), moved=5).as_dict(1e9)
-    assert nothing["images_per_second"] is nothing["share_of_copy_bandwidth"] is nothing["fastest_s"] is None
+    nothing = make_row(KERNELS, ("a", "b", 8, 256), "kernel", Timing((-1e-9,)), moved=5)
+    assert nothing["images_per_second"] is copy_share(nothing, 1e9) is nothing["fastest_s"] is None
 
 
 # --- what is timed -------------------------------------------------------------------------------------------------
@@ -102,13 +103,14 @@ def test_a_wrong_run_is_not_timed(device: str, what: str) -> None:
         run.check()
 
 
-def test_every_row_is_there(report: KernelReport) -> None:
-    found = {(row.name, row.renderer, row.batch, row.size): row for row in report.rows if row.group in GROUPS[:2]}
+def test_every_row_is_there(figures: dict[str, Any]) -> None:
+    keys = ("name", "renderer", "batch", "size_px")
+    found = {tuple(row[key] for key in keys): row for row in figures["rows"] if row["group"] in GROUPS[:2]}
     assert [*found] == [*PLAN.targets, *PLAN.others]
-    assert all(found[run].timing.median > 0 for run in PLAN.targets)
-    assert all((row.group == TARGETS) == (run in PLAN.targets) for run, row in found.items())
-    assert found[LABELS, MESH, 2, SIZE].memory > 2 * SIZE * SIZE
-    names = [f"{row.renderer}: {row.name}" for row in report.rows if row.group == KERNELS]
+    assert all(found[run]["median_s"] > 0 for run in PLAN.targets)
+    assert all((row["group"] == TARGETS) == (run in PLAN.targets) for run, row in found.items())
+    assert found[LABELS, MESH, 2, SIZE]["memory_bytes"] > 2 * SIZE * SIZE
+    names = [f"{row['renderer']}: {row['name']}" for row in figures["rows"] if row["group"] == KERNELS]
     for name in (
         *("iteration, exact, edges: push", "iteration, exact, edges: step", "exact, coverage: coverage"),
         *("exact, PartDR: partdr", "mesh E1: draw", "mesh E1: push", "kinematics, E1: pose", "kinematics, E1: place"),
@@ -147,26 +149,21 @@ def test_command_times_the_papers_targets() -> None:
 # --- peers ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_missing_peer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    absent = peers.Peer("no_such_package", ("cpu", "cuda"), peers.Drtk)
-    monkeypatch.setattr(measure, "PEERS", {"Absent": absent})
-    report = KernelReport("cpu", {}, 1.0)
-    assert list(measure._peer_jobs(PLAN, report)) == []
-    assert report.remarks == ["Absent: not timed, no_such_package is not installed"]
+def test_a_peer_that_is_missing_or_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
+    absent = peers.Peer("no_such_package", ("cpu", "cuda"), peers.drtk)
+    broken = peers.Peer("json", ("cpu", "cuda"), peers.drtk)  # which has no drtk inside
+    monkeypatch.setattr(measure, "PEERS", {"Absent": absent, "Broken": broken})
+    remarks: list[str] = []
+    ((_, time_broken),) = measure._peer_jobs(replace(PLAN, device=device), remarks)
+    assert time_broken() == []
+    assert remarks[0] == "Absent: not timed, no_such_package is not installed"
+    assert remarks[1].startswith("Broken: not timed, it failed: ModuleNotFoundError")
+    assert len(remarks) == 2
 
 
-def test_a_peer_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
-    broken = peers.Peer("json", ("cpu", "cuda"), peers.Drtk)  # which has no drtk inside
-    monkeypatch.setattr(measure, "PEERS", {**peers.PEERS, "Broken": broken})
-    report = KernelReport(device, {}, 1.0)
-    assert measure._time_peer(replace(PLAN, device=device), report, "Broken", 1) == []
-    assert len(report.remarks) == 1
-    assert report.remarks[0].startswith("Broken: not timed, it failed: ModuleNotFoundError")
-
-
-def test_our_renderer_is_timed_as_peers_are(report: KernelReport) -> None:
-    rows = [row for row in report.rows if row.group == PEER_ROWS and row.renderer == peers.OURS]
-    assert [(row.name, row.agreement) for row in rows] == [(LABELS, 1.0), (GRADIENT, 1.0)]
+def test_our_renderer_is_timed_as_peers_are(figures: dict[str, Any]) -> None:
+    rows = [row for row in figures["rows"] if row["group"] == PEER_ROWS and row["renderer"] == peers.OURS]
+    assert [(row["name"], row["label_agreement"]) for row in rows] == [(LABELS, 1.0), (GRADIENT, 1.0)]
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +174,8 @@ def view() -> peers.MeshView:
 
 
 def test_loss_of_float_maps_is_ours(view: peers.MeshView) -> None:
-    ours = peers.Ours(view)
-    torch.testing.assert_close(view.loss_of(view.maps_of(ours.labels())), ours.loss(view.vertices))
+    draw, loss = peers.ours(view)
+    torch.testing.assert_close(view.loss_of(view.maps_of(draw())), loss(view.vertices))
 
 
 def test_normalised_vertices_fill_the_picture(view: peers.MeshView) -> None:
@@ -190,41 +187,40 @@ def test_normalised_vertices_fill_the_picture(view: peers.MeshView) -> None:
 
 @pytest.mark.skipif(not peers.PEERS["Embree"].is_installed, reason="needs embreex")
 def test_embree_sees_what_we_see(view: peers.MeshView) -> None:
-    assert (peers.Embree(view).labels() == peers.Ours(view).labels()).float().mean() > 0.999
+    assert (peers.embree(view)[0]() == peers.ours(view)[0]()).float().mean() > 0.999
 
 
 # --- what is left behind -------------------------------------------------------------------------------------------
 
 
-def test_table_names_machine_rows_and_remarks(report: KernelReport) -> None:
+def test_table_names_machine_rows_and_remarks(figures: dict[str, Any]) -> None:
     console = Console(width=TABLE_WIDTH, file=StringIO())
-    print_kernels(report, console)
+    print_kernels(figures, console)
     said = console.file.getvalue()
-    wanted = [report.machine["warp"], report.machine["machine"], "moved [MB]", *report.remarks]
-    for row in report.rows:
-        wanted += [row.name, row.renderer]
+    wanted = [figures["machine"]["warp"], figures["machine"]["machine"], "moved [MB]", *figures["remarks"]]
+    for row in figures["rows"]:
+        wanted += [row["name"], row["renderer"]]
     assert [each for each in wanted if each not in said] == []
     assert [group for group in GROUPS if group in said] == [group for group in GROUPS if group != STARTS]
     assert "…" not in said  # no column is cut
 
 
 def test_command_leaves_json_and_picture(
-    report: KernelReport,
+    figures: dict[str, Any],
     device: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(measure, "run_kernels", lambda plan, progress: report)
+    monkeypatch.setattr(measure, "run_kernels", lambda plan, progress: figures)
     bench.bench_kernels(device=device, quick=True, out=tmp_path / "new")
     table, picture = (tmp_path / "new" / f"bench-kernels-{device}.{kind}" for kind in ("json", "png"))
     assert sorted((tmp_path / "new").iterdir()) == [table, picture]
     data = json.loads(table.read_text())
     assert data["machine"]["warp"] == wp.config.version
-    assert len(data["rows"]) == len(report.rows)
+    assert data["rows"] == figures["rows"]
     first = data["rows"][0]
     assert (first["name"], first["renderer"], first["batch"], first["size_px"]) == (GRADIENT, EXACT, 2, SIZE)
-    assert first["median_s"] == report.rows[0].timing.median
     assert first["moved_bytes"] / first["median_s"] / data["copy_bandwidth_bytes_per_second"] == pytest.approx(
         first["share_of_copy_bandwidth"]
     )
@@ -245,8 +241,8 @@ def test_chart_marks_every_batch() -> None:
 
     def draw(batches: tuple[int, ...]) -> np.ndarray:
         timings = {batch: Timing((batch * 1e-4,)) for batch in batches}
-        rows = [TimedRow(TARGETS, LABELS, EXACT, batch, 256, "graph", timings[batch]) for batch in batches]
-        figure = draw_kernel_chart(KernelReport("cpu", about(), 1e9, rows))
+        rows = [make_row(TARGETS, (LABELS, EXACT, batch, 256), "graph", timings[batch]) for batch in batches]
+        figure = draw_kernel_chart({"machine": about(), "rows": rows})
         figure.savefig(file := BytesIO())
         return np.asarray(Image.open(file).convert("RGB"))
 
@@ -257,15 +253,11 @@ def test_chart_marks_every_batch() -> None:
     assert draw(()).min() < 255  # nothing was timed, and it says so
 
 
-def test_json_of_nothing() -> None:
-    assert KernelReport("cpu", {}, 1.0).as_dict()["rows"] == []
-
-
 def test_starts_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     processes = iter([(1.0, 5.0), (2.0, 0.5)])  # cold, warm: imports and first call
     monkeypatch.setattr(start, "_time_process", lambda device, cache: next(processes))
     rows = measure._time_starts(PLAN)
-    assert [(row.group, row.timing.median) for row in rows] == [(STARTS, 2.0), (STARTS, 5.0), (STARTS, 0.5)]
+    assert [(row["group"], row["median_s"]) for row in rows] == [(STARTS, 2.0), (STARTS, 5.0), (STARTS, 0.5)]
 
 
 @pytest.mark.slow

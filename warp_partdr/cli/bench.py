@@ -63,9 +63,9 @@ def bench_kernels(
     from .progress import FitProgress
 
     with FitProgress() as progress:
-        report = run_kernels(plan_kernels(where, quick=quick), progress)
-    files = _save(out, f"kernels-{where}", report.as_dict(), draw_kernel_chart(report))
-    _show(partial(print_kernels, report), files)
+        figures = run_kernels(plan_kernels(where, quick=quick), progress)
+    files = _save(out, f"kernels-{where}", figures, draw_kernel_chart(figures))
+    _show(partial(print_kernels, figures), files)
 
 
 @bench.command("savings", help=_SAVINGS_HELP)

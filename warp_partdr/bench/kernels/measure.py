@@ -40,31 +40,40 @@ from .plan import (
     KernelPlan,
     Run,
 )
-from .report import KernelReport, TimedRow
+from .report import NOTES, copy_share, make_row
 from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, refined_once
 from .start import time_starts
 
-_Rows = Callable[[], list[TimedRow]]
-_Jobs = Iterator[tuple[str, _Rows]]
+_Rows = list[dict[str, Any]]  # of ``make_row``
+_Jobs = Iterator[tuple[str, Callable[[], _Rows]]]
 
 
-def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> KernelReport:
-    """Time all of a plan.
+def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> dict[str, Any]:
+    """Time all of a plan; returns figures for JSON, with one of ``remarks`` for each thing that could not be timed.
 
     Raises:
         AssertionError: If what would be timed is not what the library computes.
     """
-    report = KernelReport(plan.device, about(plan.device), copy_bandwidth(plan.device, plan.budget))
+    bandwidth = copy_bandwidth(plan.device, plan.budget)
+    rows: _Rows = []
+    remarks: list[str] = []
 
-    def add(job: _Rows) -> None:
-        report.rows += job()
+    def add(job: Callable[[], _Rows]) -> None:
+        rows.extend({**row, "share_of_copy_bandwidth": copy_share(row, bandwidth)} for row in job())
         gc.collect()  # buffers of large batches, before the next job makes its own
 
-    jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, report)]
+    jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, remarks)]
     if plan.start:
         jobs.append(("cold and warm start", partial(_time_starts, plan)))
     run_jobs([(name, partial(add, job)) for name, job in jobs], progress)
-    return report
+    return {
+        "device": plan.device,
+        "machine": about(plan.device),
+        "copy_bandwidth_bytes_per_second": bandwidth,
+        "rows": rows,
+        "remarks": remarks,
+        "notes": NOTES,
+    }
 
 
 def _render_jobs(plan: KernelPlan) -> _Jobs:
@@ -74,24 +83,25 @@ def _render_jobs(plan: KernelPlan) -> _Jobs:
             yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, run)
 
 
-def _time(plan: KernelPlan, group: str, wanted: Run) -> list[TimedRow]:
+def _time(plan: KernelPlan, group: str, wanted: Run) -> _Rows:
     """One row, of a renderer or of the refinement."""
     what, name, batch, size = wanted
     scene = BenchScene.random(batch, size, plan.device)
-    row = partial(TimedRow, group, *wanted)
+    row = partial(make_row, group, wanted)
     if what in (LABELS, GRADIENT):
         run = _renderer(scene, name)
         run.check()
         launch = run.labels if what == LABELS else run.gradient
         launches = observe_launches(launch)
         timing = time_graph(capture(launch, plan.device), plan.device, plan.budget)
-        return [row("graph", timing, sum(launched.bytes for launched in launches), count_bytes(launches))]
+        moved = sum(launched.bytes for launched in launches)
+        return [row("graph", timing, moved=moved, memory=count_bytes(launches))]
     if what == REFINEMENT:
         captured = refined_once(scene, GRADIENTS[name])
         launches = observe_launches(captured.iterate)
         timing = time_calls(partial(captured.refine, scene.bodies), plan.device, plan.budget)
         moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
-        return [row("call", timing, moved, count_bytes(launches))]
+        return [row("call", timing, moved=moved, memory=count_bytes(launches))]
     if what == TORCH_GRADIENT:
         call = _torch_gradient(scene, name)
     else:
@@ -147,10 +157,10 @@ def _kernel_jobs(plan: KernelPlan) -> _Jobs:
             yield f"kernels, {name}, B = {batch}", partial(_time_kernels, plan, name, make, batch)
 
 
-def _time_kernels(plan: KernelPlan, name: str, make: _MakeRun, batch: int) -> list[TimedRow]:
+def _time_kernels(plan: KernelPlan, name: str, make: _MakeRun, batch: int) -> _Rows:
     run = make(BenchScene.random(batch, plan.size, plan.device))
     return [
-        TimedRow(KERNELS, kernel.name, name, batch, plan.size, "kernel", timing, kernel.bytes)
+        make_row(KERNELS, (kernel.name, name, batch, plan.size), "kernel", timing, moved=kernel.bytes)
         for kernel, timing in time_kernels(run, plan.device, plan.budget)
     ]
 
@@ -165,40 +175,42 @@ _KERNEL_RUNS: dict[str, _MakeRun] = {
 }
 
 
-def _time_starts(plan: KernelPlan) -> list[TimedRow]:
+def _time_starts(plan: KernelPlan) -> _Rows:
     durations = time_starts(plan.device)
-    return [TimedRow(STARTS, name, EXACT, 0, 0, "process", Timing((seconds,))) for name, seconds in durations.items()]
+    return [make_row(STARTS, (name, EXACT, 0, 0), "process", Timing((each,))) for name, each in durations.items()]
 
 
-def _peer_jobs(plan: KernelPlan, report: KernelReport) -> _Jobs:
+def _peer_jobs(plan: KernelPlan, remarks: list[str]) -> _Jobs:
     peers = {name: peer for name, peer in PEERS.items() if torch.device(plan.device).type in peer.devices}
     for name, peer in peers.items():
         if not peer.is_installed:
-            report.remarks.append(f"{name}: not timed, {peer.package} is not installed")
+            remarks.append(f"{name}: not timed, {peer.package} is not installed")
             continue
         for batch in plan.batches:
-            yield f"{name}, B = {batch}", partial(_time_peer, plan, report, name, batch)
+            yield f"{name}, B = {batch}", partial(_time_peer, plan, remarks, name, batch)
 
 
-def _time_peer(plan: KernelPlan, report: KernelReport, name: str, batch: int) -> list[TimedRow]:
+def _time_peer(plan: KernelPlan, remarks: list[str], name: str, batch: int) -> _Rows:
     scene, mesh = BenchScene.random(batch, plan.size, plan.device), ellipbody_mesh(LEVELS[MESH], device=plan.device)
     points = scene.camera.project(scene.posed.vertices(LEVELS[MESH])).detach().contiguous()
     view = MeshView(points, mesh, scene.targets)
     leaf = points.clone().requires_grad_()
-
-    def time_call(what: str, call: Callable[[], object]) -> TimedRow:
-        timing, memory = time_calls(call, plan.device, plan.budget), peak_memory(call, plan.device)
-        return TimedRow(PEER_ROWS, what, name, batch, plan.size, "call", timing, memory=memory, agreement=agreement)
-
     try:
-        adapter = PEERS[name].adapt(view)
-        agreement = float((adapter.labels() == PEERS[OURS].adapt(view).labels()).float().mean())
-        rows = [time_call(LABELS, adapter.labels)]
-        if hasattr(adapter, "loss"):
-            rows.append(time_call(GRADIENT, lambda: torch.autograd.grad(adapter.loss(leaf), leaf)))
-        return rows
+        draw, loss = PEERS[name].adapt(view)
+        agreement = float((draw() == PEERS[OURS].adapt(view)[0]()).float().mean())
+        calls: dict[str, Callable[[], object]] = {LABELS: draw}
+        if loss is not None:
+            calls[GRADIENT] = lambda: torch.autograd.grad(loss(leaf), leaf)
+        return [
+            make_row(
+                *(PEER_ROWS, (what, name, batch, plan.size), "call", time_calls(call, plan.device, plan.budget)),
+                memory=peak_memory(call, plan.device),
+                agreement=agreement,
+            )
+            for what, call in calls.items()
+        ]
     except Exception as error:  # whatever somebody else's package raises
         if name == OURS:
             raise
-        report.remarks.append(f"{name}: not timed, it failed: {type(error).__name__}: {error}")
+        remarks.append(f"{name}: not timed, it failed: {type(error).__name__}: {error}")
         return []

@@ -1,7 +1,7 @@
 """Other rasterizers, where they are installed: the same mesh, the same target, their own ways to a gradient.
 
-None of them is a dependency. Each adapter draws labels from our projected vertices; those with a gradient also give
-L_seg of their float maps, through which autograd goes.
+None of them is a dependency. Each draws labels from our projected vertices; those with a gradient also give L_seg of
+their float maps, through which autograd goes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 import torch
@@ -35,11 +34,6 @@ class MeshView:
     vertices: torch.Tensor
     mesh: PartMesh
     targets: torch.Tensor
-
-    @property
-    def faces(self) -> torch.Tensor:
-        """Shape (F, 3), int32."""
-        return self.mesh.faces
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -67,126 +61,92 @@ class MeshView:
         return (maps - self.maps_of(self.targets)).square().sum()
 
 
-class Ours:
+_Draw = Callable[[], torch.Tensor]
+_Loss = Callable[[torch.Tensor], torch.Tensor]
+
+
+def ours(view: MeshView) -> tuple[_Draw, _Loss]:
     """This package's mesh renderer, called as a peer is."""
-
-    def __init__(self, view: MeshView) -> None:
-        self._view = view
-
-    def labels(self) -> torch.Tensor:
-        """The hard label image."""
-        view = self._view
-        return draw_mesh(
-            view.vertices, view.mesh, ScreenCamera(perspective=False), view.image_size, validate=False
-        ).labels
-
-    def loss(self, vertices: torch.Tensor) -> torch.Tensor:
-        """L_seg."""
-        return mesh_label_loss(
-            vertices, self._view.mesh, ScreenCamera(perspective=False), self._view.targets, validate=False
-        )[0].sum()
+    scene = view.mesh, ScreenCamera(perspective=False)
+    return (
+        lambda: draw_mesh(view.vertices, *scene, view.image_size, validate=False).labels,
+        lambda vertices: mesh_label_loss(vertices, *scene, view.targets, validate=False)[0].sum(),
+    )
 
 
-class Drtk:
+def drtk(view: MeshView) -> tuple[_Draw, _Loss]:
     """DRTK: rasterized edge gradients. Its pixel centres have whole coordinates."""
+    module, faces = import_module("drtk"), view.mesh.faces
+    offset = view.vertices.new_tensor([-0.5, -0.5, _FRONT])
 
-    def __init__(self, view: MeshView) -> None:
-        self._drtk, self._view = import_module("drtk"), view
+    def loss(vertices: torch.Tensor) -> torch.Tensor:
+        pixels = vertices + offset
+        index = module.rasterize(pixels, faces, *view.image_size)
+        _, weights = module.render(pixels, faces, index)
+        maps = view.maps_of(view.labels_of(index)).permute(0, 3, 1, 2).contiguous()
+        maps = module.edge_grad_estimator(pixels, faces, weights, maps, index)
+        return view.loss_of(maps.permute(0, 2, 3, 1))
 
-    def _pixels(self, vertices: torch.Tensor) -> torch.Tensor:
-        return vertices + vertices.new_tensor([-0.5, -0.5, _FRONT])
-
-    def labels(self) -> torch.Tensor:
-        """The hard label image."""
-        pixels = self._pixels(self._view.vertices)
-        return self._view.labels_of(self._drtk.rasterize(pixels, self._view.faces, *self._view.image_size))
-
-    def loss(self, vertices: torch.Tensor) -> torch.Tensor:
-        """L_seg through ``edge_grad_estimator``."""
-        pixels, faces = self._pixels(vertices), self._view.faces
-        index = self._drtk.rasterize(pixels, faces, *self._view.image_size)
-        _, weights = self._drtk.render(pixels, faces, index)
-        maps = self._view.maps_of(self._view.labels_of(index)).permute(0, 3, 1, 2).contiguous()
-        maps = self._drtk.edge_grad_estimator(pixels, faces, weights, maps, index)
-        return self._view.loss_of(maps.permute(0, 2, 3, 1))
+    return lambda: view.labels_of(module.rasterize(view.vertices + offset, faces, *view.image_size)), loss
 
 
-class Nvdiffrast:
+def nvdiffrast(view: MeshView) -> tuple[_Draw, _Loss]:
     """nvdiffrast: gradients of antialiased outlines. Its first row is at y = -1, as ours is here."""
+    module, faces = import_module("nvdiffrast.torch"), view.mesh.faces
+    context = module.RasterizeCudaContext(device=view.vertices.device)
 
-    def __init__(self, view: MeshView) -> None:
-        self._dr, self._view = import_module("nvdiffrast.torch"), view
-        self._context = self._dr.RasterizeCudaContext(device=view.vertices.device)
+    def rasterize(vertices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        clip = torch.nn.functional.pad(view.normalised(vertices), (0, 1), value=1.0).contiguous()
+        raster, _ = module.rasterize(context, clip, faces, list(view.image_size))
+        return clip, raster, view.labels_of(raster[..., 3] - 1)
 
-    def _clip(self, vertices: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.pad(self._view.normalised(vertices), (0, 1), value=1.0).contiguous()
+    def loss(vertices: torch.Tensor) -> torch.Tensor:
+        clip, raster, labels = rasterize(vertices)
+        return view.loss_of(module.antialias(view.maps_of(labels), raster, clip, faces))
 
-    def _rasterize(self, clip: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        raster, _ = self._dr.rasterize(self._context, clip, self._view.faces, list(self._view.image_size))
-        return raster, self._view.labels_of(raster[..., 3] - 1)
-
-    def labels(self) -> torch.Tensor:
-        """The hard label image."""
-        return self._rasterize(self._clip(self._view.vertices))[1]
-
-    def loss(self, vertices: torch.Tensor) -> torch.Tensor:
-        """L_seg through ``antialias``."""
-        clip = self._clip(vertices)
-        raster, labels = self._rasterize(clip)
-        maps = self._dr.antialias(self._view.maps_of(labels), raster, clip, self._view.faces)
-        return self._view.loss_of(maps)
+    return lambda: rasterize(view.vertices)[2], loss
 
 
-class Pytorch3d:
+def pytorch3d(view: MeshView) -> tuple[_Draw, _Loss]:
     """PyTorch3D: the nearest face, faded out over a pixel from its outline. Its x points left and its y up."""
+    make_meshes = import_module("pytorch3d.structures").Meshes
+    rasterize = import_module("pytorch3d.renderer.mesh.rasterize_meshes").rasterize_meshes
+    blur = (2 / min(view.image_size)) ** 2  # squared distances, half-sides of the picture
 
-    def __init__(self, view: MeshView) -> None:
-        self._view = view
-        self._meshes = import_module("pytorch3d.structures").Meshes
-        self._rasterize = import_module("pytorch3d.renderer.mesh.rasterize_meshes").rasterize_meshes
-
-    def _fragments(self, vertices: torch.Tensor, blur: float) -> tuple[torch.Tensor, torch.Tensor]:
-        points = self._view.normalised(vertices) * vertices.new_tensor([-1.0, -1.0, 1.0])
+    def draw(vertices: torch.Tensor, radius: float) -> tuple[torch.Tensor, torch.Tensor]:
+        points = view.normalised(vertices) * vertices.new_tensor([-1.0, -1.0, 1.0])
         points = points + points.new_tensor([0.0, 0.0, _FRONT])
-        faces = self._view.faces.long().expand(len(points), -1, -1)
-        packed, _, _, distances = self._rasterize(
-            self._meshes(points, faces), image_size=self._view.image_size, blur_radius=blur, faces_per_pixel=1
+        faces = view.mesh.faces.long().expand(len(points), -1, -1)
+        packed, _, _, distances = rasterize(
+            make_meshes(points, faces), image_size=view.image_size, blur_radius=radius, faces_per_pixel=1
         )
         packed, distances = packed[..., 0], distances[..., 0]
-        return self._view.labels_of(torch.where(packed < 0, -1, packed % faces.shape[1])), distances
+        return view.labels_of(torch.where(packed < 0, -1, packed % faces.shape[1])), distances
 
-    def labels(self) -> torch.Tensor:
-        """The hard label image."""
-        return self._fragments(self._view.vertices, 0.0)[0]
+    def loss(vertices: torch.Tensor) -> torch.Tensor:
+        labels, distances = draw(vertices, blur)
+        return view.loss_of(view.maps_of(labels) * torch.sigmoid(-distances / blur)[..., None])
 
-    def loss(self, vertices: torch.Tensor) -> torch.Tensor:
-        """L_seg through the faces' distances from pixels."""
-        blur = (2 / min(self._view.image_size)) ** 2  # squared distances, half-sides of the picture
-        labels, distances = self._fragments(vertices, blur)
-        return self._view.loss_of(self._view.maps_of(labels) * torch.sigmoid(-distances / blur)[..., None])
+    return lambda: draw(view.vertices, 0.0)[0], loss
 
 
-class Embree:
-    """Embree through trimesh: a ray through each pixel's centre, one body after another. No gradient."""
+def embree(view: MeshView) -> tuple[_Draw, None]:
+    """Embree through trimesh: a ray through each pixel's centre, one body after another; trees are ready made."""
+    import trimesh
 
-    def __init__(self, view: MeshView) -> None:
-        import trimesh
+    intersector = import_module("trimesh.ray.ray_pyembree").RayMeshIntersector
+    height, width = view.image_size
+    v, u = np.mgrid[:height, :width] + 0.5
+    origins = np.stack([u.ravel(), v.ravel(), np.full(u.size, float(view.vertices[..., 2].min()) - 1)], 1)
+    directions = np.tile([0.0, 0.0, 1.0], (u.size, 1))
+    faces, bodies = view.mesh.faces.numpy(), view.vertices.double().numpy()
+    trees = [intersector(trimesh.Trimesh(points, faces, process=False)) for points in bodies]
 
-        intersector = import_module("trimesh.ray.ray_pyembree").RayMeshIntersector
-        self._view = view
-        height, width = view.image_size
-        v, u = np.mgrid[:height, :width] + 0.5
-        self._origins = np.stack([u.ravel(), v.ravel(), np.full(u.size, float(view.vertices[..., 2].min()) - 1)], 1)
-        self._directions = np.tile([0.0, 0.0, 1.0], (u.size, 1))
-        faces = view.faces.numpy()
-        self._bodies = [
-            intersector(trimesh.Trimesh(points, faces, process=False)) for points in view.vertices.double().numpy()
-        ]
+    def draw() -> torch.Tensor:
+        hits = [tree.intersects_first(origins, directions) for tree in trees]
+        return view.labels_of(torch.from_numpy(np.stack(hits)).view(-1, *view.image_size))
 
-    def labels(self) -> torch.Tensor:
-        """The hard label image; rays find their trees ready made."""
-        hits = [body.intersects_first(self._origins, self._directions) for body in self._bodies]
-        return self._view.labels_of(torch.from_numpy(np.stack(hits)).view(-1, *self._view.image_size))
+    return draw, None
 
 
 @dataclass(frozen=True)
@@ -194,15 +154,15 @@ class Peer:
     """Another rasterizer.
 
     Attributes:
-        package: What must be importable.
+        package: The package that must be importable.
         devices: Where it runs, of "cpu" and "cuda".
-        adapt: Makes its adapter for a view, in time that is not counted: ``labels()`` gives the hard label image, of
-            shape (B, H, W), and ``loss(vertices)`` L_seg where there is a gradient.
+        adapt: Makes, in time that is not counted, what draws the hard label image of a view, shape (B, H, W), and what
+            takes L_seg of vertices, None where there is no gradient.
     """
 
     package: str
     devices: tuple[str, ...]
-    adapt: Callable[[MeshView], Any]
+    adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]
 
     @property
     def is_installed(self) -> bool:
@@ -212,9 +172,9 @@ class Peer:
 
 OURS = "warp-partdr"
 PEERS = {
-    OURS: Peer("warp_partdr", ("cuda", "cpu"), Ours),
-    "DRTK": Peer("drtk", ("cuda",), Drtk),
-    "nvdiffrast": Peer("nvdiffrast", ("cuda",), Nvdiffrast),
-    "PyTorch3D": Peer("pytorch3d", ("cuda", "cpu"), Pytorch3d),
-    "Embree": Peer("embreex", ("cpu",), Embree),
+    OURS: Peer("warp_partdr", ("cuda", "cpu"), ours),
+    "DRTK": Peer("drtk", ("cuda",), drtk),
+    "nvdiffrast": Peer("nvdiffrast", ("cuda",), nvdiffrast),
+    "PyTorch3D": Peer("pytorch3d", ("cuda", "cpu"), pytorch3d),
+    "Embree": Peer("embreex", ("cpu",), embree),
 }

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..machine import in_words
 from ..report import format_time, make_table, print_tables
 from ..timing import Timing
-from .plan import GROUPS
+from .plan import GROUPS, Run
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,85 +25,51 @@ NOTES = (
 )
 
 
-@dataclass(frozen=True)
-class TimedRow:
-    """One thing that was timed.
+def make_row(
+    group: str,
+    run: Run,
+    how: str,
+    timing: Timing,
+    *,
+    moved: int | None = None,
+    memory: int | None = None,
+    agreement: float | None = None,
+) -> dict[str, Any]:
+    """One thing that was timed, for JSON: seconds, bytes and shares.
 
-    Attributes:
+    Args:
         group: One of ``GROUPS``.
-        name: What was run.
-        renderer: By its name.
-        batch: B, the number of bodies; 0 where that means nothing.
-        size: Side of the picture [px]; 0 where that means nothing.
+        run: What was run; B and the picture are 0 where they mean nothing.
         how: "graph", "call", "kernel" or "process", see ``NOTES``.
         timing: Its durations.
         moved: Size of the arrays given to kernels, each once a kernel [bytes].
         memory: Size of the same arrays, each once in all; of calls into torch, its peak [bytes].
         agreement: Share of pixels with the same label as our picture of the same mesh: of peers.
     """
-
-    group: str
-    name: str
-    renderer: str
-    batch: int
-    size: int
-    how: str
-    timing: Timing
-    moved: int | None = None
-    memory: int | None = None
-    agreement: float | None = None
-
-    def as_dict(self, copy_bandwidth: float) -> dict[str, Any]:
-        """For JSON: seconds, bytes, and shares; ``copy_bandwidth`` in B/s."""
-        median = self.timing.median
-        rate = 1 / median if median > 0 else None  # differences may be lost in noise
-        return {
-            "group": self.group,
-            "name": self.name,
-            "renderer": self.renderer,
-            "batch": self.batch,
-            "size_px": self.size,
-            "how": self.how,
-            "median_s": median,
-            "spread_s": self.timing.spread,
-            "fastest_s": None if self.how == "kernel" else self.timing.fastest,
-            "repeats": len(self.timing.seconds),
-            "images_per_second": self.batch * rate if self.batch and rate else None,
-            "moved_bytes": self.moved,
-            "share_of_copy_bandwidth": self.moved * rate / copy_bandwidth if self.moved is not None and rate else None,
-            "memory_bytes": self.memory,
-            "label_agreement": self.agreement,
-        }
+    name, renderer, batch, size = run
+    median = timing.median
+    return {
+        "group": group,
+        "name": name,
+        "renderer": renderer,
+        "batch": batch,
+        "size_px": size,
+        "how": how,
+        "median_s": median,
+        "spread_s": timing.spread,
+        "fastest_s": None if how == "kernel" else timing.fastest,
+        "repeats": len(timing.seconds),
+        "images_per_second": batch / median if batch and median > 0 else None,  # differences may be lost in noise
+        "moved_bytes": moved,
+        "memory_bytes": memory,
+        "label_agreement": agreement,
+    }
 
 
-@dataclass
-class KernelReport:
-    """All that was measured.
-
-    Attributes:
-        device: "cpu" or a CUDA device.
-        machine: Machine and versions by name.
-        copy_bandwidth: Of a copy within the device, bytes read and written [B/s].
-        rows: What was timed.
-        remarks: One line for each thing that could not be.
-    """
-
-    device: str
-    machine: dict[str, str]
-    copy_bandwidth: float
-    rows: list[TimedRow] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: seconds, bytes and shares, unrounded."""
-        return {
-            "device": self.device,
-            "machine": self.machine,
-            "copy_bandwidth_bytes_per_second": self.copy_bandwidth,
-            "rows": [row.as_dict(self.copy_bandwidth) for row in self.rows],
-            "remarks": self.remarks,
-            "notes": list(NOTES),
-        }
+def copy_share(row: Mapping[str, Any], copy_bandwidth: float) -> float | None:
+    """Share of what a copy within the device reaches [B/s] that a row's kernels do."""
+    moved, median = row["moved_bytes"], row["median_s"]
+    return None if moved is None or median <= 0 else moved / median / copy_bandwidth
 
 
 def _number(value: float) -> str:
@@ -134,18 +99,17 @@ _WORDS = (0, 1, 4)  # columns
 _OF_SEVERAL = ("spread_s", "fastest_s")  # empty where there is one run
 
 
-def print_kernels(report: KernelReport, console: Console) -> None:
+def print_kernels(figures: Mapping[str, Any], console: Console) -> None:
     """A table for each group of rows."""
-    copies = f"A copy within the device reads and writes {report.copy_bandwidth / 1e9:.4g} GB/s"
-    rows = [row.as_dict(report.copy_bandwidth) for row in report.rows]
+    copies = f"A copy within the device reads and writes {figures['copy_bandwidth_bytes_per_second'] / 1e9:.4g} GB/s"
     headings = [heading for heading, _, _ in _COLUMNS]
     tables = [
-        make_table(group, headings, [_cells(row) for row in rows if row["group"] == group], left=_WORDS)
+        make_table(group, headings, [_cells(row) for row in figures["rows"] if row["group"] == group], left=_WORDS)
         for group in GROUPS
     ]
-    print_tables([in_words(report.machine), copies], tables, report.remarks, NOTES, console)
+    print_tables([in_words(figures["machine"]), copies], tables, figures["remarks"], NOTES, console)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _cells(row: Mapping[str, Any]) -> list[str]:
     hidden = _OF_SEVERAL if row["repeats"] == 1 else ()
     return ["" if row[key] is None or key in hidden else form(row[key]) for _, key, form in _COLUMNS]
