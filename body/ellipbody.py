@@ -29,13 +29,13 @@ def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT
     vec, mat = _PRECISIONS[dtype]
     constants = template()
     vertices, _ = icosphere(subdivisions)
-    return kinematics.BoneTree(
-        parents=wp.array(PARENTS, dtype=int, device=device),
-        shape_indices=wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
-        rest_directions=wp.array(constants.rest_directions, dtype=vec, device=device),
-        rest_axes=wp.array(constants.rest_axes, dtype=mat, device=device),
-        unit_vertices=wp.array(vertices, dtype=vec, device=device),
+    bones = (
+        wp.array(PARENTS, dtype=int, device=device),
+        wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
+        wp.array(constants.rest_directions, dtype=vec, device=device),
+        wp.array(constants.rest_axes, dtype=mat, device=device),
     )
+    return kinematics.BoneTree(bones, wp.array(vertices, dtype=vec, device=device))
 
 
 @lru_cache(maxsize=4, typed=True)
@@ -201,8 +201,8 @@ class EllipBody(WarpArrays):
         )
         parameters = [self.global_orient, self.translation, self.rotations, self.lengths, self.thicknesses]
         bones = [posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes]
-        kinematics.launch_pose(tree, parameters, *bones)
-        kinematics.launch_vertices(tree, posed.centres, posed.axes, posed.semi_axes, posed.vertices)
+        kinematics.launch_pose(tree, parameters, bones)
+        kinematics.launch_vertices(tree, bones[2:], posed.vertices)
         return posed
 
     def measure(self, index: int = 0) -> dict[str, float]:

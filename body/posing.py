@@ -145,7 +145,7 @@ class _Bones(torch.autograd.Function):
             tree = bone_tree(device, scalar)
             inputs = _from_torch(parameters, (mat, vec, mat, scalar, scalar))
             posed = joints, rotations, centres, axes, semi_axes
-            kinematics.launch_pose(tree, inputs, *_from_torch(posed, (vec, mat, vec, mat, vec)))
+            kinematics.launch_pose(tree, inputs, _from_torch(posed, (vec, mat, vec, mat, vec)))
         ctx.save_for_backward(*parameters, rotations)
         return posed
 
@@ -182,7 +182,8 @@ class _Vertices(torch.autograd.Function):
         with on_torch_stream(centres.device) as device:
             tree = bone_tree(device, scalar, subdivisions)
             vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
-            kinematics.launch_vertices(tree, *_from_torch((centres, axes, semi_axes, vertices), (vec, mat, vec, vec)))
+            *inputs, output = _from_torch((centres, axes, semi_axes, vertices), (vec, mat, vec, vec))
+            kinematics.launch_vertices(tree, inputs, output)
         ctx.save_for_backward(centres, axes, semi_axes)
         ctx.subdivisions = subdivisions
         return vertices
@@ -197,6 +198,6 @@ class _Vertices(torch.autograd.Function):
         gradients = tuple(axes.new_empty(each.shape) for each in (semi_axes, axes, semi_axes))
         with on_torch_stream(axes.device) as device:
             tree = bone_tree(device, scalar, ctx.subdivisions)
-            turns, sizes, sent = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
-            kinematics.launch_vertices_adjoint(tree, turns, sizes, sent, _from_torch(gradients, (vec, mat, vec)))
+            inputs = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
+            kinematics.launch_vertices_adjoint(tree, inputs, _from_torch(gradients, (vec, mat, vec)))
         return *gradients, None

@@ -6,8 +6,7 @@ in float32 and float64; the second one is for tests by finite differences and fo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -162,69 +161,38 @@ _register(wp.vec3f, wp.mat33f, wp.float32)
 _register(wp.vec3d, wp.mat33d, wp.float64)
 
 
-@dataclass(frozen=True)
-class BoneTree:
-    """Constant arrays that every kinematics kernel reads, on one device and in one precision.
+class BoneTree(NamedTuple):
+    """Constant arrays that the kernels read, on one device and in one precision.
 
     Attributes:
-        parents: Parent bone, -1 = root, shape (P,), int.
-        shape_indices: Length, first and second thickness index of each part, shape (P,), vec3i.
-        rest_directions: Shape (P,), vec3.
-        rest_axes: Shape (P,), mat33.
+        bones: The first four arguments of ``pose_bones``.
         unit_vertices: The unit sphere's mesh, shape (N,), vec3.
     """
 
-    parents: wp.array
-    shape_indices: wp.array
-    rest_directions: wp.array
-    rest_axes: wp.array
+    bones: Sequence[wp.array]
     unit_vertices: wp.array
 
-    @property
-    def device(self) -> wp.Device:
-        """Device of the arrays."""
-        return self.parents.device
 
-    @property
-    def num_parts(self) -> int:
-        """P, the number of bones and ellipsoids."""
-        return self.parents.shape[0]
-
-
-def launch_pose(
-    tree: BoneTree,
-    parameters: Sequence[wp.array],
-    joints: wp.array,
-    rotations: wp.array,
-    centres: wp.array,
-    axes: wp.array,
-    semi_axes: wp.array,
-) -> None:
-    """Fill the posed bones; ``parameters`` as in ``pose_bones``: orientation, translation, rotations, shape."""
-    constants = [tree.parents, tree.shape_indices, tree.rest_directions, tree.rest_axes]
-    outputs = [joints, rotations, centres, axes, semi_axes]
-    wp.launch(pose_bones, joints.shape[0], [*constants, *parameters], outputs, device=tree.device)
+def launch_pose(tree: BoneTree, parameters: Sequence[wp.array], posed: Sequence[wp.array]) -> None:
+    """Fill the ``posed`` bones, outputs of ``pose_bones``, from its inputs after the constants."""
+    first = parameters[0]
+    wp.launch(pose_bones, first.shape[0], [*tree.bones, *parameters], [*posed], device=first.device)
 
 
 def launch_pose_adjoint(
     tree: BoneTree, saved: Sequence[wp.array], adjoints: Sequence[wp.array], gradients: Sequence[wp.array]
 ) -> None:
     """Fill zeroed ``gradients``; ``adjoints`` of joints and rotations are overwritten on the way."""
-    constants = [tree.parents, tree.shape_indices, tree.rest_directions, tree.rest_axes]
-    wp.launch(
-        pose_bones_adjoint, saved[0].shape[0], [*constants, *saved, *adjoints], list(gradients), device=tree.device
-    )
+    first, inputs = saved[0], [*tree.bones, *saved, *adjoints]
+    wp.launch(pose_bones_adjoint, first.shape[0], inputs, [*gradients], device=first.device)
 
 
-def launch_vertices(tree: BoneTree, centres: wp.array, axes: wp.array, semi_axes: wp.array, vertices: wp.array) -> None:
-    """Fill the mesh vertices of every ellipsoid."""
-    inputs = [tree.unit_vertices, centres, axes, semi_axes]
-    wp.launch(place_vertices, vertices.shape, inputs, [vertices], device=tree.device)
+def launch_vertices(tree: BoneTree, ellipsoids: Sequence[wp.array], vertices: wp.array) -> None:
+    """Fill the mesh vertices of every ellipsoid from centres, axes and semi-axes."""
+    wp.launch(place_vertices, vertices.shape, [tree.unit_vertices, *ellipsoids], [vertices], device=vertices.device)
 
 
-def launch_vertices_adjoint(
-    tree: BoneTree, axes: wp.array, semi_axes: wp.array, adj_vertices: wp.array, gradients: Sequence[wp.array]
-) -> None:
-    """Fill the gradients with respect to centres, axes and semi-axes."""
-    inputs = [tree.unit_vertices, axes, semi_axes, adj_vertices]
-    wp.launch(place_vertices_adjoint, axes.shape, inputs, list(gradients), device=tree.device)
+def launch_vertices_adjoint(tree: BoneTree, inputs: Sequence[wp.array], gradients: Sequence[wp.array]) -> None:
+    """Fill the gradients of centres, axes and semi-axes; ``inputs`` are axes, semi-axes and the vertices' adjoint."""
+    axes = inputs[0]
+    wp.launch(place_vertices_adjoint, axes.shape, [tree.unit_vertices, *inputs], [*gradients], device=axes.device)

@@ -13,7 +13,14 @@ wp.set_module_options({"enable_backward": False})
 IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
 EACH_BYTE = wp.constant(wp.uint32(0x01010101))  # times a label: four pixels that show it
 HIGH_BITS = wp.constant(wp.uint32(0x80808080))  # of each byte
+QUAD = wp.constant(4)  # pixels a word
 _LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
+
+# Kinds of wrong pixels of a label: the second index of ``extents``.
+MISSING = wp.constant(0)  # should show the label and do not
+SURPLUS = wp.constant(1)  # show it and should not
+HIDDEN = wp.constant(2)  # should show it and show another part
+NUM_EXTENTS = 3
 
 
 @wp.func
@@ -36,6 +43,22 @@ def words_of(image: wp.array2d[wp.uint8]):
 def are_words(images: wp.array3d[wp.uint8]):
     """True if contiguous images can be read four pixels at once."""
     return images.shape[2] % 4 == 0 and images.ptr % wp.uint64(4) == wp.uint64(0)
+
+
+@wp.func
+def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool):
+    """Four pixels of a row in one number, the first one lowest; 0 outside the image."""
+    width = image.shape[1]
+    word = wp.uint32(0)
+    if row < image.shape[0] and column < width:
+        begin = row * width + column
+        if in_words:
+            word = words_of(image)[begin // QUAD]
+        else:
+            for i in range(QUAD):
+                if column + i < width:
+                    word |= wp.uint32(flat(image)[begin + i]) << wp.uint32(8 * i)
+    return word
 
 
 @wp.func
@@ -70,6 +93,13 @@ class DenseGradient:
 
     maps: wp.array4d[float]  # (B, K, H, W)
     label: int  # mesh: the z pass looks for one map's part at a time
+
+
+def overload_gradients(*kernels: wp.Kernel) -> None:
+    """Register both types of ``gradient`` up front: an overload that appears later would compile the module again."""
+    for kernel in kernels:
+        for gradient in (LabelTarget, DenseGradient):
+            wp.overload(kernel, {"gradient": gradient})
 
 
 @wp.func
@@ -172,15 +202,84 @@ def pull_range(g: DenseGradient, t: int, axis: int, label: int, line: int, count
 
 
 @wp.func
-def row_of(axis: int, line: int, pixel: int):
-    """Row of a pixel on a scan line: axis 0 walks along rows, axis 1 along columns."""
-    return wp.where(axis == 0, line, pixel)
+def pixels_of(g: LabelTarget, b: int, label: int):
+    """Pixels that ``pixel_gradient`` reads for a label: the target's."""
+    return flat(g.target[b])
 
 
 @wp.func
-def column_of(axis: int, line: int, pixel: int):
-    """Column of a pixel on a scan line."""
-    return wp.where(axis == 0, pixel, line)
+def pixels_of(g: DenseGradient, b: int, label: int):
+    """Pixels that ``pixel_gradient`` reads for a label: its map's."""
+    return flat(g.maps[b, label - 1])
+
+
+@wp.func
+def pixel_gradient(target: wp.array[wp.uint8], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel that shows this label or another, but for the factor ``weight_of``."""
+    expected = int(target[at])
+    if shows_it:
+        return wp.where(expected == label or expected == IGNORE, 0.0, 2.0)
+    return wp.where(expected == label, -2.0, 0.0)
+
+
+@wp.func
+def pixel_gradient(map: wp.array[float], at: int, label: int, shows_it: bool):
+    """dL/dA of map ``label`` at a pixel."""
+    return map[at]
+
+
+@wp.func
+def weight_of(g: LabelTarget, b: int, label: int):
+    """Factor of ``pixel_gradient`` for a label."""
+    return map_weight(label) * g.scale[b]
+
+
+@wp.func
+def weight_of(g: DenseGradient, b: int, label: int):
+    """Factor 1: dense maps are weighted already."""
+    return 1.0
+
+
+@wp.func
+def target_label_at(g: LabelTarget, b: int, at: int):
+    """Label that may come forward at a pixel: the target's."""
+    return int(flat(g.target[b])[at])
+
+
+@wp.func
+def target_label_at(g: DenseGradient, b: int, at: int):
+    """Label that may come forward at a pixel: the one whose turn it is, by the gradient of its map."""
+    return g.label
+
+
+@wp.func
+def extent(g: LabelTarget, b: int, kind: int, label: int):
+    """First and last row and column of a label's wrong pixels of this kind; last < first if there are none."""
+    if label >= g.extents.shape[2]:
+        return wp.vec4i(0, -1, 0, -1)
+    reach = g.extents[b, kind, label]
+    return wp.vec4i(g.target.shape[1] - reach[0], reach[1] - 1, g.target.shape[2] - reach[2], reach[3] - 1)
+
+
+@wp.func
+def extent(g: DenseGradient, b: int, kind: int, label: int):
+    """First and last row and column of the picture, for any pixel can have a gradient."""
+    if label > g.maps.shape[1]:
+        return wp.vec4i(0, -1, 0, -1)
+    return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)
+
+
+@wp.func
+def all_wrong(gradient: Any, b: int, label: int):
+    """Union of the ``extent`` of pixels that miss a label and of those that show it wrongly."""
+    missing = extent(gradient, b, MISSING, label)
+    surplus = extent(gradient, b, SURPLUS, label)
+    return wp.vec4i(
+        wp.min(missing[0], surplus[0]),
+        wp.max(missing[1], surplus[1]),
+        wp.min(missing[2], surplus[2]),
+        wp.max(missing[3], surplus[3]),
+    )
 
 
 @wp.kernel
@@ -196,7 +295,7 @@ def find_reach(
     for label in range(reach.shape[2]):
         reach[b, axis, label, line] = wp.vec2i(count, -1)
     for pixel in range(count):
-        label = int(target[b, row_of(axis, line, pixel), column_of(axis, line, pixel)])
+        label = int(target[b, wp.where(axis == 0, line, pixel), wp.where(axis == 0, pixel, line)])
         if label < reach.shape[2]:
             first = wp.min(reach[b, axis, label, line][0], pixel)
             reach[b, axis, label, line] = wp.vec2i(first, pixel)

@@ -5,9 +5,12 @@ A thread of the CPU device is alone.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 LANES = wp.constant(32)
+
+
+def num_lanes(device: wp.Device) -> int:
+    """Number of threads that exchange values: a warp on CUDA."""
+    return 1 if device.is_cpu else int(LANES)
 
 
 @wp.func_native("""

@@ -1,12 +1,14 @@
-"""Threads for the CPU device, which runs a launch on one core: each takes some bodies of a batch.
+"""Launches side by side: on threads of the CPU device, and as two branches of a captured CUDA graph.
 
-``wp.launch`` releases the interpreter's lock, so that launches overlap. The CPU device's atomics are not atomic, so
-threads must not share an output.
+The CPU device runs a launch on one core, so each thread takes some bodies of a batch. ``wp.launch`` releases the
+interpreter's lock, so that launches overlap. The CPU device's atomics are not atomic, so threads must not share an
+output.
 """
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import ModuleType
 
 import warp as wp
@@ -16,6 +18,7 @@ from ..errors import check_whole
 _MIN_BODIES = 2  # a thread; for less, starting it costs more than it saves
 
 _num_threads = 0  # 0: as many as there are cores
+_branch = threading.local()
 
 
 def set_num_threads(count: int) -> None:
@@ -78,3 +81,32 @@ def run_slices(work: Callable[[slice], None], slices: Sequence[slice]) -> None:
         thread.join()
     if failures:
         raise failures[0]
+
+
+@contextmanager
+def branch_on(stream: wp.Stream | None) -> Iterator[None]:
+    """While this thread captures a graph: the stream for a branch of it, which nobody else uses until the end."""
+    _branch.stream = stream
+    try:
+        yield
+    finally:
+        _branch.stream = None
+
+
+def launch_side_by_side(first: Callable[[], None], second: Callable[[], None]) -> None:
+    """Call both, which launch kernels on Warp's current stream.
+
+    Inside ``branch_on`` they become two branches of the graph; else one comes after the other, for starting a branch
+    would take the host longer than the device gains.
+    """
+    side = getattr(_branch, "stream", None)
+    if side is None:
+        first()
+        second()
+        return
+    try:
+        with wp.ScopedStream(side):  # it waits for what was launched so far
+            second()
+        first()
+    finally:
+        wp.wait_stream(side)  # a capture can't end before its branches do

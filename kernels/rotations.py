@@ -6,11 +6,14 @@ torque of its forces, so one torque replaces nine adjoints of matrix entries.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 _TINY_SQUARE = wp.constant(1.0e-8)  # [rad^2]; below it the series are exact to float32 and need no division
 _SMALL_SQUARE = wp.constant(0.25)  # [rad^2]; below it angle - sin(angle) cancels too much
 _COLLINEAR = wp.constant(1.0e-6)  # a column this much shorter after projection was rounding
+
+
+@wp.func
+def column(m: wp.mat33, index: int):
+    return wp.vec3(m[0, index], m[1, index], m[2, index])
 
 
 @wp.func
@@ -98,9 +101,7 @@ def matrix_from_6d(first: wp.vec3, second: wp.vec3):
 @wp.func
 def columns_gradient(first: wp.vec3, second: wp.vec3, rotation: wp.mat33, torque: wp.vec3):
     """Gradient with respect to the two columns that became ``rotation``; 0 for a column that was replaced."""
-    x = wp.vec3(rotation[0, 0], rotation[1, 0], rotation[2, 0])
-    y = wp.vec3(rotation[0, 1], rotation[1, 1], rotation[2, 1])
-    z = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
+    x, y, z = column(rotation, 0), column(rotation, 1), column(rotation, 2)
     grad_first = wp.vec3(0.0)
     grad_second = wp.vec3(0.0)
     used = second

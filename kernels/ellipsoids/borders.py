@@ -8,8 +8,6 @@ from ..labels import excess_at
 from .forces import EllipsoidView
 from .silhouette import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
 
-wp.set_module_options({"enable_backward": False})
-
 _TINY = wp.constant(1.0e-18)  # smallest ``inside_at`` at which a front's slope is taken
 _ROOT_STEPS = wp.constant(4)  # of false position
 
@@ -65,17 +63,12 @@ def front_gap(one: Silhouette, other: Silhouette, x: float, y: float):
 
 @wp.func
 def find_crossing(
-    one: Silhouette,
-    other: Silhouette,
-    start: wp.vec2,
-    way: wp.vec2,
-    low: float,
-    high: float,
-    low_gap: float,
-    high_gap: float,
+    one: Silhouette, other: Silhouette, start: wp.vec2, way: wp.vec2, low: float, high: float, gaps: wp.vec2
 ):
     """Root of ``front_gap`` along a line, as a share of ``way``, between two shares at which its signs differ."""
     share = low
+    low_gap = gaps[0]
+    high_gap = gaps[1]
     for _ in range(_ROOT_STEPS):
         share = low + (high - low) * low_gap / (low_gap - high_gap)
         here = front_gap(one, other, start[0] + share * way[0], start[1] + share * way[1])

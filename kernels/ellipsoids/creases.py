@@ -10,10 +10,8 @@ import warp as wp
 
 from ..lanes import ballot, lowest_bit, nth_bit, shuffle
 from .borders import chord_shares, find_crossing, front_at, front_gap, radicand_at, radicand_slope, root_at, slope_at
-from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_nearness_force, load_ellipsoid
+from .forces import Ellipsoid, EllipsoidView, Sampling, SurfaceForces, add_nearness_force, load_ellipsoid
 from .silhouette import Silhouette, inside_at, middle_at, to_disc
-
-wp.set_module_options({"enable_backward": False})
 
 _NEWTON_STEPS = wp.constant(4)  # towards a crease's end
 _NOWHERE = wp.constant(1.0e30)  # gap where one of the two ellipsoids does not cover the point
@@ -36,11 +34,10 @@ def span(s: Silhouette, start: wp.vec2, way: wp.vec2):
 
 
 @wp.func
-def is_hidden(view: EllipsoidView, s: Silhouette, j: int, place: wp.vec2):
-    """True if a neighbour other than ellipsoid j is nearer than the front of ``s``."""
-    x = place[0]
-    y = place[1]
-    nearness = front_at(s, x, y)
+def is_hidden(view: EllipsoidView, j: int, place: wp.vec2):
+    """True if a neighbour other than ellipsoid j is nearer than the ellipsoid's front."""
+    x, y = place[0], place[1]
+    nearness = front_at(view.own, x, y)
     for word in range(view.neighbours.shape[0]):
         bits = view.neighbours[word]
         while bits != wp.uint32(0):
@@ -55,18 +52,9 @@ def is_hidden(view: EllipsoidView, s: Silhouette, j: int, place: wp.vec2):
 
 
 @wp.func
-def push_crease(
-    sums: SurfaceForces,
-    e: Ellipsoid,
-    s: Silhouette,
-    other: Silhouette,
-    place: wp.vec2,
-    cost: float,
-    perspective: bool,
-):
+def push_crease(sums: SurfaceForces, e: Ellipsoid, s: Silhouette, other: Silhouette, place: wp.vec2, cost: float):
     """Add the force on an ellipsoid at a point of a crease: cost times the crease's motion along its normal."""
-    x = place[0]
-    y = place[1]
+    x, y = place[0], place[1]
     middle = middle_at(s, x, y)
     other_middle = middle_at(other, x, y)
     root = root_at(s, x, y)
@@ -82,28 +70,19 @@ def push_crease(
     slope = slope_at(s, x, y, root)
     steepness = wp.length(slope - slope_at(other, x, y, other_root))
     if steepness > 0.0:
-        sums = add_nearness_force(sums, e, x, y, middle + root, slope, cost / steepness, perspective)
+        sums = add_nearness_force(sums, e, x, y, middle + root, slope, cost / steepness)
     return sums
 
 
 @wp.func
 def push_chord(
-    sums: SurfaceForces,
-    scene: SceneArrays,
-    view: EllipsoidView,
-    j: int,
-    first: wp.vec2,
-    second: wp.vec2,
-    halvings: int,
-    gradient: Any,
+    sums: SurfaceForces, view: EllipsoidView, j: int, start: wp.vec2, end: wp.vec2, halvings: int, gradient: Any
 ):
     """Forces of a chord of the crease with ellipsoid j, as far as nothing hides it."""
-    s = view.silhouettes[view.k]
+    s = view.own
     other = view.silhouettes[j]
-    start = first
-    end = second
-    start_hidden = is_hidden(view, s, j, start)
-    end_hidden = is_hidden(view, s, j, end)
+    start_hidden = is_hidden(view, j, start)
+    end_hidden = is_hidden(view, j, end)
     if start_hidden and end_hidden:
         return sums
     if start_hidden != end_hidden:
@@ -111,7 +90,7 @@ def push_chord(
         high = end
         for _ in range(halvings):
             middle = 0.5 * (low + high)
-            if is_hidden(view, s, j, middle) == start_hidden:
+            if is_hidden(view, j, middle) == start_hidden:
                 low = middle
             else:
                 high = middle
@@ -122,12 +101,12 @@ def push_chord(
     shares = chord_shares(view, start, end, s.label, other.label, gradient)
     if shares[0] != 0.0 or shares[1] != 0.0:
         # Loaded only here: creases are few, and it would occupy registers everywhere else.
-        e = load_ellipsoid(scene, view)
+        e = load_ellipsoid(view)
         shares *= wp.length(end - start)
         side = int(0)
         while side < 2:  # a loop over a constant range would be unrolled, which takes registers
             place = wp.where(side == 0, start, end)
-            sums = push_crease(sums, e, s, other, place, wp.where(side == 0, shares[0], shares[1]), scene.perspective)
+            sums = push_crease(sums, e, s, other, place, wp.where(side == 0, shares[0], shares[1]))
             side += 1
     return sums
 
@@ -171,7 +150,7 @@ def crossing_between(s: Silhouette, other: Silhouette, start: wp.vec2, end: wp.v
         high_gap = gap_in_spans(s, other, start, way, mine, others, high)
     if (low_gap < 0.0) == (high_gap < 0.0):
         return -1.0
-    return find_crossing(s, other, start, way, low, high, low_gap, high_gap)
+    return find_crossing(s, other, start, way, low, high, wp.vec2(low_gap, high_gap))
 
 
 @wp.func
@@ -181,8 +160,7 @@ def crease_end(s: Silhouette, other: Silhouette, place: wp.vec2):
     Third comes the outline's nearness less that of the other's middle; if negative, it is the other's back that meets.
     """
     for _ in range(_NEWTON_STEPS):
-        x = place[0]
-        y = place[1]
+        x, y = place[0], place[1]
         # ``radicand`` and ``excess`` are smooth, and 0 at the point.
         radicand = radicand_at(s, x, y)
         over = middle_at(s, x, y) - middle_at(other, x, y)
@@ -217,17 +195,10 @@ def crease_end_in(view: EllipsoidView, j: int, place: wp.vec2, low: wp.vec2, hig
 
 @wp.func
 def walk_cell(
-    sums: SurfaceForces,
-    scene: SceneArrays,
-    view: EllipsoidView,
-    j: int,
-    low: wp.vec2,
-    high: wp.vec2,
-    halvings: int,
-    gradient: Any,
+    sums: SurfaceForces, view: EllipsoidView, j: int, low: wp.vec2, high: wp.vec2, halvings: int, gradient: Any
 ):
     """Forces of the creases with ellipsoid j in a cell of the picture, as chords between its sides."""
-    s = view.silhouettes[view.k]
+    s = view.own
     other = view.silhouettes[j]
     # The last four crossings of the fronts around the cell.
     first = wp.vec2()
@@ -258,7 +229,7 @@ def walk_cell(
         fourth = crease_end_in(view, j, third, low, high)
         count += 1
     while count > 0:
-        sums = push_chord(sums, scene, view, j, third, fourth, halvings, gradient)
+        sums = push_chord(sums, view, j, third, fourth, halvings, gradient)
         third = first
         fourth = second
         count -= 2
@@ -279,8 +250,7 @@ def radicand_range(s: Silhouette, x: float, y: float, half: float):
 @wp.func
 def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: float):
     """False if bounds of two fronts show that they are nowhere equally near in a cell."""
-    x = middle[0]
-    y = middle[1]
+    x, y = middle[0], middle[1]
     radicand = radicand_range(s, x, y, half)
     other_radicand = radicand_range(other, x, y, half)
     if radicand[1] <= 0.0 or other_radicand[1] <= 0.0:
@@ -295,27 +265,25 @@ def fronts_may_meet(s: Silhouette, other: Silhouette, middle: wp.vec2, half: flo
 
 
 @wp.func
-def walk_creases(
-    sums: SurfaceForces,
-    scene: SceneArrays,
-    view: EllipsoidView,
-    share: int,
-    shares: int,
-    lane: int,
-    lanes: int,
-    cells: int,
-    halvings: int,
-    gradient: Any,
-):
-    """Forces of one of ``shares`` shares of an ellipsoid's creases, with ``cells``² cells a pixel."""
+def take_cell(row: int, column: int, j: int, finder: int):
+    """Row and column that another thread found, and the ellipsoid, the same for all."""
+    return wp.vec3i(int(shuffle(wp.uint32(row), finder)), int(shuffle(wp.uint32(column), finder)), j)
+
+
+@wp.func
+def walk_creases(sums: SurfaceForces, view: EllipsoidView, shares: int, sampling: Sampling, gradient: Any):
+    """Forces of one of the last ``shares`` shares of an ellipsoid's creases."""
+    lane = view.lane
+    lanes = view.scene.lanes
+    cells = int(wp.ceil(sampling.steps_per_pixel))
     size = 1.0 / float(cells)
-    s = view.silhouettes[view.k]
-    creases = scene.creases[view.b, view.k]
+    s = view.own
+    creases = view.scene.creases[view.b, view.k]
     for word in range(creases.shape[0]):
         bits = creases[word]
         # Cells between pixel centres are tested ``lanes`` at a time; these groups are numbered over all boxes. Cells
         # that may have a crease wait, one a thread, until all threads have one: the test is cheap, the work is not.
-        group = int(share)
+        group = int(view.share - (view.shares - shares))
         begin = int(0)
         end = int(0)
         left = int(0)
@@ -324,9 +292,7 @@ def walk_creases(
         box = int(0)  # cells
         j = int(-1)
         waiting = int(0)
-        its_row = int(0)
-        its_column = int(0)
-        its_other = int(0)
+        cell = wp.vec3i()  # this thread's row and column, and the other ellipsoid
         looking = bool(True)
         while looking or waiting > 0:
             while group >= end and bits != wp.uint32(0):
@@ -356,28 +322,20 @@ def walk_creases(
             finders = ballot(found)
             total = waiting + wp.bit_count(finders)
             if total > waiting:
-                finder = nth_bit(finders, lane - waiting)
-                next_row = int(shuffle(wp.uint32(row), finder))
-                next_column = int(shuffle(wp.uint32(column), finder))
+                found_cell = take_cell(row, column, j, nth_bit(finders, lane - waiting))
                 if lane >= waiting:
-                    its_row = next_row
-                    its_column = next_column
-                    its_other = j
+                    cell = found_cell
             if total >= lanes or not looking:
                 if lane < total:
-                    corner = wp.vec2(float(its_column) + 0.5, float(its_row) + 0.5)
+                    corner = wp.vec2(float(cell[1]) + 0.5, float(cell[0]) + 0.5)
                     for i in range(cells * cells):
                         low = corner + size * wp.vec2(float(i % cells), float(i // cells))
                         high = low + wp.vec2(size, size)
-                        if cells == 1 or fronts_may_meet(
-                            s, view.silhouettes[its_other], 0.5 * (low + high), 0.5 * size
-                        ):
-                            sums = walk_cell(sums, scene, view, its_other, low, high, halvings, gradient)
+                        other = view.silhouettes[cell[2]]
+                        if cells == 1 or fronts_may_meet(s, other, 0.5 * (low + high), 0.5 * size):
+                            sums = walk_cell(sums, view, cell[2], low, high, sampling.halvings, gradient)
                 total -= lanes
                 if total > 0:
-                    finder = nth_bit(finders, wp.bit_count(finders) - total + lane)
-                    its_row = int(shuffle(wp.uint32(row), finder))
-                    its_column = int(shuffle(wp.uint32(column), finder))
-                    its_other = j
+                    cell = take_cell(row, column, j, nth_bit(finders, wp.bit_count(finders) - total + lane))
             waiting = wp.max(total, 0)
     return sums

@@ -7,44 +7,18 @@ place follows in closed form (an outline) or from a few steps of false position 
 pixel's centre have no gradient. Every thread adds in a fixed order.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
-from ..labels import (
-    EACH_BYTE,
-    HIGH_BITS,
-    DenseGradient,
-    LabelTarget,
-    are_words,
-    excess_at,
-    target_of,
-    unequal_bytes,
-    words_of,
-)
+from ..labels import EACH_BYTE, HIGH_BITS, QUAD, are_words, excess_at, overload_gradients, unequal_bytes, words_of
 from ..lanes import nth_bit, prefix_sum, shuffle
 from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
-from .forces import (
-    BLOCK,
-    EllipsoidView,
-    Forces,
-    SceneArrays,
-    SurfaceForces,
-    Worker,
-    launch_on_ellipsoids,
-    load_ellipsoid,
-    make_scene,
-    pixel_box,
-    store_forces,
-    view_ellipsoid,
-    worker_of,
-)
-from .silhouette import Seen, Silhouette, middle_at
+from .forces import BLOCK, Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, load_ellipsoid, make_view, store_forces
+from .silhouette import Silhouette, middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-_QUAD = wp.constant(4)  # pixels a word
 _LAST_BIT = wp.constant(wp.uint32(0x80000000))
 
 
@@ -53,10 +27,10 @@ def find_shown(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, 
     """Highest bits of four bytes, set where four pixels show the ellipsoid; past the picture's border as at it."""
     value = view.k + 1
     if in_words:
-        return unequal_bytes(words[row * (view.width // _QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
+        return unequal_bytes(words[row * (view.width // QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
     equal = wp.uint32(0)
-    for i in range(_QUAD):
-        if int(view.parts[row * view.width + wp.min(_QUAD * quad + i, view.width - 1)]) == value:
+    for i in range(QUAD):
+        if int(view.parts[row * view.width + wp.min(QUAD * quad + i, view.width - 1)]) == value:
             equal |= wp.uint32(0x80) << wp.uint32(8 * i)
     return equal
 
@@ -67,13 +41,13 @@ def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool
     borders = wp.uint32(0)
     last_row = view.height - 1
     here = find_shown(view, words, in_words, wp.min(row, last_row), quad)
-    for i in range(_QUAD):
+    for i in range(QUAD):
         # Beyond the picture its last pixels repeat, so that there is no border.
         at = wp.min(row + i, last_row)
         below = find_shown(view, words, in_words, wp.min(at + 1, last_row), quad)
         if row + i <= last_row:
             right = here >> wp.uint32(8)
-            if int(view.parts[at * view.width + wp.min(_QUAD * (quad + 1), view.width - 1)]) == view.k + 1:
+            if int(view.parts[at * view.width + wp.min(QUAD * (quad + 1), view.width - 1)]) == view.k + 1:
                 right |= _LAST_BIT
             borders |= ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
         here = below
@@ -87,28 +61,19 @@ def place_of(bit: int):
     return wp.vec3i(down // 2, bit // 8, down % 2)
 
 
-@wp.struct
-class Lever:
-    """Centre and camera, by which a force in the picture becomes force and moment on the ellipsoid."""
-
-    centre: wp.vec3  # [m]
-    camera: wp.vec4  # f_x, f_y, c_x, c_y
-    perspective: bool
-
-
 @wp.func
 def push_outline_crossing(
-    sums: SurfaceForces, lever: Lever, s: Silhouette, axis: int, x: float, y: float, excess: float
+    sums: SurfaceForces, e: Ellipsoid, s: Silhouette, axis: int, x: float, y: float, excess: float
 ):
     """Force on an ellipsoid whose outline a line along an axis crosses at (x, y)."""
     normal = wp.normalize(outward_at(s, x, y))
     amount = excess * wp.abs(wp.where(axis == 0, normal[0], normal[1]))
-    return push_picture(sums, lever, x, y, middle_at(s, x, y), amount * normal, 0.0)
+    return push_picture(sums, e, x, y, middle_at(s, x, y), amount * normal, 0.0)
 
 
 @wp.func
 def push_crease_crossing(
-    sums: SurfaceForces, lever: Lever, s: Silhouette, other: Silhouette, axis: int, x: float, y: float, excess: float
+    sums: SurfaceForces, e: Ellipsoid, s: Silhouette, other: Silhouette, axis: int, x: float, y: float, excess: float
 ):
     """Force on an ellipsoid whose front crosses another's at (x, y) on a line along an axis."""
     slope = nearness_slope(s, x, y)
@@ -119,21 +84,21 @@ def push_crease_crossing(
         return sums
     amount = excess * across / length2
     # A surface that moves by d changes the nearness at a fixed place by -slope . d.
-    return push_picture(sums, lever, x, y, front_at(s, x, y), -amount * slope, amount)
+    return push_picture(sums, e, x, y, front_at(s, x, y), -amount * slope, amount)
 
 
 @wp.func
-def push_picture(sums: SurfaceForces, lever: Lever, x: float, y: float, nearness: float, push: wp.vec2, pull: float):
+def push_picture(sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, push: wp.vec2, pull: float):
     """Add dL/d(x, y) = push and dL/d nearness = pull of a surface point; the moment's lever starts at the centre."""
-    ray = wp.vec2((x - lever.camera[2]) / lever.camera[0], (y - lever.camera[3]) / lever.camera[1])
-    force = wp.vec3(lever.camera[0] * push[0], lever.camera[1] * push[1], -pull)
+    ray = wp.vec2((x - e.camera[2]) / e.camera[0], (y - e.camera[3]) / e.camera[1])
+    force = wp.vec3(e.camera[0] * push[0], e.camera[1] * push[1], -pull)
     point = wp.vec3(ray[0], ray[1], -nearness)
-    if lever.perspective:
+    if e.perspective:
         point = wp.vec3(ray[0], ray[1], 1.0) / nearness
         back = force[0] * ray[0] + force[1] * ray[1] + pull * nearness
         force = nearness * wp.vec3(force[0], force[1], -back)
     sums.force += force
-    sums.moment += wp.outer(force, point - lever.centre)
+    sums.moment += wp.outer(force, point - e.centre)
     sums.camera += wp.vec4(push[0] * ray[0], push[1] * ray[1], push[0], push[1])
     return sums
 
@@ -147,16 +112,10 @@ def distance_to_end(s: Silhouette, start: wp.vec2, axis: int, side: float, end: 
 
 @wp.func
 def push_border(
-    sums: SurfaceForces,
-    view: EllipsoidView,
-    lever: Lever,
-    s: Silhouette,
-    row: int,
-    column: int,
-    axis: int,
-    gradient: Any,
+    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, axis: int, gradient: Any
 ):
     """Force of the border between a pixel and the next along an axis, one of which shows the ellipsoid."""
+    s = view.own
     at = row * view.width + column
     seen = int(view.parts[at])
     other_part = int(view.parts[at + wp.where(axis == 0, 1, view.width)])
@@ -192,7 +151,7 @@ def push_border(
                 if begin_gap <= 0.0:
                     place = begin
                 elif end_gap < 0.0:
-                    place = find_crossing(s, other, start, way, begin, place, begin_gap, end_gap)
+                    place = find_crossing(s, other, start, way, begin, place, wp.vec2(begin_gap, end_gap))
     x = start[0] + place * way[0]
     y = start[1] + place * way[1]
     pixel = wp.min(int(y), view.height - 1) * view.width + wp.min(int(x), view.width - 1)
@@ -200,8 +159,8 @@ def push_border(
     if excess == 0.0:
         return sums
     if meet:
-        return push_crease_crossing(sums, lever, s, other, axis, x, y, excess)
-    return push_outline_crossing(sums, lever, s, axis, x, y, excess)
+        return push_crease_crossing(sums, e, s, other, axis, x, y, excess)
+    return push_outline_crossing(sums, e, s, axis, x, y, excess)
 
 
 @wp.func
@@ -217,46 +176,47 @@ def find_lane(found: int, number: int, lanes: int):
 
 
 @wp.func
-def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
+def push_borders(view: EllipsoidView, gradient: Any):
     """Share of one thread in the forces on an ellipsoid."""
     sums = SurfaceForces()
-    s = scene.silhouettes[w.b, w.k]
-    view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
-    left, right, top, bottom = pixel_box(view, s)
+    left, right, top, bottom = pixel_box(view.own, view.height, view.width)
     if left > right or top > bottom:
         return sums
-    words = words_of(scene.parts[w.b])
+    scene = view.scene
+    words = words_of(scene.parts[view.b])
     in_words = are_words(scene.parts)
-    lever = Lever()
-    lever.centre = scene.centres[w.b, w.k]
-    lever.camera = scene.camera[w.b]
-    lever.perspective = scene.perspective
+    lanes = scene.lanes
+    e = Ellipsoid()  # the rest of it is loaded later: it would occupy registers meanwhile
+    e.centre = scene.centres[view.b, view.k]
+    e.camera = scene.camera[view.b]
+    e.perspective = scene.perspective
     # Squares of 4 by 4 pixels that hold the ellipsoid's pixels and the neighbours before them.
-    first_quad = wp.max(left - 1, 0) // _QUAD
+    first_quad = wp.max(left - 1, 0) // QUAD
     first_row = wp.max(top - 1, 0)
-    across = right // _QUAD - first_quad + 1
-    squares = across * ((bottom - first_row) // _QUAD + 1)
+    across = right // QUAD - first_quad + 1
+    squares = across * ((bottom - first_row) // QUAD + 1)
     # Each thread searches a square, then all threads share the borders found: the search is cheap, the forces are not.
-    for turn in range((squares + w.count - 1) // w.count):
-        square = turn * w.count + w.number
+    for turn in range((squares + view.count - 1) // view.count):
+        square = turn * view.count + view.number
         borders = wp.uint32(0)
         if square < squares:
-            row = first_row + _QUAD * (square // across)
+            row = first_row + QUAD * (square // across)
             borders = find_borders(view, words, in_words, row, first_quad + square % across)
         found = prefix_sum(wp.bit_count(borders))
         total = int(shuffle(wp.uint32(found), lanes - 1))
         for first in range(0, total, lanes):
-            finder = find_lane(found, first + w.lane, lanes)
+            number = first + view.lane
+            finder = find_lane(found, number, lanes)
             theirs = shuffle(borders, finder)
             before = int(shuffle(wp.uint32(found), finder)) - wp.bit_count(theirs)
             origin = int(shuffle(wp.uint32(square), finder))
-            if first + w.lane < total:
-                place = place_of(nth_bit(theirs, first + w.lane - before))
-                row = first_row + _QUAD * (origin // across) + place[0]
-                column = _QUAD * (first_quad + origin % across) + place[1]
-                sums = push_border(sums, view, lever, s, row, column, place[2], gradient)
+            if number < total:
+                place = place_of(nth_bit(theirs, number - before))
+                row = first_row + QUAD * (origin // across) + place[0]
+                column = QUAD * (first_quad + origin % across) + place[1]
+                sums = push_border(sums, view, e, row, column, place[2], gradient)
     # The lever becomes the point of the unit sphere.
-    e = load_ellipsoid(scene, view)
+    e = load_ellipsoid(view)
     for i in range(3):
         arm = wp.transpose(e.axes) * wp.vec3(sums.moment[i, 0], sums.moment[i, 1], sums.moment[i, 2])
         for j in range(3):
@@ -268,27 +228,11 @@ def push_borders(scene: SceneArrays, w: Worker, lanes: int, gradient: Any):
 def push_crossings(
     scene: SceneArrays,
     gradient: Any,
-    lanes: int,
-    forces: Forces,  # OUTPUT
+    forces: wp.array4d[float],  # as ``spread_forces`` reads them  OUTPUT
 ):
     """Sums over the forces on each ellipsoid."""
-    w = worker_of(forces, lanes, wp.tid())
-    store_forces(forces, w, push_borders(scene, w, lanes, gradient))
+    view = make_view(scene, forces, gradient, wp.tid())
+    store_forces(forces, view, push_borders(view, gradient))
 
 
-for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(push_crossings, {"gradient": _gradient})
-
-
-def launch_edge_forces(
-    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
-    seen: Seen,
-    parts: wp.array,
-    *,
-    perspective: bool,
-    gradient: Any,  # LabelTarget or DenseGradient
-    forces: Forces,
-) -> None:
-    """Fill the sums of forces on every ellipsoid."""
-    scene = make_scene(ellipsoids, seen, parts, perspective=perspective)
-    launch_on_ellipsoids(push_crossings, [scene, gradient], forces)
+overload_gradients(push_crossings)

@@ -5,12 +5,13 @@ dL/dc = force, dL/dA = moment diag(a), dL/da = diag(A^T moment).
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import warp as wp
 
-from ..labels import flat
-from ..lanes import LANES, sum_lanes
-from .silhouette import Seen, Silhouette
+from ..labels import flat, target_of
+from ..lanes import num_lanes, sum_lanes
+from .silhouette import Seen, Silhouette, launch_find_neighbours
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,6 +24,7 @@ class Ellipsoid:
     axes: wp.mat33  # columns
     semi_axes: wp.vec3  # [m]
     camera: wp.vec4  # f_x, f_y, c_x, c_y
+    perspective: bool
 
 
 @wp.struct
@@ -38,15 +40,31 @@ class SceneArrays:
     creases: wp.array3d[wp.uint32]  # (B, P, N)
     parts: wp.array3d[wp.uint8]  # (B, H, W) index + 1 of the ellipsoid shown, 0 = background
     perspective: bool
+    lanes: int  # threads of a warp, which share an ellipsoid's work
+
+
+@wp.struct
+class Sampling:
+    """Accuracy of the gradient "coverage"."""
+
+    steps_per_pixel: float
+    halvings: int  # of a step in which something changes
 
 
 @wp.struct
 class EllipsoidView:
-    """One ellipsoid and its body's arrays, as views that are cheaper to index than the whole batch."""
+    """One ellipsoid as a thread sees it: views of its body's arrays, cheaper to index than the whole batch."""
 
+    scene: SceneArrays
     b: int
     k: int
+    share: int  # of ``shares``, in which warps divide its work
+    shares: int
+    lane: int
+    number: int  # of ``count`` threads
+    count: int
     target: int  # index of the target
+    own: Silhouette
     silhouettes: wp.array[Silhouette]  # (P,)
     neighbours: wp.array[wp.uint32]  # (N,)
     parts: wp.array[wp.uint8]  # (H W,)
@@ -55,40 +73,38 @@ class EllipsoidView:
 
 
 @wp.func
-def view_ellipsoid(scene: SceneArrays, b: int, k: int, target: int):
-    """View of ellipsoid k of body b."""
+def make_view(scene: SceneArrays, forces: wp.array4d[float], gradient: Any, thread: int):
+    """Split the number of a thread: ``lanes`` to a share, S shares to an ellipsoid."""
     view = EllipsoidView()
-    view.b = b
-    view.k = k
-    view.target = target
-    view.silhouettes = scene.silhouettes[b]
-    view.neighbours = scene.neighbours[b, k]
-    view.parts = flat(scene.parts[b])
+    view.scene = scene
+    parts = forces.shape[1]
+    view.shares = forces.shape[2]
+    view.count = scene.lanes * view.shares
+    ellipsoid = thread // view.count
+    view.number = thread - ellipsoid * view.count
+    view.share = view.number // scene.lanes
+    view.lane = view.number - view.share * scene.lanes
+    view.b = ellipsoid // parts
+    view.k = ellipsoid - view.b * parts
+    view.target = target_of(gradient, view.b)
+    view.own = scene.silhouettes[view.b, view.k]
+    view.silhouettes = scene.silhouettes[view.b]
+    view.neighbours = scene.neighbours[view.b, view.k]
+    view.parts = flat(scene.parts[view.b])
     view.height = scene.parts.shape[1]
     view.width = scene.parts.shape[2]
     return view
 
 
 @wp.func
-def load_ellipsoid(scene: SceneArrays, view: EllipsoidView):
-    """Load the ellipsoid's centre, axes, semi-axes and camera."""
+def load_ellipsoid(view: EllipsoidView):
     e = Ellipsoid()
-    e.centre = scene.centres[view.b, view.k]
-    e.axes = scene.axes[view.b, view.k]
-    e.semi_axes = scene.semi_axes[view.b, view.k]
-    e.camera = scene.camera[view.b]
+    e.centre = view.scene.centres[view.b, view.k]
+    e.axes = view.scene.axes[view.b, view.k]
+    e.semi_axes = view.scene.semi_axes[view.b, view.k]
+    e.camera = view.scene.camera[view.b]
+    e.perspective = view.scene.perspective
     return e
-
-
-@wp.func
-def pixel_box(view: EllipsoidView, s: Silhouette):
-    """First and last column, first and last row of pixels whose centres the ellipsoid may cover; last < first: none."""
-    # Clamped in float against overflow.
-    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(view.width)))
-    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(view.width - 1)))
-    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(view.height)))
-    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(view.height - 1)))
-    return left, right, top, bottom
 
 
 @wp.struct
@@ -113,11 +129,11 @@ def to_unit(e: Ellipsoid, point: wp.vec3):
 
 
 @wp.func
-def unproject(e: Ellipsoid, x: float, y: float, nearness: float, perspective: bool):
+def unproject(e: Ellipsoid, x: float, y: float, nearness: float):
     """Camera-frame point of a pixel position and a nearness [m]."""
     rx = (x - e.camera[2]) / e.camera[0]
     ry = (y - e.camera[3]) / e.camera[1]
-    if perspective:
+    if e.perspective:
         return wp.vec3(rx, ry, 1.0) / nearness
     return wp.vec3(rx, ry, -nearness)
 
@@ -130,29 +146,22 @@ def add_force(sums: SurfaceForces, force: wp.vec3, unit: wp.vec3):
 
 
 @wp.func
-def add_image_force(sums: SurfaceForces, e: Ellipsoid, unit: wp.vec3, fx: float, fy: float, perspective: bool):
-    """Add dL/d(u, v) = (fx, fy) of the picture of a surface point [1/px]."""
+def add_image_force(sums: SurfaceForces, e: Ellipsoid, unit: wp.vec3, push: wp.vec2):
+    """Add dL/d(u, v) = push of the picture of a surface point [1/px]."""
     point = e.centre + from_unit(e, unit)
     ray = wp.vec2(point[0], point[1])
-    force = wp.vec3(e.camera[0] * fx, e.camera[1] * fy, 0.0)
-    if perspective:
+    force = wp.vec3(e.camera[0] * push[0], e.camera[1] * push[1], 0.0)
+    if e.perspective:
         ray = ray / point[2]
         force = wp.vec3(force[0], force[1], -(force[0] * ray[0] + force[1] * ray[1])) / point[2]
     sums = add_force(sums, force, unit)
-    sums.camera += wp.vec4(fx * ray[0], fy * ray[1], fx, fy)
+    sums.camera += wp.vec4(push[0] * ray[0], push[1] * ray[1], push[0], push[1])
     return sums
 
 
 @wp.func
 def add_nearness_force(
-    sums: SurfaceForces,
-    e: Ellipsoid,
-    x: float,
-    y: float,
-    nearness: float,
-    slope: wp.vec2,
-    amount: float,
-    perspective: bool,
+    sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, slope: wp.vec2, amount: float
 ):
     """Add dL/dn = amount of the nearness that the surface has at a fixed place of the picture.
 
@@ -160,12 +169,12 @@ def add_nearness_force(
     dn = -N.dX / (z N.X) for n = 1/z. ``slope`` is the nearness' gradient in the picture, along which the camera moves
     it.
     """
-    point = unproject(e, x, y, nearness, perspective)
+    point = unproject(e, x, y, nearness)
     unit = to_unit(e, point)
     normal = e.axes * wp.cw_div(unit, e.semi_axes)
     ray = wp.vec2(point[0], point[1])
     along = normal[2]
-    if perspective:
+    if e.perspective:
         ray = ray / point[2]
         along = point[2] * wp.dot(normal, point)
     if along != 0.0:
@@ -174,74 +183,29 @@ def add_nearness_force(
     return sums
 
 
-@wp.struct
-class Forces:
-    """Sums over the forces on each of P ellipsoids, in S shares to be added up, one of each warp that worked on it."""
-
-    values: wp.array4d[float]  # (B, P, S, 16) force, moment row by row, camera
-
-
-@wp.struct
-class Worker:
-    """Place of a thread among those that share an ellipsoid's work."""
-
-    b: int
-    k: int
-    share: int
-    lane: int
-    number: int  # of ``count`` threads
-    count: int
-
-
 @wp.func
-def worker_of(forces: Forces, lanes: int, thread: int):
-    """Split the number of a thread: ``lanes`` to a share, S shares to an ellipsoid."""
-    parts = forces.values.shape[1]
-    shares = forces.values.shape[2]
-    w = Worker()
-    w.count = lanes * shares
-    ellipsoid = thread // w.count
-    w.number = thread - ellipsoid * w.count
-    w.share = w.number // lanes
-    w.lane = w.number - w.share * lanes
-    w.b = ellipsoid // parts
-    w.k = ellipsoid - w.b * parts
-    return w
-
-
-@wp.func
-def store_forces(forces: Forces, w: Worker, sums: SurfaceForces):
+def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceForces):
     """Add up the threads of a share and store it."""
-    shares = forces.values[w.b, w.k]
+    shares = forces[view.b, view.k]
     for i in range(3):
         force = sum_lanes(sums.force[i])
-        if w.lane == 0:
-            shares[w.share, i] = force
+        if view.lane == 0:
+            shares[view.share, i] = force
         for j in range(3):
             moment = sum_lanes(sums.moment[i, j])
-            if w.lane == 0:
-                shares[w.share, 3 + 3 * i + j] = moment
+            if view.lane == 0:
+                shares[view.share, 3 + 3 * i + j] = moment
     for i in range(4):
         camera = sum_lanes(sums.camera[i])
-        if w.lane == 0:
-            shares[w.share, 12 + i] = camera
-
-
-@wp.func
-def add_shares(forces: Forces, b: int, k: int, i: int):
-    """Sum one of the 16 numbers of an ellipsoid's forces over its shares."""
-    shares = forces.values[b, k]
-    total = float(0.0)
-    for share in range(shares.shape[0]):
-        total += shares[share, i]
-    return total
+        if view.lane == 0:
+            shares[view.share, 12 + i] = camera
 
 
 @wp.kernel
 def spread_forces(
     axes: wp.array2d[wp.mat33],  # (B, P)
     semi_axes: wp.array2d[wp.vec3],  # (B, P)
-    forces: Forces,
+    forces: wp.array4d[float],  # (B, P, S, 16) force, moment row by row, camera: in shares to be added up
     lanes: int,  # threads of a warp, each of which adds some of the shares
     grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
@@ -254,11 +218,11 @@ def spread_forces(
     lane = thread % lanes
     b = (thread // lanes) // (parts + 1)
     k = thread // lanes - b * (parts + 1)
-    shares = forces.values.shape[2]
+    shares = forces.shape[2]
     if k == parts:
         camera = wp.vec4()
         for n in range(lane, parts * shares, lanes):
-            values = forces.values[b, n // shares]
+            values = forces[b, n // shares]
             for i in range(4):
                 camera[i] += values[n % shares, 12 + i]
         for i in range(4):
@@ -268,7 +232,7 @@ def spread_forces(
         return
     force = wp.vec3()
     moment = wp.mat33()
-    values = forces.values[b, k]
+    values = forces[b, k]
     for share in range(lane, shares, lanes):
         for i in range(3):
             force[i] += values[share, i]
@@ -304,67 +268,44 @@ _WARPS_TO_FILL = 2048  # of 132 multiprocessors
 _MAX_SHARES = 16  # measured: docs/performance.md
 
 
-def make_scene(ellipsoids: Sequence[wp.array], seen: Seen, parts: wp.array, *, perspective: bool) -> SceneArrays:
-    """Scene of centres, axes, semi-axes and camera, after ``launch_see`` and ``launch_draw``."""
-    scene = SceneArrays()
-    scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
-    scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
-    scene.parts, scene.perspective = parts, perspective
-    return scene
-
-
-def make_forces(batch: int, parts: int, device: wp.Device) -> Forces:
-    """Allocate the sums of forces, in as many shares as it takes to fill the device."""
+def make_forces(batch: int, parts: int, device: wp.Device) -> wp.array:
+    """Allocate the sums of forces, in as many shares as it takes to fill the device: (B, P, S, 16)."""
     shares = 1
     if not device.is_cpu:
         shares = max(min(_WARPS_TO_FILL // max(batch * parts, 1), _MAX_SHARES), 1)
-    forces = Forces()
-    forces.values = wp.empty((batch, parts, shares, NUM_SUMS), dtype=float, device=device)
-    return forces
+    return wp.empty((batch, parts, shares, NUM_SUMS), dtype=float, device=device)
 
 
-def cut_forces(forces: Forces, part: slice) -> Forces:
-    """Forces of a slice of the bodies."""
-    if part.stop - part.start == forces.values.shape[0]:
-        return forces
-    cut = Forces()
-    cut.values = forces.values[part]
-    return cut
-
-
-def launch_on_ellipsoids(kernel: wp.Kernel, inputs: Sequence[object], forces: Forces) -> None:
-    """Launch a kernel whose threads find their work by ``worker_of``, given the number of lanes and the forces last."""
-    device = forces.values.device
-    lanes = _lanes(device)
-    dim = forces.values.size // NUM_SUMS * lanes
-    wp.launch(kernel, dim, [*inputs, lanes], [forces], device=device, block_dim=BLOCK)
-
-
-def _lanes(device: wp.Device) -> int:
-    return 1 if device.is_cpu else int(LANES)
-
-
-def launch_spread(
-    axes: wp.array,
-    semi_axes: wp.array,
-    forces: Forces,
+def launch_forces(
+    kernel: wp.Kernel,  # takes the scene, its options, the gradient and the forces
+    options: Sequence[object],
+    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
+    seen: Seen,
+    parts: wp.array,
     *,
-    grad_centres: wp.array,
-    grad_axes: wp.array,
-    grad_semi_axes: wp.array,
-    grad_camera: wp.array,
+    neighbours: bool = False,  # that the kernel reads those of ``seen``
+    perspective: bool,
+    gradient: Any,  # LabelTarget or DenseGradient
+    forces: wp.array,
 ) -> None:
-    """Fill the gradients from the sums of forces."""
+    """Fill the sums of forces on every ellipsoid after ``launch_see`` and ``launch_draw``."""
+    if neighbours:
+        launch_find_neighbours(seen)
+    scene = SceneArrays()
+    scene.centres, scene.axes, scene.semi_axes, scene.camera = ellipsoids
+    scene.silhouettes, scene.neighbours, scene.creases = seen.silhouettes, seen.neighbours, seen.creases
+    scene.parts, scene.perspective, scene.lanes = parts, perspective, num_lanes(forces.device)
+    dim = forces.size // NUM_SUMS * scene.lanes
+    wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
+
+
+def launch_spread(axes: wp.array, semi_axes: wp.array, forces: wp.array, gradients: Sequence[wp.array]) -> None:
+    """Fill the gradients with respect to centres, axes, semi-axes and camera from the sums of forces."""
     batch, parts = axes.shape
-    lanes = _lanes(axes.device)
-    wp.launch(
-        spread_forces,
-        batch * (parts + 1) * lanes,
-        [axes, semi_axes, forces, lanes],
-        [grad_centres, grad_axes, grad_semi_axes, grad_camera],
-        device=axes.device,
-        block_dim=BLOCK,
-    )
+    lanes = num_lanes(axes.device)
+    inputs = [axes, semi_axes, forces, lanes]
+    dim = batch * (parts + 1) * lanes
+    wp.launch(spread_forces, dim, inputs, list(gradients), device=axes.device, block_dim=BLOCK)
 
 
 def launch_sum_rows(values: wp.array, totals: wp.array) -> None:

@@ -9,27 +9,26 @@ from typing import Any
 import warp as wp
 
 from ..lanes import ballot, lowest_bit, shuffle
+from ..rotations import column
 from .borders import chord_shares
-from .forces import Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, add_image_force, from_unit, load_ellipsoid
-from .silhouette import Silhouette, inside_at, middle_at
-
-wp.set_module_options({"enable_backward": False})
+from .forces import Ellipsoid, EllipsoidView, Sampling, SurfaceForces, add_image_force, from_unit, load_ellipsoid
+from .silhouette import inside_at, middle_at
 
 _MAX_STEPS = wp.constant(float(2**22))  # of an outline; float32 could hardly distinguish the angles of more
 _NO_BORDER = wp.constant(-1)  # instead of a label
 
 
 @wp.func
-def outline_circle(e: Ellipsoid, perspective: bool):
+def outline_circle(e: Ellipsoid):
     """Outline on the unit sphere: this matrix times (1, cos, sin) of an angle is a point where a ray is tangent."""
     # The direction away from the camera in the space where the ellipsoid is the unit sphere.
-    away = wp.cw_div(wp.vec3(e.axes[2, 0], e.axes[2, 1], e.axes[2, 2]), e.semi_axes)
-    if perspective:
+    away = wp.cw_div(e.axes[2], e.semi_axes)
+    if e.perspective:
         away = wp.cw_div(wp.transpose(e.axes) * e.centre, e.semi_axes)
     direction = wp.normalize(away)
     offset = float(0.0)
     radius = float(1.0)
-    if perspective:
+    if e.perspective:
         offset = -1.0 / wp.length(away)
         radius = wp.sqrt(wp.max(1.0 - offset * offset, 0.0))
     helper = wp.vec3(1.0, 0.0, 0.0)
@@ -45,12 +44,11 @@ def rim_of(e: Ellipsoid, circle: wp.mat33):
     rim = Ellipsoid()
     rim.centre = e.centre
     rim.axes = wp.matrix_from_cols(
-        from_unit(e, wp.vec3(circle[0, 0], circle[1, 0], circle[2, 0])),
-        from_unit(e, wp.vec3(circle[0, 1], circle[1, 1], circle[2, 1])),
-        from_unit(e, wp.vec3(circle[0, 2], circle[1, 2], circle[2, 2])),
+        from_unit(e, column(circle, 0)), from_unit(e, column(circle, 1)), from_unit(e, column(circle, 2))
     )
     rim.semi_axes = wp.vec3(1.0, 1.0, 1.0)
     rim.camera = e.camera
+    rim.perspective = e.perspective
     return rim
 
 
@@ -61,19 +59,19 @@ def turn_to(angle: float):
 
 
 @wp.func
-def image_of(rim: Ellipsoid, turn: wp.vec3, perspective: bool):
+def image_of(rim: Ellipsoid, turn: wp.vec3):
     """Projection of a point of the outline [px]."""
     point = rim.centre + from_unit(rim, turn)
-    if perspective:
+    if rim.perspective:
         point = point / point[2]
     return wp.vec2(rim.camera[0] * point[0] + rim.camera[2], rim.camera[1] * point[1] + rim.camera[3])
 
 
 @wp.func
-def look_behind(view: EllipsoidView, s: Silhouette, place: wp.vec2):
+def look_behind(view: EllipsoidView, place: wp.vec2):
     """Label behind a point of the outline, 0 = background; _NO_BORDER if it is hidden or the label is the same."""
-    x = place[0]
-    y = place[1]
+    s = view.own
+    x, y = place[0], place[1]
     if x < 0.0 or y < 0.0 or x >= float(view.width) or y >= float(view.height):
         return _NO_BORDER
     nearness = middle_at(s, x, y)
@@ -98,31 +96,21 @@ def look_behind(view: EllipsoidView, s: Silhouette, place: wp.vec2):
 
 @wp.func
 def push_outline(
-    sums: SurfaceForces,
-    view: EllipsoidView,
-    rim: Ellipsoid,
-    s: Silhouette,
-    start: wp.vec3,
-    end: wp.vec3,
-    behind: int,
-    perspective: bool,
-    gradient: Any,
+    sums: SurfaceForces, view: EllipsoidView, rim: Ellipsoid, start: wp.vec3, end: wp.vec3, behind: int, gradient: Any
 ):
     """Force of a piece of outline: cost times outward normal times length, the chord turned by 90 degrees."""
     if behind == _NO_BORDER:
         return sums
-    here = image_of(rim, start, perspective)
-    there = image_of(rim, end, perspective)
-    shares = chord_shares(view, here, there, s.label, behind, gradient)
+    here = image_of(rim, start)
+    there = image_of(rim, end)
+    shares = chord_shares(view, here, there, view.own.label, behind, gradient)
     if shares[0] == 0.0 and shares[1] == 0.0:
         return sums
     normal = wp.vec2(there[1] - here[1], here[0] - there[0])
-    if wp.dot(normal, 0.5 * (here + there) - s.mean) < 0.0:
+    if wp.dot(normal, 0.5 * (here + there) - view.own.mean) < 0.0:
         normal = -normal
-    first = shares[0] * normal
-    second = shares[1] * normal
-    sums = add_image_force(sums, rim, start, first[0], first[1], perspective)
-    return add_image_force(sums, rim, end, second[0], second[1], perspective)
+    sums = add_image_force(sums, rim, start, shares[0] * normal)
+    return add_image_force(sums, rim, end, shares[1] * normal)
 
 
 @wp.func
@@ -132,33 +120,23 @@ def previous_lane(value: wp.uint32, last: wp.uint32, lane: int, lanes: int):
 
 
 @wp.func
-def walk_outline(
-    scene: SceneArrays,
-    view: EllipsoidView,
-    share: int,
-    shares: int,
-    lane: int,
-    lanes: int,
-    steps_per_pixel: float,
-    halvings: int,
-    gradient: Any,
-):
+def walk_outline(view: EllipsoidView, shares: int, sampling: Sampling, gradient: Any):
     """Forces of one of ``shares`` pieces of an ellipsoid's outline, divided among a warp's threads."""
     sums = SurfaceForces()
-    s = view.silhouettes[view.k]
-    e = load_ellipsoid(scene, view)
-    perspective = scene.perspective
-    circle = outline_circle(e, perspective)
+    e = load_ellipsoid(view)
+    circle = outline_circle(e)
+    lane = view.lane
+    lanes = view.scene.lanes
     rim = rim_of(e, circle)
-    half = 0.5 * (s.high - s.low)
+    half = 0.5 * (view.own.high - view.own.low)
     # The root mean square of the radii bounds the perimeter from above; one of millions of pixels gets longer steps.
-    count = int(wp.min(steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
+    count = int(wp.min(sampling.steps_per_pixel * 2.0 * wp.pi * wp.length(half) * wp.sqrt(0.5), _MAX_STEPS)) + 9
     turns = (count + shares * lanes - 1) // (shares * lanes)
     step = 2.0 * wp.pi / float(turns * shares * lanes)
-    n = share * turns * lanes
+    n = view.share * turns * lanes
     # End of a thread's step, and the label behind it.
     place = turn_to(float(n) * step)
-    behind = look_behind(view, s, image_of(rim, place, perspective))
+    behind = look_behind(view, image_of(rim, place))
     # Step of this thread within which the label behind changes, and the labels before and after.
     changing = int(-1)
     before_change = int(0)
@@ -169,7 +147,7 @@ def walk_outline(
         start_behind = int(behind)
         if turn < turns:
             end = turn_to(float(n + 1) * step)
-            end_behind = look_behind(view, s, image_of(rim, end, perspective))
+            end_behind = look_behind(view, image_of(rim, end))
             start = wp.vec3(
                 1.0,
                 wp.cast(previous_lane(wp.cast(end[1], wp.uint32), wp.cast(place[1], wp.uint32), lane, lanes), float),
@@ -180,17 +158,17 @@ def walk_outline(
             behind = end_behind
             changes = start_behind != behind
             if not changes:
-                sums = push_outline(sums, view, rim, s, start, place, behind, perspective, gradient)
+                sums = push_outline(sums, view, rim, start, place, behind, gradient)
         # Changes are few and bisection is slow: all threads do it at once, when one meets its second change or after
         # the last step.
         if ballot(turn == turns or (changes and changing >= 0)) != wp.uint32(0):
             if changing >= 0:
                 low = float(changing) * step
                 high = low + step
-                for _ in range(halvings):
+                for _ in range(sampling.halvings):
                     angle = 0.5 * (low + high)
-                    middle = image_of(rim, turn_to(angle), perspective)
-                    if look_behind(view, s, middle) == before_change:
+                    middle = image_of(rim, turn_to(angle))
+                    if look_behind(view, middle) == before_change:
                         low = angle
                     else:
                         high = angle
@@ -202,7 +180,7 @@ def walk_outline(
                     start = wp.where(piece == 0, turn_to(float(changing) * step), turn_place)
                     end = wp.where(piece == 0, turn_place, turn_to(float(changing + 1) * step))
                     now_behind = wp.where(piece == 0, before_change, after_change)
-                    sums = push_outline(sums, view, rim, s, start, end, now_behind, perspective, gradient)
+                    sums = push_outline(sums, view, rim, start, end, now_behind, gradient)
                     piece += 1
             changing = -1
         if changes:

@@ -5,43 +5,28 @@ silhouette edge is, and the force acts on that point of the surface. ``reference
 Every thread adds in a fixed order.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
-from ..labels import (
-    DenseGradient,
-    LabelTarget,
-    gradient_at,
-    may_have_gradient,
-    may_have_other_gradient,
-    pull_range,
-    target_of,
-)
+from ..labels import gradient_at, may_have_gradient, may_have_other_gradient, overload_gradients, pull_range
 from ..mesh.push_z import MIN_DELTA_Z
 from .borders import front_at, line_root, outline_end
 from .forces import (
     BLOCK,
     Ellipsoid,
     EllipsoidView,
-    Forces,
     SceneArrays,
     SurfaceForces,
-    Worker,
     add_force,
     add_image_force,
-    launch_on_ellipsoids,
     load_ellipsoid,
-    make_scene,
-    pixel_box,
+    make_view,
     store_forces,
     to_unit,
     unproject,
-    view_ellipsoid,
-    worker_of,
 )
-from .silhouette import Seen, Silhouette, in_box, inside_at, middle_at
+from .silhouette import Silhouette, depth_of, in_box, inside_at, middle_at, pixel_box
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -57,7 +42,6 @@ def label_at(silhouettes: wp.array[Silhouette], part: int):
 @wp.func
 def walk_line(
     view: EllipsoidView,
-    s: Silhouette,
     axis: int,
     line: int,
     side: int,  # -1: the outline's low end on this line, 1: its high end
@@ -67,6 +51,7 @@ def walk_line(
     gradient: Any,
 ):
     """Slope of the loss when the outline moves along one line where it crosses it."""
+    label = view.own.label
     count = wp.where(axis == 0, view.width, view.height)
     # First pixel centres strictly outside and at or inside the crossing, clamped in float against overflow.
     place = wp.clamp(crossing, -1.0, float(count) + 1.0)
@@ -81,9 +66,9 @@ def walk_line(
     pitch = wp.where(axis == 0, 1, view.width)
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
-        if label_at(view.silhouettes, int(view.parts[begin + outside * pitch])) == s.label:
+        if label_at(view.silhouettes, int(view.parts[begin + outside * pitch])) == label:
             return slope
-    pulls = pull_range(gradient, view.target, axis, s.label, line, count)
+    pulls = pull_range(gradient, view.target, axis, label, line, count)
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
     while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
@@ -92,16 +77,16 @@ def walk_line(
         at = begin + pixel * pitch
         part = int(view.parts[at])
         shown = label_at(view.silhouettes, part)
-        if part > 0 and shown == s.label:
+        if part > 0 and shown == label:
             break
-        if may_have_gradient(gradient, view.target, s.label, at):
+        if may_have_gradient(gradient, view.target, label, at):
             switches = part == 0
             if part > 0:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
                 y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
                 switches = front_at(view.silhouettes[part - 1], x, y) < edge_nearness
             if switches:
-                slope += float(side) * gradient_at(gradient, view.target, s.label, at, shown) / wp.max(distance, 1.0)
+                slope += float(side) * gradient_at(gradient, view.target, label, at, shown) / wp.max(distance, 1.0)
         pixel += side
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
     while pixel >= 0 and pixel < count:
@@ -110,29 +95,20 @@ def walk_line(
         part = int(view.parts[at])
         if part == 0 or distance > max_distance:
             break
-        if label_at(view.silhouettes, part) == s.label:
-            slope += float(side) * gradient_at(gradient, view.target, s.label, at, s.label) / wp.max(distance, 1.0)
+        if label_at(view.silhouettes, part) == label:
+            slope += float(side) * gradient_at(gradient, view.target, label, at, label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
 
 
 @wp.func
-def walk_lines(
-    sums: SurfaceForces,
-    view: EllipsoidView,
-    e: Ellipsoid,
-    s: Silhouette,
-    thread: int,
-    threads: int,
-    perspective: bool,
-    max_distance: float,
-    gradient: Any,
-):
+def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_distance: float, gradient: Any):
     """Forces in x and y: from rows and columns that meet the outline, two ends each."""
-    left, right, top, bottom = pixel_box(view, s)
+    s = view.own
+    left, right, top, bottom = pixel_box(s, view.height, view.width)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
-    n = int(thread)
+    n = int(view.number)
     while n < 2 * (rows + columns):
         side = 2 * (n % 2) - 1
         axis = 0
@@ -146,22 +122,19 @@ def walk_lines(
             x = wp.where(axis == 0, crossing, across)
             y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            slope = walk_line(view, s, axis, line, side, crossing, nearness, max_distance, gradient)
+            slope = walk_line(view, axis, line, side, crossing, nearness, max_distance, gradient)
             if slope != 0.0:
-                unit = to_unit(e, unproject(e, x, y, nearness, perspective))
-                fx = wp.where(axis == 0, slope, 0.0)
-                fy = wp.where(axis == 0, 0.0, slope)
-                sums = add_image_force(sums, e, unit, fx, fy, perspective)
-        n += threads
+                unit = to_unit(e, unproject(e, x, y, nearness))
+                push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
+                sums = add_image_force(sums, e, unit, push)
+        n += view.count
     return sums
 
 
 @wp.func
-def push_depth(
-    sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float, perspective: bool
-):
+def push_depth(sums: SurfaceForces, e: Ellipsoid, x: float, y: float, nearness: float, amount: float):
     """Add a force along z on the surface point at (x, y)."""
-    unit = to_unit(e, unproject(e, x, y, nearness, perspective))
+    unit = to_unit(e, unproject(e, x, y, nearness))
     return add_force(sums, wp.vec3(0.0, 0.0, amount), unit)
 
 
@@ -181,33 +154,21 @@ def is_nearest_of_label(silhouettes: wp.array[Silhouette], k: int, nearness: flo
 @wp.func
 def depth_between(front: float, back: float, perspective: bool):
     """Distance in depth of two nearnesses [m], never 0."""
-    between = front - back
-    if perspective:
-        between = 1.0 / back - 1.0 / front
-    return wp.max(between, MIN_DELTA_Z)
+    return wp.max(depth_of(back, perspective) - depth_of(front, perspective), MIN_DELTA_Z)
 
 
 @wp.func
-def walk_depths(
-    sums: SurfaceForces,
-    view: EllipsoidView,
-    e: Ellipsoid,
-    s: Silhouette,
-    thread: int,
-    threads: int,
-    perspective: bool,
-    depth_weight: float,
-    gradient: Any,
-):
+def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_weight: float, gradient: Any):
     """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
+    s = view.own
     silhouettes = view.silhouettes
-    left, right, top, bottom = pixel_box(view, s)
+    left, right, top, bottom = pixel_box(s, view.height, view.width)
     columns = right - left + 1
-    n = int(thread)
+    n = int(view.number)
     while n < columns * (bottom - top + 1):
         row = top + n // columns
         column = left + n % columns
-        n += threads
+        n += view.count
         at = row * view.width + column
         part = int(view.parts[at])
         if part == 0:
@@ -230,31 +191,17 @@ def walk_depths(
                     if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
                         back = front_at(silhouettes[j], x, y)
                         if is_nearest_of_label(silhouettes, j, back, x, y):
-                            between = depth_between(front, back, perspective)
+                            between = depth_between(front, back, e.perspective)
                             amount = depth_weight * g * wp.log(1.0 / between + 1.0)
-                            sums = push_depth(sums, e, x, y, front, amount, perspective)
+                            sums = push_depth(sums, e, x, y, front, amount)
         elif shown != s.label and may_have_gradient(gradient, view.target, s.label, at) and inside_at(s, x, y) > 0.0:
             g = gradient_at(gradient, view.target, s.label, at, shown)
             if g != 0.0:
                 back = front_at(s, x, y)
                 if is_nearest_of_label(silhouettes, view.k, back, x, y):
-                    between = depth_between(front_at(silhouettes[part - 1], x, y), back, perspective)
+                    between = depth_between(front_at(silhouettes[part - 1], x, y), back, e.perspective)
                     amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
-                    sums = push_depth(sums, e, x, y, back, amount, perspective)
-    return sums
-
-
-@wp.func
-def push_partdr(scene: SceneArrays, w: Worker, max_distance: float, depth_weight: float, gradient: Any):
-    """Share of one thread in the forces on an ellipsoid."""
-    sums = SurfaceForces()
-    view = view_ellipsoid(scene, w.b, w.k, target_of(gradient, w.b))
-    s = view.silhouettes[w.k]
-    if s.low[0] <= s.high[0]:
-        e = load_ellipsoid(scene, view)
-        sums = walk_lines(sums, view, e, s, w.number, w.count, scene.perspective, max_distance, gradient)
-        if depth_weight != 0.0:
-            sums = walk_depths(sums, view, e, s, w.number, w.count, scene.perspective, depth_weight, gradient)
+                    sums = push_depth(sums, e, x, y, back, amount)
     return sums
 
 
@@ -264,30 +211,17 @@ def partdr_forces(
     max_distance: float,  # [px]
     depth_weight: float,
     gradient: Any,
-    lanes: int,
-    forces: Forces,  # OUTPUT
+    forces: wp.array4d[float],  # as ``spread_forces`` reads them  OUTPUT
 ):
     """Sums over the forces on each ellipsoid."""
-    w = worker_of(forces, lanes, wp.tid())
-    store_forces(forces, w, push_partdr(scene, w, max_distance, depth_weight, gradient))
+    sums = SurfaceForces()
+    view = make_view(scene, forces, gradient, wp.tid())
+    if view.own.low[0] <= view.own.high[0]:
+        e = load_ellipsoid(view)
+        sums = walk_lines(sums, view, e, max_distance, gradient)
+        if depth_weight != 0.0:
+            sums = walk_depths(sums, view, e, depth_weight, gradient)
+    store_forces(forces, view, sums)
 
 
-for _gradient in (LabelTarget, DenseGradient):
-    wp.overload(partdr_forces, {"gradient": _gradient})
-
-
-def launch_partdr_forces(
-    ellipsoids: Sequence[wp.array],  # centres, axes, semi-axes, camera
-    seen: Seen,
-    parts: wp.array,
-    *,
-    perspective: bool,
-    max_distance: float,
-    depth_weight: float,
-    gradient: Any,  # LabelTarget or DenseGradient
-    forces: Forces,
-) -> None:
-    """Fill the sums of forces on every ellipsoid."""
-    scene = make_scene(ellipsoids, seen, parts, perspective=perspective)
-    inputs = [scene, max_distance, depth_weight, gradient]
-    launch_on_ellipsoids(partdr_forces, inputs, forces)
+overload_gradients(partdr_forces)

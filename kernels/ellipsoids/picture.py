@@ -4,17 +4,18 @@ Both decide with the same functions: an ellipsoid covers a pixel where ``inside_
 shows, and of equal ones that with the lower index.
 """
 
+from collections.abc import Sequence
+
 import warp as wp
 
-from ..labels import LabelTarget, are_words, cost_of, flat, target_of, words_of
+from ..labels import QUAD, LabelTarget, are_words, cost_of, flat, load_word, target_of, words_of
 from ..lanes import LANES, ballot, lowest_bit, sum_lanes
-from .silhouette import Silhouette, along_row, inside_at, middle_at, row_lean, row_root, to_disc
+from .silhouette import Silhouette, along_row, depth_of, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 # On CUDA a warp draws a tile of the picture strip by strip. Its threads draw four neighbouring pixels of a row each.
 # Fewer, longer warps cost least, but small batches need many to fill the GPU.
-_QUAD = wp.constant(4)
 _STRIP_WIDTH = wp.constant(16)
 _STRIP_ROWS = wp.constant(8)
 _QUADS = wp.constant(4)  # a row of a strip
@@ -25,28 +26,23 @@ _SLACK = wp.constant(1.0e-5)  # relative margin of bounds in float32
 
 
 @wp.func
-def depth_of(nearness: float, perspective: bool):
-    """Depth [m] of a nearness."""
-    return wp.where(perspective, 1.0 / nearness, -nearness)
-
-
-@wp.func
 def pack(values: wp.vec4i):
     """Four bytes as one word, in the order of memory."""
-    return (
-        wp.uint32(values[0])
-        | (wp.uint32(values[1]) << wp.uint32(8))
-        | (wp.uint32(values[2]) << wp.uint32(16))
-        | (wp.uint32(values[3]) << wp.uint32(24))
-    )
+    word = wp.uint32(values[0])
+    for i in range(1, QUAD):
+        word |= wp.uint32(values[i]) << wp.uint32(8 * i)
+    return word
 
 
 @wp.func
-def write_bytes(image: wp.array3d[wp.uint8], b: int, row: int, column: int, values: wp.vec4i):
+def write_quad(images: wp.array3d[wp.uint8], b: int, row: int, column: int, values: wp.vec4i, in_words: bool):
     """Write up to four pixels of a row."""
-    for i in range(_QUAD):
-        if column + i < image.shape[2]:
-            image[b, row, column + i] = wp.uint8(values[i])
+    if in_words:
+        words_of(images[b])[(row * images.shape[2] + column) // QUAD] = pack(values)
+    else:
+        for i in range(QUAD):
+            if column + i < images.shape[2]:
+                images[b, row, column + i] = wp.uint8(values[i])
 
 
 @wp.func
@@ -96,7 +92,7 @@ def draw_tiles(
     ellipsoids = silhouettes[b]
     left = (tile % tiles) * _STRIP_WIDTH
     top = (tile // tiles) * tile_height
-    column = left + (lane % _QUADS) * _QUAD
+    column = left + (lane % _QUADS) * QUAD
     x = float(column) + 0.5
     count = silhouettes.shape[1]
     words = (count + LANES - 1) // LANES
@@ -130,7 +126,7 @@ def draw_tiles(
                 s = ellipsoids[k]
                 place = to_disc(s, x - s.mean[0], y - s.mean[1])
                 first_middle = middle_at(s, x, y)
-                for i in range(_QUAD):
+                for i in range(QUAD):
                     # Selects, not branches: neighbours disagree.
                     u = place[0] + float(i) * s.factor[0]
                     v = place[1] + float(i) * s.factor[1]
@@ -141,29 +137,19 @@ def draw_tiles(
                     shown[i] = wp.where(nearer, k + 1, shown[i])
                     label[i] = wp.where(nearer, s.label, label[i])
         if row < height and column < width:
-            at = (row * width + column) // _QUAD
-            if in_words:
-                words_of(parts[b])[at] = pack(shown)
-                if has_labels:
-                    words_of(labels[b])[at] = pack(label)
-            else:
-                write_bytes(parts, b, row, column, shown)
-                if has_labels:
-                    write_bytes(labels, b, row, column, label)
+            write_quad(parts, b, row, column, shown, in_words)
+            if has_labels:
+                write_quad(labels, b, row, column, label, in_words)
             if depth.shape[0] > 0:
-                for i in range(_QUAD):
+                for i in range(QUAD):
                     if column + i < width:
                         depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
             if has_losses:
-                if by_word:
-                    target_word = words_of(target.target[t])[at]
-                    if target_word != pack(label):
-                        for i in range(_QUAD):
-                            loss += cost_of(target, int(target_word >> wp.uint32(8 * i)) & 255, label[i])
-                else:
-                    for i in range(_QUAD):
+                expected = load_word(target.target[t], row, column, by_word)
+                if expected != pack(label):
+                    for i in range(QUAD):
                         if column + i < width:
-                            loss += cost_of(target, int(target.target[t, row, column + i]), label[i])
+                            loss += cost_of(target, int(expected >> wp.uint32(8 * i)) & 255, label[i])
     if has_losses:
         total = sum_lanes(loss)
         if lane == 0:
@@ -192,7 +178,7 @@ def draw_rows(
     words = words_of(parts[b])
     in_words = are_words(parts)
     if in_words:
-        for at in range(begin // _QUAD, (begin + width) // _QUAD):
+        for at in range(begin // QUAD, (begin + width) // QUAD):
             words[at] = wp.uint32(0)
     else:
         for at in range(begin, begin + width):
@@ -213,17 +199,14 @@ def draw_rows(
                 right = int(wp.clamp(middle + reach + 1.0, -1.0, float(width - 1)))
                 # The nearness of background is set where an ellipsoid may be, and nowhere else.
                 if last < first:
-                    for column in range(left, right + 1):
-                        fronts[begin + column] = -wp.inf
                     first = left
-                    last = right
-                else:
-                    for column in range(left, first):
-                        fronts[begin + column] = -wp.inf
-                    for column in range(last + 1, right + 1):
-                        fronts[begin + column] = -wp.inf
-                    first = wp.min(first, left)
-                    last = wp.max(last, right)
+                    last = left - 1
+                for column in range(left, first):
+                    fronts[begin + column] = -wp.inf
+                for column in range(last + 1, right + 1):
+                    fronts[begin + column] = -wp.inf
+                first = wp.min(first, left)
+                last = wp.max(last, right)
                 for column in range(left, right + 1):
                     x = float(column) + 0.5
                     inside = inside_at(s, x, y)
@@ -238,13 +221,12 @@ def draw_rows(
         t = target_of(target, b)
         if losses.shape[0] > 0:
             in_words = in_words and are_words(target.target)
-        together = wp.where(in_words, _QUAD, 1)
-        column = int(0)
-        while column < width:
+        together = wp.where(in_words, QUAD, 1)
+        for column in range(0, width, together):
             wrong_or_shown = bool(True)
             if in_words and not whole_picture:
                 # Four pixels that show background and should.
-                at = (begin + column) // _QUAD
+                at = (begin + column) // QUAD
                 wrong_or_shown = (words[at] | words_of(target.target[t])[at]) != wp.uint32(0)
             if wrong_or_shown:
                 for i in range(together):
@@ -261,7 +243,6 @@ def draw_rows(
                             depth[b, row, column + i] = depth_of(fronts[at], perspective)
                     if losses.shape[0] > 0:
                         loss += cost_of(target, int(target.target[t, row, column + i]), label)
-            column += together
         if losses.shape[0] > 0:
             losses[b, row] = loss
 
@@ -280,28 +261,19 @@ def _strips(batch: int, height: int, width: int) -> int:
 
 
 def launch_draw(
-    silhouettes: wp.array,
-    *,
-    perspective: bool,
-    target: LabelTarget,
-    nearest: wp.array,
-    parts: wp.array,
-    labels: wp.array,
-    depth: wp.array,
-    losses: wp.array,
+    silhouettes: wp.array, target: LabelTarget, nearest: wp.array, outputs: Sequence[wp.array], *, perspective: bool
 ) -> None:
-    """Fill ``parts``, and of ``labels``, ``depth`` and ``losses`` those that are not empty.
+    """Fill parts, and of labels, depth and losses those that are not empty.
 
-    All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for ``losses``
+    All images are contiguous. ``nearest`` is the CPU's scratch of the picture's size; ``target`` is read for losses
     only.
     """
     device = silhouettes.device
-    batch, height, width = parts.shape
+    batch, height, width = outputs[0].shape
     inputs = [silhouettes, perspective, target]
-    outputs = [parts, labels, depth, losses]
     if device.is_cpu:
-        wp.launch(draw_rows, (batch, height), [*inputs, nearest], outputs, device=device)
+        wp.launch(draw_rows, (batch, height), [*inputs, nearest], [*outputs], device=device)
         return
     warps = batch * num_partial_losses(device, batch, height, width)
     dim = -(-warps * int(LANES) // _BLOCK) * _BLOCK
-    wp.launch(draw_tiles, dim, [*inputs, _strips(batch, height, width)], outputs, device=device, block_dim=_BLOCK)
+    wp.launch(draw_tiles, dim, [*inputs, _strips(batch, height, width)], [*outputs], device=device, block_dim=_BLOCK)

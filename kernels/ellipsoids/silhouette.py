@@ -13,7 +13,7 @@ Both cameras take this one form, so everything after ``see_ellipsoids`` is the s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import warp as wp
 
@@ -79,19 +79,26 @@ def middle_at(s: Silhouette, x: float, y: float):
 
 
 @wp.func
+def depth_of(nearness: float, perspective: bool):
+    """Depth [m] of a nearness."""
+    return wp.where(perspective, 1.0 / nearness, -nearness)
+
+
+@wp.func
 def in_box(s: Silhouette, x: float, y: float):
     """Test of the bounding box, cheaper than ``inside_at``."""
     return x > s.low[0] and x < s.high[0] and y > s.low[1] and y < s.high[1]
 
 
 @wp.func
-def half_axes_row(axes: wp.mat33, semi_axes: wp.vec3, row: int):
-    """Row of A diag(a), in double."""
-    return wp.vec3d(
-        wp.float64(axes[row, 0]) * wp.float64(semi_axes[0]),
-        wp.float64(axes[row, 1]) * wp.float64(semi_axes[1]),
-        wp.float64(axes[row, 2]) * wp.float64(semi_axes[2]),
-    )
+def pixel_box(s: Silhouette, height: int, width: int):
+    """First and last column, first and last row of pixels whose centres the ellipsoid may cover; last < first: none."""
+    # Clamped in float against overflow.
+    left = int(wp.clamp(wp.ceil(s.low[0] - 0.5), 0.0, float(width)))
+    right = int(wp.clamp(wp.floor(s.high[0] - 0.5), -1.0, float(width - 1)))
+    top = int(wp.clamp(wp.ceil(s.low[1] - 0.5), 0.0, float(height)))
+    bottom = int(wp.clamp(wp.floor(s.high[1] - 0.5), -1.0, float(height - 1)))
+    return left, right, top, bottom
 
 
 @wp.func
@@ -108,16 +115,14 @@ def see_ellipsoid(
     s.low = wp.vec2(_FAR, _FAR)
     s.high = wp.vec2(-_FAR, -_FAR)
     s.bulge = -1.0
-    rx = half_axes_row(axes, semi_axes, 0)
-    ry = half_axes_row(axes, semi_axes, 1)
-    rz = half_axes_row(axes, semi_axes, 2)
-    cx = wp.float64(centre[0])
-    cy = wp.float64(centre[1])
-    cz = wp.float64(centre[2])
-    fx = wp.float64(camera[0])
-    fy = wp.float64(camera[1])
+    sizes = wp.vec3d(semi_axes)
+    rx = wp.cw_mul(wp.vec3d(axes[0]), sizes)  # rows of A diag(a)
+    ry = wp.cw_mul(wp.vec3d(axes[1]), sizes)
+    rz = wp.cw_mul(wp.vec3d(axes[2]), sizes)
+    cx, cy, cz = wp.float64(centre[0]), wp.float64(centre[1]), wp.float64(centre[2])
+    fx, fy = wp.float64(camera[0]), wp.float64(camera[1])
     one = wp.float64(1.0)
-    volume = wp.float64(semi_axes[0]) * wp.float64(semi_axes[1]) * wp.float64(semi_axes[2])
+    volume = sizes[0] * sizes[1] * sizes[2]
     volume = volume * volume  # the determinant of A diag(a^2) A^T
     if label == 0 or not (volume > wp.float64(0.0) and cz - wp.length(rz) > wp.float64(near)):
         return s
@@ -233,8 +238,7 @@ def find_neighbours(
         creases[b, k, word] = crease_bits
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """B bodies of P ellipsoids as their cameras see them.
 
     Attributes:
@@ -258,12 +262,6 @@ class Seen:
             wp.empty(sets, dtype=wp.uint32, device=device),
         )
 
-    def cut(self, part: slice) -> "Seen":
-        """Some of the bodies."""
-        if part.stop - part.start == self.silhouettes.shape[0]:
-            return self
-        return Seen(self.silhouettes[part], self.neighbours[part], self.creases[part])
-
 
 def launch_see(
     ellipsoids: Sequence[wp.array], part_labels: wp.array, *, near: float, perspective: bool, seen: Seen
@@ -277,6 +275,4 @@ def launch_see(
 def launch_find_neighbours(seen: Seen) -> None:
     """Fill the sets of ``seen`` from its silhouettes."""
     device, shape = seen.silhouettes.device, seen.silhouettes.shape
-    wp.launch(
-        find_neighbours, shape, [seen.silhouettes], [seen.neighbours, seen.creases], device=device, block_dim=_FEW
-    )
+    wp.launch(find_neighbours, shape, seen[:1], seen[1:], device=device, block_dim=_FEW)

@@ -1,17 +1,15 @@
 """Backward pass of the mesh renderer in x and y: change of the part maps with silhouette edges (paper, eq. 10 and 11).
 
 The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
-gradient of the part maps (``map_gradient``).
+gradient of the part maps.
 """
 
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import warp as wp
 
-from ..labels import DenseGradient, LabelTarget, flat
-from .map_gradient import all_wrong, extent, pixel_gradient, pixels_of, weight_of
-from .rasterize import MISSING, SURPLUS, launch_bodies
+from ..labels import MISSING, SURPLUS, all_wrong, extent, flat, overload_gradients, pixel_gradient, pixels_of, weight_of
+from .rasterize import launch_bodies
 from .triangles import ImageArrays, MeshArrays, first_pixel
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -134,15 +132,7 @@ def reach_out(
 
 
 @wp.func
-def draw_in(
-    picture: wp.array[wp.uint8],
-    asked: Any,
-    label: int,
-    at: int,
-    step: int,
-    left: int,
-    distance: float,
-):
+def draw_in(picture: wp.array[wp.uint8], asked: Any, label: int, at: int, step: int, left: int, distance: float):
     """Sum of the inner pixels' gradients, each over its distance, that pushes an edge inward."""
     pull = float(0.0)
     while left > 0:
@@ -267,14 +257,10 @@ def push_edges(
                 wp.atomic_add(grad_vertices, b, ends[k], 1, factor * pull_y[k])
 
 
-# Registered up front: an overload that appears later would compile the module again.
-for _gradient in (LabelTarget, DenseGradient):
-    for _kernel in (find_silhouettes, push_edges):
-        wp.overload(_kernel, {"gradient": _gradient})
+overload_gradients(find_silhouettes, push_edges)
 
 
-@dataclass(frozen=True)
-class SilhouetteList:
+class SilhouetteList(NamedTuple):
     """Scratch: the silhouette edges of each body.
 
     Attributes:
@@ -295,31 +281,13 @@ class SilhouetteList:
 
 
 def launch_push_edges(
-    mesh: MeshArrays,
-    images: ImageArrays,
-    *,
-    max_distance: float,
-    gradient: Any,  # LabelTarget or DenseGradient
-    found: SilhouetteList,
-    grad_vertices: wp.array,
+    mesh: MeshArrays, images: ImageArrays, gradient: Any, max_distance: float, found: SilhouetteList, grad: wp.array
 ) -> None:
-    """Add the x and y gradient; all images are contiguous."""
+    """Add the x and y gradient to the vertices' ``grad``, by a LabelTarget or DenseGradient; images are contiguous."""
     device = mesh.vertices.device
     batch, height, width = images.labels.shape
     found.counts.zero_()
-    launch_bodies(
-        find_silhouettes,
-        batch,
-        mesh.edges.shape[0],
-        [mesh, wp.vec2i(width, height), gradient],
-        [found.counts, found.silhouettes],
-        device,
-    )
-    launch_bodies(
-        push_edges,
-        batch,
-        1 if device.is_cpu else _LINE_THREADS,
-        [mesh, images, found.counts, found.silhouettes, max_distance, gradient],
-        [grad_vertices],
-        device,
-    )
+    inputs = [mesh, wp.vec2i(width, height), gradient]
+    launch_bodies(find_silhouettes, batch, mesh.edges.shape[0], inputs, [*found], device)
+    threads = 1 if device.is_cpu else _LINE_THREADS
+    launch_bodies(push_edges, batch, threads, [mesh, images, *found, max_distance, gradient], [grad], device)

@@ -1,17 +1,15 @@
 """Backward pass of the mesh renderer in z: a hidden face that should be seen comes forward (paper, eq. 12).
 
 The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow float64. The result is linear in the loss
-gradient of the part maps (``map_gradient``).
+gradient of the part maps.
 """
 
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import warp as wp
 
-from ..labels import DenseGradient, LabelTarget, flat
-from .map_gradient import extent, pixel_gradient, pixels_of, target_label_at, weight_of
-from .rasterize import EMPTY_KEY, HIDDEN, launch_bodies, row_lane_bits
+from ..labels import HIDDEN, extent, flat, overload_gradients, pixel_gradient, pixels_of, target_label_at, weight_of
+from .rasterize import EMPTY_KEY, launch_bodies, row_lane_bits
 from .triangles import (
     ImageArrays,
     MeshArrays,
@@ -58,7 +56,7 @@ def draw_hidden_faces(
     wrong = extent(gradient, b, HIDDEN, label)
     if wrong[1] < 0:
         return
-    t = load_triangle(mesh.vertices[b], mesh.faces[face], mesh.near)
+    t = load_triangle(mesh, b, face)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
@@ -94,9 +92,9 @@ def push_depths(
     depth_weight: float,  # the paper's lambda [m]
     face_index: wp.array3d[int],  # (B, H, W), read where something shows
     gradient: Any,
+    keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
     counts: wp.array2d[int],  # (B, 32), column 0
     pixels: wp.array2d[int],  # (B, H * W)
-    keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
 ):
     """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much."""
@@ -115,48 +113,29 @@ def push_depths(
             continue
         x = float(at % width) + 0.5
         y = float(at // width) + 0.5
-        back_face = mesh.faces[back_index]
-        front_face = mesh.faces[flat(face_index[b])[at]]
-        back = load_triangle(mesh.vertices[b], back_face, mesh.near)
-        front = load_triangle(mesh.vertices[b], front_face, mesh.near)
+        back = load_triangle(mesh, b, back_index)
+        front = load_triangle(mesh, b, flat(face_index[b])[at])
         back_weights = weights_3d(back, edge_values(make_edges(back), x, y), mesh.perspective)
         front_weights = weights_3d(front, edge_values(make_edges(front), x, y), mesh.perspective)
         delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
         amount *= wp.log(1.0 / delta_z + 1.0)
         # Moving the hidden face forward (z down) switches its map on: dA/dz < 0.
-        add_depth(grad_vertices, back_face, back, b, back_weights, -amount)
-        add_depth(grad_vertices, front_face, front, b, front_weights, amount)
+        add_depth(grad_vertices, b, back, back_weights, -amount)
+        add_depth(grad_vertices, b, front, front_weights, amount)
 
 
 @wp.func
-def add_depth(
-    grad_vertices: wp.array3d[float],
-    index: wp.vec3i,
-    t: Triangle,
-    b: int,
-    weights: wp.vec3,
-    amount: float,
-):
+def add_depth(grad_vertices: wp.array3d[float], b: int, t: Triangle, weights: wp.vec3, amount: float):
     """Share ``amount`` among a face's vertices, by how much each moves the point that is seen."""
-    i1 = index[1]
-    i2 = index[2]
-    if t.flipped == 1:
-        i1 = index[2]
-        i2 = index[1]
     shares = weights * (amount / (weights[0] + weights[1] + weights[2]))
-    wp.atomic_add(grad_vertices, b, index[0], 2, shares[0])
-    wp.atomic_add(grad_vertices, b, i1, 2, shares[1])
-    wp.atomic_add(grad_vertices, b, i2, 2, shares[2])
+    for i in range(3):
+        wp.atomic_add(grad_vertices, b, t.index[i], 2, shares[i])
 
 
-# Registered up front: an overload that appears later would compile the module again.
-for _gradient in (LabelTarget, DenseGradient):
-    for _kernel in (draw_hidden_faces, push_depths):
-        wp.overload(_kernel, {"gradient": _gradient})
+overload_gradients(draw_hidden_faces, push_depths)
 
 
-@dataclass(frozen=True)
-class HiddenPixels:
+class HiddenPixels(NamedTuple):
     """Scratch: the pixels where another part hides the one that should be seen.
 
     Attributes:
@@ -181,32 +160,14 @@ class HiddenPixels:
 
 
 def launch_push_depths(
-    mesh: MeshArrays,
-    images: ImageArrays,
-    *,
-    depth_weight: float,
-    gradient: Any,
-    hidden: HiddenPixels,
-    grad_vertices: wp.array,
+    mesh: MeshArrays, images: ImageArrays, gradient: Any, depth_weight: float, hidden: HiddenPixels, grad: wp.array
 ) -> None:
-    """Add the z gradient; all images are contiguous."""
+    """Add the z gradient to the vertices' ``grad``; all images are contiguous."""
     device = mesh.vertices.device
     batch, faces = images.labels.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
     hidden.counts.zero_()
-    launch_bodies(
-        draw_hidden_faces,
-        batch,
-        faces << bits,
-        [mesh, bits, images.labels, gradient],
-        [hidden.keys, hidden.counts, hidden.pixels],
-        device,
-    )
-    launch_bodies(
-        push_depths,
-        batch,
-        1 if device.is_cpu else _PIXEL_THREADS,
-        [mesh, depth_weight, images.face_index, gradient, hidden.counts, hidden.pixels],
-        [hidden.keys, grad_vertices],
-        device,
-    )
+    launch_bodies(draw_hidden_faces, batch, faces << bits, [mesh, bits, images.labels, gradient], [*hidden], device)
+    threads = 1 if device.is_cpu else _PIXEL_THREADS
+    inputs = [mesh, depth_weight, images.face_index, gradient]
+    launch_bodies(push_depths, batch, threads, inputs, [*hidden, grad], device)

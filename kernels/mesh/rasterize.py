@@ -5,10 +5,9 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import EACH_BYTE, are_words, flat, map_weight, unequal_bytes, words_of
+from ..labels import EACH_BYTE, HIDDEN, MISSING, QUAD, SURPLUS, are_words, flat, load_word, map_weight, unequal_bytes
 from ..lanes import LANES, ballot, lowest_bit, shuffle
 from .triangles import (
-    BACKGROUND,
     ImageArrays,
     MeshArrays,
     covers,
@@ -33,16 +32,9 @@ EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 TILE_ROWS = wp.constant(4)
 TILE_COLUMNS = wp.constant(32)
 
-# Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread: a row of one is a word.
-BLOCK = wp.constant(4)
+# Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread.
 _Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
 _IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four times IGNORE
-
-# Kinds of wrong pixels of a label: the second index of ``extents``.
-MISSING = wp.constant(0)  # should show the label and do not
-SURPLUS = wp.constant(1)  # show it and should not
-HIDDEN = wp.constant(2)  # should show it and show another part
-NUM_EXTENTS = 3
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
 # few faces would leave the device idle. Measured on an H200: docs/performance.md.
@@ -75,10 +67,8 @@ class ZBuffer:
     def make(cls, batch: int, height: int, width: int, device: str | wp.Device) -> Self:
         """Allocate an empty z-buffer."""
         tiles = (batch, -(-height // int(TILE_ROWS)), -(-width // int(TILE_COLUMNS)))
-        return cls(
-            keys=empty_keys((batch, height, width), device),
-            touched=wp.zeros(tiles, dtype=wp.uint8, device=device),
-        )
+        keys = empty_keys((batch, height, width), device)
+        return cls(keys=keys, touched=wp.zeros(tiles, dtype=wp.uint8, device=device))
 
 
 def empty_keys(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
@@ -100,7 +90,7 @@ def draw_faces(
     b = first_body + thread // threads
     lanes = 1 << lane_bits
     face = (thread % threads) >> lane_bits
-    t = load_triangle(mesh.vertices[b], mesh.faces[face], mesh.near)
+    t = load_triangle(mesh, b, face)
     if t.valid == 0:
         return
     rows = pixel_rows(t, keys.shape[1])
@@ -192,21 +182,21 @@ def compare_labels(
     block_row = thread % threads // lanes
     height = labels.shape[1]
     width = labels.shape[2]
-    top = block_row * BLOCK
+    top = block_row * QUAD
     in_words = are_words(labels) and are_words(target)
     loss = float(0.0)
-    for first in range(0, width, lanes * BLOCK):
-        left = first + lane * BLOCK
+    for first in range(0, width, lanes * QUAD):
+        left = first + lane * QUAD
         shown = _Words()
         expected = _Words()
-        for k in range(BLOCK):
+        for k in range(QUAD):
             shown[k] = load_word(labels[b], top + k, left, in_words)
             expected[k] = load_word(target[b], top + k, left, in_words)
         wrong = _Words()
-        for k in range(BLOCK):
+        for k in range(QUAD):
             wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], _IGNORED)
         # all four count from a border of the picture, so that zero is empty
-        reach = wp.vec4i(height - top, wp.min(top + BLOCK, height), width - left, wp.min(left + BLOCK, width))
+        reach = wp.vec4i(height - top, wp.min(top + QUAD, height), width - left, wp.min(left + QUAD, width))
         # one pair of labels after another, the same for all threads
         pair = first_pair(shown, expected, wrong)
         waiting = ballot(pair != wp.uint32(0))
@@ -215,7 +205,7 @@ def compare_labels(
             shown_label = pair & wp.uint32(255)
             target_label = pair >> wp.uint32(8)
             count = int(0)
-            for k in range(BLOCK):
+            for k in range(QUAD):
                 other = unequal_bytes(shown[k], shown_label * EACH_BYTE)
                 other |= unequal_bytes(expected[k], target_label * EACH_BYTE)
                 count += wp.bit_count(wrong[k] & ~other)
@@ -236,7 +226,7 @@ def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy 
     bits = wrong[0]
     shown_word = shown[0]
     target_word = expected[0]
-    for k in range(1, BLOCK):
+    for k in range(1, QUAD):
         if bits == wp.uint32(0):
             bits = wrong[k]
             shown_word = shown[k]
@@ -245,22 +235,6 @@ def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy 
         return wp.uint32(0)
     shift = wp.uint32(lowest_bit(bits) & 24)
     return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
-
-
-@wp.func
-def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool):
-    """Four pixels of a row in one number, the first one lowest; 0 outside the image."""
-    width = image.shape[1]
-    word = wp.uint32(0)
-    if row < image.shape[0] and column < width:
-        begin = row * width + column
-        if in_words:
-            word = words_of(image)[begin // BLOCK]
-        else:
-            for i in range(BLOCK):
-                if column + i < width:
-                    word |= wp.uint32(flat(image)[begin + i]) << wp.uint32(8 * i)
-    return word
 
 
 @wp.func
@@ -294,27 +268,14 @@ def launch_rasterize(mesh: MeshArrays, images: ImageArrays, *, zbuffer: ZBuffer,
     if background and images.depth is not None:
         images.depth.fill_(wp.inf)
     if background and images.face_index is not None:
-        images.face_index.fill_(BACKGROUND)
+        images.face_index.fill_(-1)  # paper, eq. 8
     device = mesh.vertices.device
     batch, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    launch_bodies(
-        draw_faces,
-        batch,
-        faces << bits,
-        [mesh, bits],
-        [zbuffer.touched, zbuffer.keys],
-        device,
-    )
+    buffers = [zbuffer.touched, zbuffer.keys]
+    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], buffers, device)
     _, tile_rows, lanes = pixel_lanes(images.labels.shape, device.is_cpu)
-    launch_bodies(
-        resolve_keys,
-        batch,
-        tile_rows * lanes,
-        [mesh, lanes],
-        [zbuffer.touched, zbuffer.keys, images],
-        device,
-    )
+    launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], [*buffers, images], device)
 
 
 def launch_compare_labels(labels: wp.array, target: wp.array, *, extents: wp.array, losses: wp.array) -> None:
@@ -324,14 +285,7 @@ def launch_compare_labels(labels: wp.array, target: wp.array, *, extents: wp.arr
     """
     extents.zero_()
     batch, block_rows, lanes = losses.shape
-    launch_bodies(
-        compare_labels,
-        batch,
-        block_rows * lanes,
-        [labels, target, lanes],
-        [extents, losses],
-        labels.device,
-    )
+    launch_bodies(compare_labels, batch, block_rows * lanes, [labels, target, lanes], [extents, losses], labels.device)
 
 
 def launch_bodies(

@@ -9,7 +9,6 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _SIGN_BIT = wp.constant(wp.uint32(0x80000000))
-BACKGROUND = wp.constant(-1)  # the face-index map's value where no face is (paper, eq. 8)
 
 
 @wp.struct
@@ -51,7 +50,7 @@ class Triangle:
     a: wp.vec3
     b: wp.vec3
     c: wp.vec3
-    flipped: int  # 1 where b and c changed places
+    index: wp.vec3i  # of the vertices
     valid: int  # 0: no area, or behind the near plane
 
 
@@ -65,31 +64,24 @@ class Edges:
 
 
 @wp.func
-def load_triangle(vertices: wp.array[wp.vec3], index: wp.vec3i, near: float):
+def load_triangle(mesh: MeshArrays, b: int, face: int):
     """Load a face of a body; it is not valid if a vertex is nearer than ``near``."""
-    p0 = vertices[index[0]]
-    p1 = vertices[index[1]]
-    p2 = vertices[index[2]]
-    area = double_area(p0, p1, p2)
+    vertices = mesh.vertices[b]
+    index = mesh.faces[face]
     t = Triangle()
-    t.a = p0
+    t.a = vertices[index[0]]
+    t.b = vertices[index[1]]
+    t.c = vertices[index[2]]
+    t.index = index
+    area = (t.b[0] - t.a[0]) * (t.c[1] - t.a[1]) - (t.b[1] - t.a[1]) * (t.c[0] - t.a[0])  # twice it, signed [px²]
     if area < 0.0:
-        t.b = p2
-        t.c = p1
-        t.flipped = 1
-    else:
-        t.b = p1
-        t.c = p2
+        t.b = vertices[index[2]]
+        t.c = vertices[index[1]]
+        t.index = wp.vec3i(index[0], index[2], index[1])
     nearest = wp.min(t.a[2], wp.min(t.b[2], t.c[2]))
-    if area != 0.0 and nearest > near:
+    if area != 0.0 and nearest > mesh.near:
         t.valid = 1
     return t
-
-
-@wp.func
-def double_area(a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Twice the signed area in the image plane [px²]."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 @wp.func

@@ -5,23 +5,15 @@ The forces on a part are summed to a force, a torque about its centre and a grad
 
 import warp as wp
 
-from ..ellipsoids.forces import SurfaceForces, add_force, add_shares
+from ..ellipsoids.forces import SurfaceForces, add_force
 from .rules import RULES
-from .state import PROJ, SEG, Drawn, EllipsoidArrays, Landmark, Problem, Pull, State, Terms, Wrench
+from .state import PROJ, SEG, Drawn, EllipsoidArrays, Problem, Pull, State, Terms, Wrench
 
 
 @wp.func
 def surface_point(ellipsoids: EllipsoidArrays, b: int, k: int, normalised: wp.vec3):
     """A point of part k in the camera frame [m]."""
     return ellipsoids.centres[b, k] + ellipsoids.axes[b, k] * wp.cw_mul(ellipsoids.semi_axes[b, k], normalised)
-
-
-@wp.func
-def landmark_position(landmark: Landmark, ellipsoids: EllipsoidArrays, b: int):
-    """Position of a landmark in the camera frame [m]."""
-    first = surface_point(ellipsoids, b, landmark.parts[0], landmark.first)
-    second = surface_point(ellipsoids, b, landmark.parts[1], landmark.second)
-    return landmark.shares[0] * first + landmark.shares[1] * second
 
 
 @wp.func
@@ -38,7 +30,10 @@ def pull_landmark(problem: Problem, state: State, b: int, index: int):
     vote = problem.weights[PROJ] * problem.landmarks.votes[row, index]
     if vote > 0.0:
         scale = wp.exp(state.bodies.log_scale[b])
-        position = landmark_position(problem.landmarks.landmarks[index], state.ellipsoids, b)
+        landmark = problem.landmarks.landmarks[index]
+        first = surface_point(state.ellipsoids, b, landmark.parts[0], landmark.first)
+        second = surface_point(state.ellipsoids, b, landmark.parts[1], landmark.second)
+        position = landmark.shares[0] * first + landmark.shares[1] * second
         flat = wp.vec2(position[0], position[1])
         miss = scale * flat + state.bodies.shift[b] - problem.landmarks.points[row, index]
         slope = vote * wp.vec2(slope_of_abs(miss[0]), slope_of_abs(miss[1]))
@@ -71,7 +66,11 @@ def add_drawn(problem: Problem, state: State, drawn: Drawn, b: int, i: int):
     """Sum one of the 16 numbers of the renderer's forces on part k over its shares."""
     k = i // state.drawn.shape[2]
     number = i - k * state.drawn.shape[2]
-    state.drawn[b, k, number] = problem.weights[SEG] * add_shares(drawn.forces, b, k, number)
+    shares = drawn.forces[b, k]
+    total = float(0.0)
+    for share in range(shares.shape[0]):
+        total += shares[share, number]
+    state.drawn[b, k, number] = problem.weights[SEG] * total
 
 
 @wp.func

@@ -6,9 +6,9 @@ bone, which turns the whole body.
 
 import warp as wp
 
-from ..rotations import axis_angle_gradient, columns_gradient
+from ..rotations import axis_angle_gradient, column, columns_gradient
 from .prior import mixture_gradient
-from .state import PRIOR, Load, Problem, State, column, has_bit
+from .state import PRIOR, Load, Problem, State, has_bit
 
 _DOWN = wp.constant(wp.vec3(0.0, 1.0, 0.0))  # camera frame
 
@@ -21,7 +21,7 @@ def sum_subtree(problem: Problem, state: State, b: int, bone: int):
     if bone < num_parts:
         along = column(state.ellipsoids.axes[b, bone], 0)
         pivot = state.ellipsoids.centres[b, bone] - state.ellipsoids.semi_axes[b, bone][0] * along
-    subtree = problem.skeleton.bones[bone].subtree
+    subtree = problem.bones[bone].subtree
     load = Load()
     for k in range(num_parts):
         wrench = state.wrenches[b, k]
@@ -34,10 +34,10 @@ def sum_subtree(problem: Problem, state: State, b: int, bone: int):
 
 @wp.func
 def gather_rotation(problem: Problem, state: State, b: int, k: int):
-    if not has_bit(problem.skeleton.locked, k):
+    if not has_bit(problem.locked, k):
         # The global rotation is axes * rest_axes^T.
         torque = wp.transpose(state.ellipsoids.axes[b, k]) * state.loads[b, k].torque
-        own = problem.skeleton.bones[k].rest_axes * torque
+        own = problem.bones[k].rest_axes * torque
         total = state.gradient.rotations[b, k] + axis_angle_gradient(state.bodies.rotations[b, k], own)
         slot = problem.mixture.slots[k]
         if slot >= 0:
@@ -50,7 +50,7 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
     """Gradient of length i, of one part or of two."""
     length = state.gradient.lengths[b, i]
     for part in range(state.wrenches.shape[1]):
-        if problem.skeleton.bones[part].shape[0] == i:
+        if problem.bones[part].shape[0] == i:
             wrench = state.wrenches[b, part]
             # A longer bone moves its subtree by as much, and its own centre by half.
             carried = state.loads[b, part].force - 0.5 * wrench.force
@@ -62,7 +62,7 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
 def gather_thickness(problem: Problem, state: State, b: int, i: int):
     thickness = state.gradient.thicknesses[b, i]
     for part in range(state.wrenches.shape[1]):
-        shape = problem.skeleton.bones[part].shape
+        shape = problem.bones[part].shape
         if shape[1] == i:
             thickness += 0.5 * state.wrenches[b, part].semi_axes[1]
         if shape[2] == i:
@@ -78,9 +78,8 @@ def gather_orientation(problem: Problem, state: State, b: int):
     slot = problem.mixture.slots[root]
     if slot >= 0:
         torque += problem.weights[PRIOR] * wp.cross(_DOWN, orientation * mixture_gradient(state.likelihood, b, slot))
-    first, second = columns_gradient(
-        state.bodies.orientation[b, 0], state.bodies.orientation[b, 1], orientation, torque
-    )
+    columns = state.bodies.orientation[b]
+    first, second = columns_gradient(columns[0], columns[1], orientation, torque)
     state.gradient.orientation[b, 0] = first
     state.gradient.orientation[b, 1] = second
 

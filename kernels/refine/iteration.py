@@ -12,7 +12,7 @@ from .gradient import gather_camera, gather_length, gather_orientation, gather_r
 from .pose import place_part, turn_body, turn_part
 from .prior import share_component, slope_component, sum_exponent
 from .state import MODULE, Drawn, Problem, State
-from .step import count_iteration, record_energy, step_number
+from .step import record_energy, step_number
 
 BLOCK = 512  # threads a body on CUDA, a power of two: the longest stage has 14 x 19 = 266 tasks of the packaged prior
 _LINE = wp.constant(32)  # floats in a line of the cache
@@ -128,7 +128,8 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     wait_for_block()
 
     if lane == 0:
-        count_iteration(problem, state, b)
+        # After the last iteration, at rate 0, comes itself.
+        state.iteration[b] = wp.min(state.iteration[b] + 1, problem.step_rule.schedule.shape[0] - 1)
     pose_body(problem, state, b, lane)
 
 

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from ..rotations import matrix_from_6d, matrix_from_axis_angle
-from .state import Problem, State, column, has_bit
+from ..rotations import column, matrix_from_6d, matrix_from_axis_angle
+from .state import Problem, State, has_bit
 
 
 @wp.func
@@ -11,7 +11,7 @@ def turn_part(problem: Problem, state: State, b: int, k: int):
     """Local rotation of part k, also as the prior's variable."""
     v = state.bodies.rotations[b, k]
     turn = wp.identity(n=3, dtype=float)
-    if not has_bit(problem.skeleton.locked, k):
+    if not has_bit(problem.locked, k):
         turn = matrix_from_axis_angle(v)
     state.turns[b, k] = turn
     slot = problem.mixture.slots[k]
@@ -27,7 +27,7 @@ def turn_body(problem: Problem, state: State, b: int):
     up = problem.mixture.slots[problem.mixture.slots.shape[0] - 1]
     if up >= 0:
         # The camera's y is down.
-        state.likelihood.directions[b, up] = -wp.vec3(orientation[1, 0], orientation[1, 1], orientation[1, 2])
+        state.likelihood.directions[b, up] = -orientation[1]
     half_size = problem.half_size
     focal = wp.exp(state.bodies.log_scale[b]) * half_size
     shift = state.bodies.shift[b]
@@ -39,18 +39,18 @@ def place_part(problem: Problem, state: State, b: int, k: int):
     """Ellipsoid of part k from the local rotations, as ``pose_bones`` has it."""
     rotation = state.turns[b, k]
     start = wp.vec3(0.0)
-    above = problem.skeleton.bones[k].parent
+    above = problem.bones[k].parent
     while above >= 0:
         turn = state.turns[b, above]
-        length = state.bodies.lengths[b, problem.skeleton.bones[above].shape[0]]
-        start = turn * (start + column(problem.skeleton.bones[above].rest_axes, 0) * length)
+        length = state.bodies.lengths[b, problem.bones[above].shape[0]]
+        start = turn * (start + column(problem.bones[above].rest_axes, 0) * length)
         rotation = turn * rotation
-        above = problem.skeleton.bones[above].parent
+        above = problem.bones[above].parent
     orientation = state.orientations[b]
-    shape = problem.skeleton.bones[k].shape
+    shape = problem.bones[k].shape
     thicknesses = state.bodies.thicknesses[b]
     semi_axes = 0.5 * wp.vec3(state.bodies.lengths[b, shape[0]], thicknesses[shape[1]], thicknesses[shape[2]])
-    axes = orientation * rotation * problem.skeleton.bones[k].rest_axes
+    axes = orientation * rotation * problem.bones[k].rest_axes
     state.ellipsoids.axes[b, k] = axes
     state.ellipsoids.semi_axes[b, k] = semi_axes
     state.ellipsoids.centres[b, k] = orientation * start + semi_axes[0] * column(axes, 0)

@@ -26,12 +26,25 @@ def rule(column: int) -> Callable[[Any], Any]:
     return register
 
 
+@wp.func
+def hold_size(
+    sizes: wp.array2d[float], usual: wp.array2d[float], gradient: wp.array2d[float], weight: float, b: int, k: int
+):
+    """Squared deviation of size k from the usual, where there is one."""
+    cost = float(0.0)
+    if k < sizes.shape[1]:
+        deviation = (sizes[b, k] - usual[b % usual.shape[0], k]) * _MILLIMETRES
+        cost = weight * deviation * deviation
+        gradient[b, k] = gradient[b, k] + 2.0 * weight * deviation * _MILLIMETRES
+    return cost
+
+
 @rule(column=5)
 @wp.func
 def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
     """Squared excess over the limits of joint k."""
     excess = wp.vec3(0.0)
-    if not has_bit(problem.skeleton.locked, k):
+    if not has_bit(problem.locked, k):
         v = state.bodies.rotations[b, k]
         lower, upper = problem.rules.lower_limits[k], problem.rules.upper_limits[k]
         excess = wp.max(v - upper, wp.vec3(0.0)) - wp.max(lower - v, wp.vec3(0.0))
@@ -43,26 +56,16 @@ def limit_joint(problem: Problem, state: State, weight: float, b: int, k: int):
 @wp.func
 def hold_length(problem: Problem, state: State, weight: float, b: int, k: int):
     """L_l: squared deviation of length k from the usual."""
-    cost = float(0.0)
-    if k < state.bodies.lengths.shape[1]:
-        row = b % problem.rules.usual_lengths.shape[0]
-        deviation = (state.bodies.lengths[b, k] - problem.rules.usual_lengths[row, k]) * _MILLIMETRES
-        cost = weight * deviation * deviation
-        state.gradient.lengths[b, k] = state.gradient.lengths[b, k] + 2.0 * weight * deviation * _MILLIMETRES
-    return cost
+    bodies, gradient = state.bodies, state.gradient
+    return hold_size(bodies.lengths, problem.rules.usual_lengths, gradient.lengths, weight, b, k)
 
 
 @rule(column=3)
 @wp.func
 def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int):
     """L_t: squared deviation of thickness k from the usual."""
-    cost = float(0.0)
-    if k < state.bodies.thicknesses.shape[1]:
-        row = b % problem.rules.usual_thicknesses.shape[0]
-        deviation = (state.bodies.thicknesses[b, k] - problem.rules.usual_thicknesses[row, k]) * _MILLIMETRES
-        cost = weight * deviation * deviation
-        state.gradient.thicknesses[b, k] = state.gradient.thicknesses[b, k] + 2.0 * weight * deviation * _MILLIMETRES
-    return cost
+    bodies, gradient = state.bodies, state.gradient
+    return hold_size(bodies.thicknesses, problem.rules.usual_thicknesses, gradient.thicknesses, weight, b, k)
 
 
 @rule(column=6)

@@ -8,8 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from ..ellipsoids.forces import Forces
-
 # One module for all kernels, for the compilation of each more costs seconds.
 MODULE = wp.get_module("warp_partdr.refine")
 wp.set_module_options({"enable_backward": False, "fast_math": True}, module=MODULE)
@@ -30,14 +28,6 @@ class Bone:
     subtree: int  # bit j: part j moves with it
     shape: wp.vec3i  # indices of length, first and second thickness
     rest_axes: wp.mat33  # columns: bone, first thickness, second thickness
-
-
-@wp.struct
-class SkeletonArrays:
-    """Template of EllipBody."""
-
-    bones: wp.array[Bone]  # (P + 1,) the root comes last
-    locked: int  # bit k: part k keeps its rest rotation
 
 
 @wp.struct
@@ -106,7 +96,8 @@ class StepRule:
 class Problem:
     """Energy to be minimised, and the rule of the steps."""
 
-    skeleton: SkeletonArrays
+    bones: wp.array[Bone]  # (P + 1,) of the template; the root comes last
+    locked: int  # bit k: part k keeps its rest rotation
     half_size: float  # of the drawn crop [px]
     landmarks: Landmarks
     rules: Rules
@@ -120,7 +111,7 @@ class Drawn:
     """Output of the renderer: partial sums of L_seg, and its forces on surface points."""
 
     loss: wp.array2d[float]  # (B, T) [px]
-    forces: Forces
+    forces: wp.array4d[float]  # (B, P, S, 16)
 
 
 @wp.struct
@@ -229,8 +220,3 @@ class State:
 @wp.func
 def has_bit(mask: int, bit: int):
     return (mask >> bit) & 1 == 1
-
-
-@wp.func
-def column(m: wp.mat33, index: int):
-    return wp.vec3(m[0, index], m[1, index], m[2, index])

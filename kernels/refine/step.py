@@ -47,9 +47,3 @@ def step_number(problem: Problem, state: State, b: int, i: int):
     now = rule.schedule[state.iteration[b]]
     value -= now[0] * rule.rates[i] * first / (wp.sqrt(second) / now[1] + _EPSILON)
     rows.parameters[b, i] = wp.clamp(value, rule.lower[i], rule.upper[i])
-
-
-@wp.func
-def count_iteration(problem: Problem, state: State, b: int):
-    """Go on to the next iteration; after the last one, at rate 0, to itself."""
-    state.iteration[b] = wp.min(state.iteration[b] + 1, problem.step_rule.schedule.shape[0] - 1)

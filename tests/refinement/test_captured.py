@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.kernels.ellipsoids.forces import Forces
 from warp_partdr.kernels.refine.state import Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
@@ -78,9 +77,7 @@ class FixedForces:
         # In shares that lose no bit when they are added.
         shares = np.array([0.25, 0.25, 0.5], dtype=np.float32)
         numbers = np.concatenate([self.force, self.moment.reshape(*shape, 9), self.camera], -1)
-        forces = Forces()
-        forces.values = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
-        self.drawn.forces = forces
+        self.drawn.forces = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
 
     def update(self) -> None:
         pass

@@ -15,7 +15,7 @@ from scenes.pictures import (
 )
 
 from warp_partdr.cameras import Perspective, WeakPerspective
-from warp_partdr.kernels.labels import DenseGradient
+from warp_partdr.kernels.labels import HIDDEN, MISSING, NUM_EXTENTS, SURPLUS, DenseGradient
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
@@ -266,7 +266,7 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
         held = torch.empty(image.size + offset, dtype=torch.uint8, device=device)[offset:].view(image.shape)
         return wp.from_torch(held.copy_(torch.from_numpy(image)))
 
-    extents = wp.full((2, rasterize.NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
+    extents = wp.full((2, NUM_EXTENTS, labels_end), wp.vec4i(99), dtype=wp.vec4i, device=device)
     lanes = rasterize.pixel_lanes((2, *size), wp.get_device(device).is_cpu)
     losses = wp.full(lanes, np.nan, dtype=wp.float32, device=device)
     rasterize.launch_compare_labels(on_device(shown), on_device(wanted), extents=extents, losses=losses)
@@ -277,9 +277,9 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
         for label in range(1, labels_end):
             missing = wrong[b] & (wanted[b] == label)
             kinds = {
-                rasterize.MISSING: missing,
-                rasterize.SURPLUS: wrong[b] & (shown[b] == label),
-                rasterize.HIDDEN: missing & (shown[b] != 0),
+                MISSING: missing,
+                SURPLUS: wrong[b] & (shown[b] == label),
+                HIDDEN: missing & (shown[b] != 0),
             }
             for kind, pixels in kinds.items():
                 have = extents.numpy()[b, int(kind), label]
@@ -349,7 +349,7 @@ def test_hidden_pixels_serve_again(device):
             depth_weight=1.0,
             gradient=gradient,
             hidden=hidden,
-            grad_vertices=wp.from_torch(grads),
+            grad=wp.from_torch(grads),
         )
         assert (hidden.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
         sums.append(grads.clone())

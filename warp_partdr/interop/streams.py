@@ -12,8 +12,7 @@ from types import ModuleType
 import torch
 import warp as wp
 
-from ..kernels.launch import launch_in_slices
-from ..kernels.side_stream import branch_on
+from ..kernels.launch import branch_on, launch_in_slices
 
 
 class _Gate:

@@ -10,7 +10,7 @@ import torch
 import warp as wp
 
 from ..body.parameters import ROW, BodyParameters
-from ..body.template import NUM_PARTS
+from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import check_whole
 from ..interop.arrays import warp_array
 from ..interop.checks import check_steps, check_tensor
@@ -35,7 +35,7 @@ from ..render.captured import CapturedEllipsoids
 from ..render.renderers import RendererEllipsoids
 from .energy import TERMS, Energy
 from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
-from .tables import LANDMARK_NAMES, landmark_arrays, mixture_arrays, rule_arrays, skeleton_arrays
+from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
 
@@ -161,7 +161,8 @@ class CapturedRefinement:
         nowhere = torch.zeros(NUM_PARTS, device=self._device)
         depths = torch.stack([nowhere if each.depths is None else each.depths for each in energies])
         seen = {name for each in energies for name in each.observation.landmarks}
-        problem.skeleton, problem.half_size = skeleton_arrays(where), energy.size / 2
+        problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
+        problem.half_size = energy.size / 2
         problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))
         problem.rules = rule_arrays(where, energy.prior, *map(warp_array, (lengths, thicknesses, depths)))
         problem.mixture = mixture_arrays(where, energy.prior)

@@ -12,8 +12,8 @@ import warp as wp
 
 from ..body.landmarks import LANDMARKS, landmark_points
 from ..body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
-from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, SHAPE_INDICES, template
-from ..kernels.refine.state import Bone, Landmark, Landmarks, LandmarkShare, Mixture, Rules, SkeletonArrays
+from ..body.template import NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from ..kernels.refine.state import Bone, Landmark, Landmarks, LandmarkShare, Mixture, Rules
 
 LANDMARK_NAMES = tuple(LANDMARKS)
 
@@ -39,10 +39,9 @@ def _rows(kind: Any, **columns: Any) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def skeleton_arrays(device: str) -> SkeletonArrays:
-    """Template on a Warp device."""
-    table = SkeletonArrays()
-    table.bones = _structs(
+def bone_arrays(device: str) -> wp.array:
+    """Bones of the template, and the root, on a Warp device."""
+    return _structs(
         Bone,
         device,
         parent=(*PARENTS, -1),
@@ -50,8 +49,6 @@ def skeleton_arrays(device: str) -> SkeletonArrays:
         shape=(*SHAPE_INDICES, (0, 0, 0)),
         rest_axes=(*template().rest_axes, np.eye(3)),
     )
-    table.locked = sum(1 << part for part in LOCKED_PARTS)
-    return table
 
 
 def landmark_arrays(device: str, names: Collection[str], points: wp.array, votes: wp.array) -> Landmarks:

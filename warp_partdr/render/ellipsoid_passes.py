@@ -64,17 +64,16 @@ class EllipsoidPasses:
 
     def force_launcher(self) -> Callable[..., None]:
         """Launcher of the sums of forces on ellipsoids, with one signature for all estimators."""
-        if self.gradient == "edges":
-            launch = edges.launch_edge_forces
-        elif self.gradient == "coverage":
-            halvings = _HALVINGS + math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
-            steps = self.samples_per_pixel
-            launch = partial(coverage.launch_coverage_forces, steps_per_pixel=steps, halvings=halvings)
-        else:
-            launch = partial(
-                partdr.launch_partdr_forces, max_distance=self.max_distance, depth_weight=self.depth_weight
-            )
-        return partial(launch, perspective=self.perspective)
+        launch = partial(forces.launch_forces, perspective=self.perspective)
+        if self.gradient == "coverage":
+            sampling = forces.Sampling()
+            sampling.steps_per_pixel = self.samples_per_pixel
+            more = math.ceil(_MORE_HALVINGS * math.log2(max(self.samples_per_pixel, 1.0)))
+            sampling.halvings = _HALVINGS + more
+            return partial(launch, coverage.coverage_forces, [sampling], neighbours=True)
+        if self.gradient == "partdr":
+            return partial(launch, partdr.partdr_forces, [self.max_distance, self.depth_weight])
+        return partial(launch, edges.push_crossings, [])
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw labels, depth and index + 1 of the nearest; the scratch is what cameras see of each ellipsoid."""
@@ -145,14 +144,15 @@ class EllipsoidPasses:
             losses = wp.empty((shape[0], num_losses), dtype=float, device=device)
         if device.is_cpu:
             nearest = wp.empty(shape, dtype=float, device=device)
-        outputs = {"labels": _nothing(3, wp.uint8, device.alias), "depth": _nothing(3, float, device.alias)}
-        outputs |= {"nearest": nearest, "losses": losses, **images}
+        labels = images.get("labels", _nothing(3, wp.uint8, device.alias))
+        outputs = images["parts"], labels, images.get("depth", _nothing(3, float, device.alias)), losses
         see, compared = self._prepare_see(wp.device_to_torch(device)), LabelTarget() if target is None else target
 
         def launch(part: slice) -> None:
-            here, cut = seen.cut(part), {name: _cut(array, part) for name, array in outputs.items()}
+            here, cut = _cut_seen(seen, part), [_cut(array, part) for array in outputs]
             see([_cut(array, part) for array in posed], seen=here)
-            ellipsoid_picture.launch_draw(here.silhouettes, perspective=self.perspective, target=compared, **cut)
+            scratch = _cut(nearest, part)
+            ellipsoid_picture.launch_draw(here.silhouettes, compared, scratch, cut, perspective=self.perspective)
 
         return launch, seen, losses
 
@@ -167,14 +167,13 @@ class EllipsoidPasses:
         """Launch that fills ``grads``; ``gradient`` is a LabelTarget or a DenseGradient."""
         batch, count = posed[0].shape
         sums, outputs = forces.make_forces(batch, count, posed[0].device), _arrays(grads)
-        names, launch_forces = ("grad_centres", "grad_axes", "grad_semi_axes", "grad_camera"), self.force_launcher()
+        launch_forces = self.force_launcher()
 
         def launch(part: slice) -> None:
-            bodies, here = [_cut(array, part) for array in posed], forces.cut_forces(sums, part)
-            shown = seen.cut(part), _cut(parts, part)
+            bodies, here = [_cut(array, part) for array in posed], _cut(sums, part)
+            shown = _cut_seen(seen, part), _cut(parts, part)
             launch_forces(bodies, *shown, gradient=_cut_gradient(gradient, part), forces=here)
-            cut = {name: _cut(array, part) for name, array in zip(names, outputs, strict=True)}
-            forces.launch_spread(bodies[1], bodies[2], here, **cut)
+            forces.launch_spread(bodies[1], bodies[2], here, [_cut(array, part) for array in outputs])
 
         return launch
 
@@ -224,6 +223,10 @@ def _empty_seen(posed: Sequence[wp.array]) -> Seen:
 def _cut(array: wp.array, part: slice) -> wp.array:
     """Slice of an array of bodies; the array itself if that is all, for a view costs 15 us, or if it is empty."""
     return array if part.stop - part.start == array.shape[0] or not array.size else array[part]
+
+
+def _cut_seen(seen: Seen, part: slice) -> Seen:
+    return Seen(*(_cut(array, part) for array in seen))
 
 
 def _cut_gradient(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGradient, classes of Warp's own making

@@ -15,10 +15,10 @@ import warp as wp
 from ..interop.arrays import contiguous, warp_array
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
-from ..kernels.labels import DenseGradient, LabelTarget
+from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
+from ..kernels.launch import launch_side_by_side
 from ..kernels.mesh import push_xy, push_z, rasterize
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
-from ..kernels.side_stream import launch_side_by_side
 from .options import cached
 from .pictures import Picture, Settings, Size, Tensors
 
@@ -100,7 +100,7 @@ class MeshPasses:
         batch, device = vertices.shape[0], vertices.device
         target = buffers.target.expand(batch, -1, -1)  # a view: what is written there later is seen
         images = _empty_picture((batch, *target.shape[1:]), device)[:3]
-        extents = torch.empty((batch, rasterize.NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+        extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
         draw, zbuffer = self.prepare_raster(vertices, images, background=False)
         of_target = LabelTarget()
         of_target.target = warp_array(target)
@@ -153,14 +153,14 @@ class MeshPasses:
             *arrays,
             max_distance=self.max_distance,
             found=push_xy.SilhouetteList.make(batch, num_edges, found_gradient.device),
-            grad_vertices=found_gradient,
+            grad=found_gradient,
         )
         push_depths = partial(
             push_z.launch_push_depths,
             *arrays,
             depth_weight=self.depth_weight,
             hidden=push_z.HiddenPixels.make(keys),
-            grad_vertices=found_gradient,
+            grad=found_gradient,
         )
 
         def launch() -> None:

@@ -69,7 +69,7 @@ class ExactRun:
         scene, drawn = self._scene, self._drawn
         wp.synchronize_device(self._labels.device)  # torch, which made the inputs, has streams of its own
         drawn.loss.fill_(math.nan)
-        drawn.forces.values.fill_(math.nan)
+        drawn.forces.fill_(math.nan)
         self.labels()
         self.gradient()
         centres = scene.posed.centres.detach().requires_grad_()
@@ -80,7 +80,7 @@ class ExactRun:
         wp.synchronize_device(self._labels.device)
         torch.testing.assert_close(wp.to_torch(self._labels), image.labels, rtol=0, atol=0)
         torch.testing.assert_close(wp.to_torch(drawn.loss).sum(1), loss.detach())
-        _assert_near(wp.to_torch(drawn.forces.values).sum(2)[..., :3], want)
+        _assert_near(wp.to_torch(drawn.forces).sum(2)[..., :3], want)
 
 
 class MeshRun:
@@ -156,10 +156,10 @@ class KinematicsRun:
 
     def launch(self) -> None:
         """Forward and back."""
-        joints, rotations, centres, axes, semi_axes = self._posed
-        kinematics.launch_pose(self._tree, self._parameters, joints, rotations, centres, axes, semi_axes)
-        kinematics.launch_vertices(self._tree, centres, axes, semi_axes, self._vertices)
-        kinematics.launch_vertices_adjoint(self._tree, axes, semi_axes, self._adj_vertices, self._adjoints[2:])
+        kinematics.launch_pose(self._tree, self._parameters, self._posed)
+        _, rotations, *ellipsoids = self._posed
+        kinematics.launch_vertices(self._tree, ellipsoids, self._vertices)
+        kinematics.launch_vertices_adjoint(self._tree, [*ellipsoids[1:], self._adj_vertices], self._adjoints[2:])
         orientation, _, local, lengths, _ = self._parameters
         kinematics.launch_pose_adjoint(
             self._tree, [orientation, local, lengths, rotations], self._adjoints, self._gradients
