@@ -9,7 +9,7 @@ from functools import cache
 
 import pytest
 import torch
-from scenes.pictures import loss_on_screen
+from scenes.pictures import draw_on_screen, loss_on_screen
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import Posed, pose
@@ -64,6 +64,15 @@ class Scene:
             return loss_on_screen(leaves[0], ellipbody_mesh_on(str(self.target.device)), self.target, **options)
         return ellipsoid_label_loss(Ellipsoids(*leaves), self.camera, self.target, gradient=renderer, **options)
 
+    def maps_gradient(self, renderer: str) -> list[torch.Tensor]:
+        """Gradients through maps."""
+        leaves = self.leaves(renderer)
+        if renderer == "mesh":
+            image = draw_on_screen(leaves[0], ellipbody_mesh_on(str(self.target.device)), SIZE, num_maps=20)
+        else:
+            image = draw_ellipsoids(Ellipsoids(*leaves), self.camera, SIZE, num_maps=20, gradient=renderer)
+        return list(torch.autograd.grad(image.maps.square().sum(), leaves))
+
     def answer(self, renderer: str, **options: object) -> list[torch.Tensor]:
         """Loss, images and gradients."""
         leaves = self.leaves(renderer)
@@ -104,12 +113,14 @@ def test_graph_and_launches_agree(device, renderer, batch, launched):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_threads_change_no_bit(renderer):
-    scene = Scene.make(4, "cpu", batch=7)
+    """Through labels, and through maps."""
+    scene = Scene.make(4, "cpu", batch=14)
     try:
         set_num_threads(1)
-        want = scene.answer(renderer)
-        set_num_threads(3)
-        assert equal(scene.answer(renderer), want, renderer)
+        want = scene.answer(renderer) + scene.maps_gradient(renderer)
+        for count in (2, 3, 7):
+            set_num_threads(count)
+            assert equal(scene.answer(renderer) + scene.maps_gradient(renderer), want, renderer)
     finally:
         set_num_threads(0)
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.reference.mesh import face_index_map, gradient, part_maps, rasterize
+from warp_partdr.reference.mesh import MeshScene, face_index_map, gradient, part_maps, rasterize
 from warp_partdr.reference.partdr import PixelLine, Rule, depth_slope, line_slope, switch_slope
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
@@ -38,10 +38,9 @@ def test_part_maps_are_the_books(device, rng):
 
 def test_of_equal_depths_the_lower_face_shows():
     corners = np.array([[0.0, 0, 1], [4, 0, 1], [0, 4, 1]])
-    index, depth = face_index_map(corners, np.array([[0, 1, 2], [0, 1, 2]]), (3, 3))
-    np.testing.assert_array_equal(
-        index, [[0, 0, 0], [0, 0, 0], [0, 0, -1]]
-    )  # two centres lie on the side that goes down
+    index, depth = face_index_map(MeshScene(corners, np.array([[0, 1, 2], [0, 1, 2]]), np.array([1, 1])), (3, 3))
+    # Two centres lie on the side that goes down.
+    np.testing.assert_array_equal(index, [[0, 0, 0], [0, 0, 0], [0, 0, -1]])
     np.testing.assert_allclose(depth, np.where(index < 0, np.inf, 1))
 
 
@@ -75,12 +74,12 @@ def test_every_edge_of_every_face_by_hand():
     assert line_slope(PIXELS, 1, 1, 1.8, EDGE_DEPTH, rule, face=5) == 0
     # A square of two faces, and a pixel to its right: their common side pulls as well.
     corners = np.array([[2.0, 2, 1], [6, 2, 1], [6, 6, 1], [2, 6, 1]])
-    faces, labels, size = np.array([[0, 1, 2], [0, 2, 3]]), [1, 1], (8, 12)
-    shown, depth, index = rasterize(corners, faces, labels, size)
-    assert (shown > 0).sum() == 16
+    scene, size = MeshScene(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.array([1, 1])), (8, 12)
+    picture = rasterize(scene, size)
+    assert (picture.labels > 0).sum() == 16
     g = np.zeros((1, *size))
     g[0, 3, 8] = -1.0
-    pulls = {e: gradient(corners, faces, labels, shown, index, g, depth=depth, edges=e) for e in ("silhouette", "all")}
+    pulls = {edges: gradient(scene, picture, g, edges=edges) for edges in ("silhouette", "all")}
     assert pulls["silhouette"][:, 0].sum() == pytest.approx(-1 / 2.5)
     assert pulls["all"][:, 0].sum() == pytest.approx(-1 / 2.5 - 1 / 5)  # row 3.5 meets the diagonal at 3.5 px
     for pull in pulls.values():
@@ -94,10 +93,9 @@ def test_depth_slopes_by_hand():
     # A face half a metre behind another: it comes forward and the other goes back, by its vertices' weights at P.
     corners = np.array([[0.0, 0, 1], [8, 0, 1], [0, 8, 1]])
     vertices = np.concatenate([corners, corners + np.array([0, 0, 0.5])])
-    faces, labels = np.arange(6).reshape(2, 3), [1, 2]
-    shown, depth, index = rasterize(vertices, faces, labels, (8, 8))
+    scene = MeshScene(vertices, np.arange(6).reshape(2, 3), np.array([1, 2]))
     g = np.zeros((2, 8, 8))
     g[1, 1, 3] = -2.0
-    pull = gradient(vertices, faces, labels, shown, index, g, depth=depth, depth_weight=0.7)[:, 2]
+    pull = gradient(scene, rasterize(scene, (8, 8)), g, depth_weight=0.7)[:, 2]
     weights = np.array([8 - 3.5 - 1.5, 3.5, 1.5]) / 8
     np.testing.assert_allclose(pull, 0.7 * 2 * np.log(3) * np.concatenate([-weights, weights]))

@@ -213,24 +213,6 @@ def test_linear_in_the_incoming_gradient(device, gradient):
         torch.testing.assert_close(both, 2 * first - 3 * second, rtol=1e-4, atol=1e-4 * both.abs().max().item())
 
 
-def test_label_loss_is_the_maps_loss(device):
-    """The loss of labels and that of maps agree: value, and PartDR's gradient through squared differences of maps."""
-    size = (48, 40)
-    leaves = Leaves.of(*(body_scene(seed, size, False, device) for seed in range(3)), device=device)
-    shown = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size).labels.cpu().numpy()
-    target = torch.from_numpy(np.stack([noisy_target(picture, 20, 1) for picture in shown])).to(device)
-    target[target == 255] = 0
-    tensors = list(leaves.tensors().values())
-    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient="partdr")
-    through_labels = torch.autograd.grad(loss.sum(), tensors)
-    maps = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size, num_maps=20, gradient="partdr").maps
-    wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
-    general_loss = (maps - wanted).square().sum((1, 2, 3))
-    torch.testing.assert_close(loss, general_loss)
-    for have, want in zip(through_labels, torch.autograd.grad(general_loss.sum(), tensors), strict=True):
-        torch.testing.assert_close(have, want, rtol=1e-4, atol=1e-4 * want.abs().max().item())
-
-
 @pytest.mark.parametrize("gradient", GRADIENTS)
 def test_ignored_pixels_cost_nothing(device, gradient):
     size = (40, 40)
@@ -240,43 +222,6 @@ def test_ignored_pixels_cost_nothing(device, gradient):
     loss.sum().backward()
     assert loss.item() == 0
     assert all((tensor.grad == 0).all() for tensor in leaves.tensors().values())
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-def test_batch_equals_its_members(device, gradient):
-    """One target for all, a factor for each body's loss, and every body alone: the same."""
-    size = (40, 56)
-    scenes = [body_scene(seed, size, True, device) for seed in range(3)]
-    target = torch.from_numpy(noisy_target(reference.ray_cast(scenes[0], size)[0], 20, 2)).to(device)[None]
-    leaves = Leaves.of(*scenes, device=device)
-    loss, image = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient=gradient)
-    factors = torch.tensor([2.0, 0.0, -0.5], device=device)
-    loss.backward(factors)
-    for b, scene in enumerate(scenes):
-        one = Leaves.of(scene, device=device)
-        loss_one, image_one = ellipsoid_label_loss(one.ellipsoids, one.camera, target, gradient=gradient)
-        loss_one.sum().backward()
-        assert torch.equal(image.labels[b], image_one.labels[0])
-        assert torch.equal(image.depth[b], image_one.depth[0])
-        assert loss[b] == loss_one[0]
-        for whole, alone in zip(leaves.tensors().values(), one.tensors().values(), strict=True):
-            torch.testing.assert_close(whole.grad[b], factors[b] * alone.grad[0])
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-def test_every_run_is_the_same_to_the_bit(device, gradient):
-    size = (96, 80)
-    scenes = [body_scene(seed, size, False, device) for seed in range(4)]
-    target = torch.from_numpy(noisy_target(reference.ray_cast(scenes[0], size)[0], 20, 2)).to(device)[None]
-    runs = []
-    for _ in range(3):
-        leaves = Leaves.of(*scenes, device=device)
-        loss, image = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient=gradient)
-        loss.sum().backward()
-        gradients = [tensor.grad for tensor in leaves.tensors().values()]
-        runs.append([loss.detach(), image.labels, image.parts, image.depth, *gradients])
-    for run in runs[1:]:
-        assert all(torch.equal(have, want) for have, want in zip(run, runs[0], strict=True))
 
 
 @pytest.mark.parametrize("gradient", GRADIENTS)
@@ -296,26 +241,6 @@ def test_sizes_at_the_limits(device, gradient, batch, count, size):
         assert torch.isfinite(tensor.grad).all()
     for b in range(batch):
         check_picture(image, scenes[b], size, b)
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-def test_moving_an_ellipsoid_toward_its_target_lowers_the_loss(device, gradient):
-    size = (32, 32)
-    camera = body_camera(size, False, device=device)
-    axes = torch.eye(3, device=device).expand(1, 1, 3, 3)
-    semi_axes = torch.tensor([[[0.3, 0.2, 0.2]]], device=device)
-    target = draw_ellipsoids(Ellipsoids(torch.zeros(1, 1, 3, device=device), axes, semi_axes), camera, size).labels
-    for shift in [(0.2, 0), (-0.2, 0), (0, 0.2), (0, -0.2)]:
-        move = torch.tensor([[[*shift, 0.0]]], device=device, requires_grad=True)
-        optimizer = torch.optim.Adam([move], lr=0.02)
-        schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.96)
-        for _ in range(100):
-            loss, _ = ellipsoid_label_loss(Ellipsoids(move, axes, semi_axes), camera, target, gradient=gradient)
-            optimizer.zero_grad()
-            loss.sum().backward()
-            optimizer.step()
-            schedule.step()
-        assert move.abs().max() * 16 < 0.6, f"from {shift}: {loss.item()} pixels wrong at {move.tolist()}"
 
 
 def test_groups_are_unions(device):

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scenes.pictures import CAMERAS, PLACE, checked_target, draw_on_screen, loss_on_screen
+from scenes.pictures import (
+    CAMERAS,
+    PLACE,
+    checked_target,
+    draw_on_screen,
+    loss_on_screen,
+    mesh_picture,
+    mesh_scene,
+)
 
 from warp_partdr.reference import mesh as reference
 from warp_partdr.render.part_mesh import PartMesh
@@ -57,30 +68,18 @@ def rounding_decides(vertices, faces):
 @given(scene=grids_of_faces(), perspective=st.booleans())
 def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
     vertices, faces, labels = scene
-    near = 0.01 if perspective else -np.inf
     mesh = PartMesh.from_faces(faces, labels, device=device)
     g = np.random.default_rng(0).normal(size=(3, *MESH_SIZE)).astype(np.float32).astype(float)
     leaf = torch.from_numpy(vertices).to(device)[None].requires_grad_()
     image = draw_on_screen(leaf, mesh, MESH_SIZE, perspective=perspective, num_maps=3)
     (image.maps[0] * torch.tensor(g, dtype=torch.float32, device=device)).sum().backward()
-    shown, index, depth = (x[0].cpu().numpy() for x in (image.labels, image.face_index, image.depth))
-    want = reference.rasterize(vertices.astype(float), faces, labels, MESH_SIZE, perspective=perspective, near=near)
-    np.testing.assert_allclose(depth, want[2 - 1], rtol=1e-5, atol=1e-5)
-    ties = index != want[2]  # of faces askew that meet: rounding decides
-    assert np.isclose(depth[ties], want[1][ties], rtol=1e-5, atol=1e-5).all()
-    np.testing.assert_array_equal(shown[~ties], want[0][~ties])
-    assume(not rounding_decides(vertices.astype(float), faces))
-    forces = reference.gradient(
-        vertices.astype(float),
-        faces,
-        labels,
-        shown,
-        index,
-        g,
-        perspective=perspective,
-        near=near,
-        depth=depth,
-    )
+    body, picture = mesh_scene(leaf[0], mesh, perspective), mesh_picture(image)
+    want = reference.rasterize(body, MESH_SIZE)
+    np.testing.assert_allclose(picture.depth, want.depth, rtol=1e-5, atol=1e-5)
+    ties = picture.index != want.index  # of faces askew that meet: rounding decides
+    np.testing.assert_array_equal(picture.labels[~ties], want.labels[~ties])
+    assume(not rounding_decides(body.vertices, faces))
+    forces = reference.gradient(body, picture, g)
     have = leaf.grad[0].cpu().numpy()
     scale = max(np.abs(forces).max(), 1.0)
     np.testing.assert_allclose(have / scale, forces / scale, atol=2e-4)
@@ -114,19 +113,19 @@ def test_wild_faces_stay_finite_and_cover_what_they_should(device, seed, size, t
     assert (torch.isfinite(image.depth) == (image.labels > 0)).all()
     # Moved by what float32 can't tell apart, the reference's picture must hold the kernel's.
     off = PLACE + 1e-6 * np.abs(vertices[..., :2]).max()
-    seen = []
-    for x in (-off, 0, off):
-        for y in (-off, 0, off):
-            moved = vertices[0].astype(float) + np.array([x, y, 0])
-            seen.append(reference.rasterize(moved, faces, labels, MESH_SIZE, perspective=perspective)[0])
+    body = replace(mesh_scene(leaf[0], mesh, perspective), near=-np.inf)
+    moves = product((-off, 0, off), (-off, 0, off), [0])
+    seen = [
+        reference.rasterize(replace(body, vertices=body.vertices + np.array(move)), MESH_SIZE).labels for move in moves
+    ]
     sure = (np.array(seen) == seen[4]).all(0)
-    sure &= np.diff(depths_of_faces(vertices[0].astype(float), faces, perspective), axis=0)[0] > 1e-4 * 10**depth
+    sure &= np.diff(depths_of_faces(body), axis=0)[0] > 1e-4 * 10**depth
     np.testing.assert_array_equal(image.labels[0].cpu().numpy()[sure], seen[4][sure])
 
 
-def depths_of_faces(vertices, faces, perspective):
+def depths_of_faces(body):
     """Of each pixel's two nearest faces, inf where there are fewer, (2, H, W)."""
-    depths = [reference.rasterize(vertices, face[None], [1], MESH_SIZE, perspective=perspective)[1] for face in faces]
+    depths = [reference.face_index_map(replace(body, faces=face[None]), MESH_SIZE)[1] for face in body.faces]
     nearest = np.sort(depths, 0)[:2]
     return np.where(np.isfinite(nearest), nearest, (np.full((2, 1, 1), 1e30) * [[[1]], [[2]]]))
 
@@ -151,12 +150,9 @@ def test_extreme_faces(device, name, perspective):
     target = checked_target((12, 12), 1, device)
     loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
     loss.sum().backward()
-    near = 0.01 if perspective else -np.inf
-    want = reference.rasterize(
-        leaf[0].detach().cpu().double().numpy(), np.arange(3)[None], [1], (12, 12), perspective=perspective, near=near
-    )
-    np.testing.assert_array_equal(image.labels[0].cpu().numpy(), want[0])
-    np.testing.assert_allclose(image.depth[0].cpu().numpy(), want[1], rtol=1e-5)
+    want = reference.rasterize(mesh_scene(leaf[0], mesh, perspective), (12, 12))
+    np.testing.assert_array_equal(image.labels[0].cpu().numpy(), want.labels)
+    np.testing.assert_allclose(image.depth[0].cpu().numpy(), want.depth, rtol=1e-5)
     assert shows is None or (image.labels > 0).sum() == shows
     assert torch.isfinite(leaf.grad).all()
     assert loss.item() == (image.labels != target).sum()

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes.pictures import CAMERAS, GRADIENTS, Leaves, body_camera, body_parameters, loss_on_screen, random_scene
+from scenes.pictures import (
+    CAMERAS,
+    GRADIENTS,
+    Leaves,
+    body_camera,
+    body_parameters,
+    draw_on_screen,
+    loss_on_screen,
+    noisy_picture,
+    random_scene,
+)
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import PARENTS, PART_NAMES
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import draw_mesh, mesh_label_loss
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = (40, 48)
 RENDERERS = [*GRADIENTS, "mesh"]
@@ -26,31 +36,32 @@ few = settings(max_examples=5, derandomize=True, deadline=None)
 seeds = st.integers(0, 2**16)
 
 
+def renderer_of(name, **options):
+    return RendererMesh(LEVEL, **options) if name == "mesh" else RendererEllipsoids(name, **options)
+
+
 def pictured(posed, camera, renderer, size=SIZE):
     """Labels of a body in either renderer."""
-    if not renderer.startswith("mesh"):
-        return draw_ellipsoids(posed, camera, size).labels
-    mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
-    return draw_mesh(posed.vertices(LEVEL), mesh, camera, size).labels
+    return renderer_of(renderer).draw(posed, camera, size).labels
 
 
 def losses(posed, camera, target, renderer, **options):
     """L_seg of a body in either renderer."""
-    if not renderer.startswith("mesh"):
-        return ellipsoid_label_loss(posed, camera, target, gradient=renderer, **options)[0]
-    mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
-    return mesh_label_loss(posed.vertices(LEVEL), mesh, camera, target, **options)[0]
+    return renderer_of(renderer, **options).label_loss(posed, camera, target)[0]
 
 
 def losses_of_labels_and_maps(posed, camera, target, renderer):
     """The two paths' losses; the second goes through float maps."""
     wanted = (target[:, None] == torch.arange(1, 21, device=target.device)[:, None, None]).float()
-    if renderer.startswith("mesh"):
-        mesh = ellipbody_mesh(LEVEL, device=posed.centres.device)
-        maps = draw_mesh(posed.vertices(LEVEL), mesh, camera, tuple(target.shape[1:]), num_maps=20).maps
-    else:
-        maps = draw_ellipsoids(posed, camera, tuple(target.shape[1:]), num_maps=20, gradient=renderer).maps
+    maps = renderer_of(renderer).draw(posed, camera, tuple(target.shape[1:]), num_maps=20).maps
     return losses(posed, camera, target, renderer), (maps - wanted).square().sum((1, 2, 3))
+
+
+def leaves_of_parts(posed, part=slice(None)):
+    """Numbers of posed ellipsoids, to be asked for gradients, and the bodies of them."""
+    names = ("centres", "axes", "semi_axes")
+    leaves = {name: getattr(posed, name)[part].detach().clone().requires_grad_() for name in names}
+    return leaves, replace(posed, **leaves)
 
 
 def leaves_of(seed, device, batch=1):
@@ -101,6 +112,20 @@ def test_a_picture_equal_to_its_target_pulls_at_nothing(device, renderer, seed, 
             assert all((gradient == 0).all() for gradient in gradients(loss, leaves).values())
 
 
+@pytest.mark.parametrize("renderer", ["partdr", "mesh"])
+def test_label_loss_is_the_maps_loss(device, renderer):
+    """Value, and PartDR's gradient through squared differences of maps."""
+    camera = body_camera(SIZE, False, 3, device)
+    leaves, posed = leaves_of_parts(pose(**body_parameters(5, device, 3)))
+    target = noisy_picture(pictured(posed, camera, renderer), 20, 1)
+    target[target == 255] = 0
+    through_labels, through_maps = losses_of_labels_and_maps(posed, camera, target, renderer)
+    torch.testing.assert_close(through_labels, through_maps)
+    want = gradients(through_maps, leaves)
+    for name, have in gradients(through_labels, leaves).items():
+        torch.testing.assert_close(have, want[name], rtol=1e-4, atol=1e-4 * want[name].abs().max().item())
+
+
 @pytest.mark.parametrize("renderer", ["edges", "coverage"])
 def test_pixels_that_outlines_cut_pull_little(device, renderer):
     """What is left of the derivative of covered area where picture and target are equal: pulls of half a pixel."""
@@ -114,6 +139,40 @@ def test_pixels_that_outlines_cut_pull_little(device, renderer):
         loss = losses(pose(**leaves), camera, target, renderer)
         pulls[name] = gradients(loss, leaves)["translation"].abs().max()
     assert pulls["own"] < 0.25 * pulls["moved"]
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_descending_the_gradient_brings_a_part_to_its_target(device, renderer):
+    """From either side, in x and in y; ``unit`` is the scene's in pixels."""
+    size = (32, 32)
+    camera = body_camera(size, False, device=device)
+    if renderer == "mesh":
+        corners = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
+        mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
+        target, rate, decay, steps, unit = draw_on_screen(corners, mesh, size).labels, 0.5, 0.97, 120, 1
+        shifts = [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]
+    else:
+        axes, semi_axes = torch.eye(3, device=device)[None, None], torch.tensor([[[0.3, 0.2, 0.2]]], device=device)
+        part = Ellipsoids(torch.zeros(1, 1, 3, device=device), axes, semi_axes)
+        target, rate, decay, steps, unit = draw_ellipsoids(part, camera, size).labels, 0.02, 0.96, 100, 16
+        shifts = [(0.2, 0), (-0.2, 0), (0, 0.2), (0, -0.2)]
+
+    def loss_at(move):
+        if renderer == "mesh":
+            return loss_on_screen(corners + move, mesh, target)[0]
+        return ellipsoid_label_loss(replace(part, centres=part.centres + move), camera, target, gradient=renderer)[0]
+
+    for shift in shifts:
+        move = torch.tensor([*shift, 0.0], device=device, requires_grad=True)
+        optimizer = torch.optim.Adam([move], lr=rate)
+        schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, decay)
+        for _ in range(steps):
+            loss = loss_at(move)
+            optimizer.zero_grad()
+            loss.sum().backward()
+            optimizer.step()
+            schedule.step()
+        assert move.abs().max() * unit < 0.6, f"from {shift}: {loss.item()} pixels wrong at {move.tolist()}"
 
 
 # --- Moving, mirroring, scaling -------------------------------------------------------------------------------------
@@ -131,10 +190,8 @@ def test_moving_body_and_camera_together_changes_nothing(device, renderer, seed)
         # On a grid coarse enough that centres, too, move without error.
         leaves = leaves_of(seed, device)
         posed = pose(**leaves)
-        centres = ((posed.centres * 2**16).round() / 2**16 + torch.tensor([*shift, 0.0], device=device)).detach()
-        ellipsoids = {"centres": centres, "axes": posed.axes.detach(), "semi_axes": posed.semi_axes.detach()}
-        tensors = {name: tensor.clone().requires_grad_() for name, tensor in ellipsoids.items()}
-        moved = replace(posed, **tensors)
+        centres = (posed.centres * 2**16).round() / 2**16 + torch.tensor([*shift, 0.0], device=device)
+        tensors, moved = leaves_of_parts(replace(posed, centres=centres))
         seen = WeakPerspective(camera.scale, camera.translation - 16.0 * torch.tensor([shift], device=device))
         loss = losses(moved, seen, target, renderer)
         found.append((loss.detach(), gradients(loss, tensors)))
@@ -223,7 +280,7 @@ def test_a_mirror_swaps_left_and_right(device, renderer, seed, perspective):
     picture, mirrored = (pictured(pose(**leaves), camera, renderer) for leaves in (there, here))
     # Its faces are not symmetric, and at a tie the lower of two left or right parts shows.
     agreed = (table[picture.long()].flip(2) == mirrored).float().mean()
-    if renderer.startswith("mesh"):
+    if renderer == "mesh":
         assert agreed > 0.97
         return
     assert agreed > 0.998
@@ -297,28 +354,26 @@ def test_order_of_faces_changes_indices_alone(device, seed):
 
 
 @few
-@given(seed=seeds, perspective=st.booleans(), batch=st.integers(2, 5))
+@given(seed=seeds, perspective=st.booleans(), batch=st.integers(2, 5), one_target=st.booleans())
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_batch_equals_its_members_to_the_bit(device, renderer, seed, perspective, batch):
-    """On CUDA, PartDR's sums on meshes are made by atomics, whose order varies."""
+def test_a_batch_equals_its_members_to_the_bit(device, renderer, seed, perspective, batch, one_target):
+    """With a target each, or one for all. On CUDA, PartDR's sums on meshes are made by atomics, whose order varies."""
     cameras = body_camera(SIZE, perspective, batch, device)
     one = body_camera(SIZE, perspective, 1, device)
-    leaves = leaves_of(seed, device, batch)
-    target = torch.cat([target_of(seed + b, one, renderer, device) for b in range(batch)])
-    posed = pose(**leaves)
-    tensors = {name: getattr(posed, name).detach() for name in ("centres", "axes", "semi_axes")}
+    target = torch.cat([target_of(seed + b, one, renderer, device) for b in range(1 if one_target else batch)])
+    posed = pose(**body_parameters(seed, device, batch))
 
     def found(part, camera):
-        parts = {name: tensor[part].clone().requires_grad_() for name, tensor in tensors.items()}
-        body = replace(posed, **parts)
-        loss = losses(body, camera, target[part], renderer)
-        return [loss.detach(), pictured(body, camera, renderer), *gradients(loss, parts).values()]
+        parts, body = leaves_of_parts(posed, part)
+        loss, image = renderer_of(renderer).label_loss(body, camera, target if one_target else target[part])
+        images = [getattr(image, field.name) for field in fields(image) if field.name != "maps"]
+        return [loss.detach(), *images, *gradients(loss, parts).values()]
 
     whole = found(slice(0, batch), cameras)
     for b in range(batch):
         alone = found(slice(b, b + 1), one)
         for have, want in zip(whole, alone, strict=True):
-            if device == "cuda" and renderer.startswith("mesh") and have.is_floating_point():
+            if device == "cuda" and renderer == "mesh" and have.is_floating_point():
                 assert_alike(have[b], want[0], 1e-4)
             else:
                 assert torch.equal(have[b], want[0])

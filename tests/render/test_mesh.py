@@ -8,6 +8,8 @@ from scenes.pictures import (
     CAMERAS,
     draw_on_screen,
     loss_on_screen,
+    mesh_picture,
+    mesh_scene,
     noisy_picture,
     projected_bodies,
     relative_error,
@@ -21,6 +23,7 @@ from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
 from warp_partdr.reference import mesh as reference
 from warp_partdr.reference.losses import label_gradient
+from warp_partdr.reference.mesh import MeshScene
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
@@ -50,13 +53,13 @@ def test_forward_is_the_reference(device, size, perspective):
         mesh = PartMesh.from_faces(faces, labels, device=device)
         image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
         for b in range(len(vertices)):
-            want = reference.rasterize(vertices[b].astype(float), faces, labels, size, perspective=perspective)
-            have = [t[b].cpu().numpy() for t in (image.labels, image.depth, image.face_index)]
-            same = have[2] == want[2]
+            want = reference.rasterize(MeshScene(vertices[b].astype(float), faces, labels, perspective), size)
+            have = mesh_picture(image, b)
+            same = have.index == want.index
             flips += (~same).sum()
             pixels += same.size
-            np.testing.assert_array_equal(have[0][same], want[0][same])
-            np.testing.assert_allclose(have[1][same], want[1][same], rtol=1e-5)
+            np.testing.assert_array_equal(have.labels[same], want.labels[same])
+            np.testing.assert_allclose(have.depth[same], want.depth[same], rtol=1e-5)
     # A centre within float32 rounding of an edge may fall on the other side.
     assert flips <= pixels * 2e-4
 
@@ -75,9 +78,16 @@ def test_large_and_thin_faces_lose_no_pixel(device, scale):
     faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
     mesh = PartMesh.from_faces(faces, labels, device=device)
     image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size)
-    want = reference.rasterize(vertices[0].astype(float), faces, labels, size)[0]
+    want = reference.rasterize(MeshScene(vertices[0].astype(float), faces, labels), size).labels
     assert (want > 0).any()
     assert (image.labels[0].cpu().numpy() != want).sum() <= 1
+
+
+def check_gradient(leaf, scene, image, g, b=0, **rule):
+    want = reference.gradient(scene, mesh_picture(image, b), g, **rule)
+    have = leaf.grad[b].cpu().numpy()
+    assert relative_error(have[:, :2], want[:, :2]) < 1e-4
+    assert relative_error(have[:, 2], want[:, 2]) < 1e-4
 
 
 @pytest.mark.parametrize("max_distance", [np.inf, 2.5])
@@ -100,99 +110,22 @@ def test_dense_gradient_is_the_reference(device, perspective, max_distance):
         g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
         (image.maps * g).sum().backward()
         for b in range(len(vertices)):
-            want = reference.gradient(
-                vertices[b].astype(float),
-                faces,
-                labels,
-                image.labels[b].cpu().numpy(),
-                image.face_index[b].cpu().numpy(),
-                g[b].cpu().numpy().astype(float),
-                perspective=perspective,
-                depth=image.depth[b].cpu().numpy(),
-                max_distance=max_distance,
-                depth_weight=0.7,
-            )
-            have = leaf.grad[b].cpu().numpy()
-            assert relative_error(have[:, :2], want[:, :2]) < 1e-4
-            assert relative_error(have[:, 2], want[:, 2]) < 1e-4
+            scene = MeshScene(vertices[b].astype(float), faces, labels, perspective)
+            slopes = g[b].cpu().double().numpy()
+            check_gradient(leaf, scene, image, slopes, b, max_distance=max_distance, depth_weight=0.7)
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_label_loss_gradient_is_the_reference_on_ellipbody(device, perspective):
     size = (40, 32)
     vertices, mesh = projected_bodies(3, size, device, perspective)
-    faces, labels = mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy()
     leaf = torch.from_numpy(vertices).to(device).requires_grad_()
     target = noisy_picture(draw_on_screen(leaf, mesh, size, perspective=perspective).labels, 20, 0)
     loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
     loss.sum().backward()
-    shown, wanted = image.labels[0].cpu().numpy(), target[0].cpu().numpy()
-    g = label_gradient(shown, wanted, 20)
-    want = reference.gradient(
-        vertices[0].astype(float),
-        faces,
-        labels,
-        shown,
-        image.face_index[0].cpu().numpy(),
-        g,
-        perspective=perspective,
-        depth=image.depth[0].cpu().numpy(),
-    )
-    have = leaf.grad[0].cpu().numpy()
-    assert relative_error(have[:, :2], want[:, :2]) < 1e-4
-    assert relative_error(have[:, 2], want[:, 2]) < 1e-4
+    g = label_gradient(image.labels[0].cpu().numpy(), target[0].cpu().numpy(), 20)
+    check_gradient(leaf, mesh_scene(leaf[0], mesh, perspective), image, g)
     assert loss.item() == pytest.approx((np.abs(g).sum() / 2), rel=1e-5)
-
-
-def test_label_loss_is_the_maps_loss(device):
-    """The loss of labels and that of maps agree: value, and gradient through squared differences of maps."""
-    size = (48, 40)
-    vertices, mesh = projected_bodies(5, size, device, subdivisions=1, batch=3)
-    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 1)
-    target[target == 255] = 0
-    loss, _ = loss_on_screen(leaf, mesh, target)
-    (through_labels,) = torch.autograd.grad(loss.sum(), leaf)
-    maps = draw_on_screen(leaf, mesh, size, num_maps=20).maps
-    wanted = (target[:, None] == torch.arange(1, 21, device=device)[:, None, None]).float()
-    general_loss = (maps - wanted).square().sum((1, 2, 3))
-    (general,) = torch.autograd.grad(general_loss.sum(), leaf)
-    torch.testing.assert_close(loss, general_loss)
-    torch.testing.assert_close(through_labels, general, rtol=1e-4, atol=1e-3)
-
-
-def test_forward_is_deterministic_to_the_bit(device):
-    vertices, mesh = projected_bodies(1, (64, 64), device, subdivisions=2, batch=4)
-    vertices = torch.from_numpy(vertices).to(device)
-    first = draw_on_screen(vertices, mesh, (64, 64))
-    for _ in range(3):
-        again = draw_on_screen(vertices, mesh, (64, 64))
-        assert torch.equal(first.labels, again.labels)
-        assert torch.equal(first.face_index, again.face_index)
-        assert torch.equal(first.depth, again.depth)
-
-
-@pytest.mark.parametrize("threads", [2, 3, 7])
-def test_threads_change_no_bit(threads):
-    vertices, mesh = projected_bodies(2, (40, 56), "cpu", subdivisions=1, batch=14)
-    leaf = torch.from_numpy(vertices).requires_grad_()
-    target = noisy_picture(draw_on_screen(leaf, mesh, (40, 56)).labels, 20, 2)
-
-    def results() -> list[torch.Tensor]:
-        loss, image = loss_on_screen(leaf, mesh, target)
-        (through_labels,) = torch.autograd.grad(loss.sum(), leaf)
-        maps = draw_on_screen(leaf, mesh, (40, 56), num_maps=20).maps
-        (general,) = torch.autograd.grad(maps.square().sum(), leaf)
-        return [loss, image.labels, image.depth, image.face_index, through_labels, general]
-
-    try:
-        set_num_threads(1)
-        want = results()
-        set_num_threads(threads)
-        have = results()
-    finally:
-        set_num_threads(0)
-    assert all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
 
 
 def test_slices_cover_the_batch_once():
@@ -382,25 +315,6 @@ def test_equal_depths_go_to_the_lower_face(device):
     image = draw_on_screen(vertices, mesh, (16, 16))
     assert set(image.labels.unique().tolist()) == {0, 2}
     assert image.depth[image.labels > 0].eq(2.0).all()
-
-
-def test_moving_a_part_toward_its_target_lowers_the_loss(device):
-    """A triangle off its target: descending the gradient must bring it there from either side, in x and in y."""
-    size = (32, 32)
-    base = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
-    mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
-    target = draw_on_screen(base, mesh, size).labels
-    for shift in [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]:
-        move = torch.tensor([*shift, 0.0], device=device, requires_grad=True)
-        optimizer = torch.optim.Adam([move], lr=0.5)
-        schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.97)
-        for _ in range(120):
-            loss, _ = loss_on_screen(base + move, mesh, target)
-            optimizer.zero_grad()
-            loss.sum().backward()
-            optimizer.step()
-            schedule.step()
-        assert move.abs().max() < 0.6, f"from {shift}: {loss.item()} pixels wrong at {move.tolist()}"
 
 
 def test_non_contiguous_and_empty_batches(device):

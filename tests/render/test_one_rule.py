@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scenes.pictures import draw_on_screen, loss_on_screen
+from scenes.pictures import CAMERAS, draw_on_screen, loss_on_screen, mesh_picture, mesh_scene
 from scipy.spatial.transform import Rotation
 
 from warp_partdr import label_set
@@ -24,10 +24,8 @@ from warp_partdr.reference import ellipsoids as ellipsoid_reference
 from warp_partdr.reference import mesh as reference
 from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
-from warp_partdr.render.mesh import PartImage
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
-CAMERAS = [pytest.param(False, id="weak"), pytest.param(True, id="perspective")]
 NAMES = ("centres", "axes", "semi_axes")
 
 
@@ -58,14 +56,12 @@ class Meshes:
 
     Attributes:
         points: Of the surface, ellipsoid by ellipsoid, shape (V, 3) [m].
-        vertices: The same as the camera sees them, (u [px], v [px], z [m]).
+        mesh: The same as the camera sees them.
     """
 
     scene: ellipsoid_reference.EllipsoidScene
     points: np.ndarray
-    vertices: np.ndarray
-    faces: np.ndarray
-    face_labels: np.ndarray
+    mesh: reference.MeshScene
 
     @classmethod
     def of(cls, scene: ellipsoid_reference.EllipsoidScene, level: int) -> Meshes:
@@ -75,13 +71,14 @@ class Meshes:
         across = points[:, :2] / (points[:, 2:] if scene.perspective else 1.0)
         vertices = np.concatenate([across * scene.camera[:2] + scene.camera[2:], points[:, 2:]], 1)
         faces = np.concatenate([faces + k * len(sphere) for k in range(len(scene.labels))])
-        return cls(scene, points, vertices, faces, np.repeat(scene.labels, len(faces) // len(scene.labels)))
+        labels = np.repeat(scene.labels, len(faces) // len(scene.labels))
+        return cls(scene, points, reference.MeshScene(vertices, faces, labels, scene.perspective))
 
-    def picture(self) -> PartImage:
+    def picture(self) -> reference.MeshPicture:
         """One body, on the CPU."""
-        mesh = PartMesh.from_faces(self.faces, self.face_labels)
-        vertices = torch.from_numpy(self.vertices)[None].float()
-        return draw_on_screen(vertices, mesh, SIZE, perspective=self.scene.perspective)
+        mesh = PartMesh.from_faces(self.mesh.faces, self.mesh.labels)
+        vertices = torch.from_numpy(self.mesh.vertices)[None].float()
+        return mesh_picture(draw_on_screen(vertices, mesh, SIZE, perspective=self.scene.perspective))
 
     def forces(self, grad: np.ndarray) -> ellipsoid_reference.EllipsoidForces:
         """A gradient of the vertices as one of the ellipsoids."""
@@ -111,19 +108,7 @@ def test_the_definitions_meet_in_x_and_y(perspective, shift):
     errors = []
     for level in (1, 3):
         meshes = Meshes.of(scene, level)
-        image = meshes.picture()
-        grad = reference.gradient(
-            meshes.vertices,
-            meshes.faces,
-            meshes.face_labels,
-            image.labels[0].numpy(),
-            image.face_index[0].numpy(),
-            g,
-            perspective=perspective,
-            depth=image.depth[0].numpy(),
-            depth_weight=0.0,
-        )
-        have = meshes.forces(grad)
+        have = meshes.forces(reference.gradient(meshes.mesh, meshes.picture(), g, depth_weight=0.0))
         errors.append([np.linalg.norm(getattr(have, name) - getattr(want, name)) for name in NAMES])
     check_meets(have, want)
     assert (np.array(errors[1]) < np.array(errors[0])).all()
@@ -139,20 +124,10 @@ def test_the_definitions_meet_in_z(perspective):
     want = ellipsoid_reference.EllipsoidForces(scene)
     ellipsoid_reference.add_depth_forces(want, labels, parts, g, 1.0)
     meshes = Meshes.of(scene, 3)
-    image = meshes.picture()
-    shown = np.where(g[1] != 0, image.labels[0].numpy(), 0)  # the slow reference need not look elsewhere
+    picture = meshes.picture()
+    picture = picture._replace(labels=np.where(g[1] != 0, picture.labels, 0))  # the slow reference looks nowhere else
     grad = np.zeros_like(meshes.points)
-    grad[:, 2] = reference.depth_gradient(
-        meshes.vertices,
-        meshes.faces,
-        meshes.face_labels,
-        shown,
-        image.face_index[0].numpy(),
-        g,
-        perspective,
-        -np.inf,
-        1.0,
-    )
+    grad[:, 2] = reference.depth_gradient(meshes.mesh, picture, g, 1.0)
     check_meets(meshes.forces(grad), want)
 
 
@@ -250,19 +225,9 @@ def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
         loss_on_screen(leaf, mesh, target, depth_weight=0.0)[0].sum().backward()
     else:
         (image.maps[0] * torch.from_numpy(g).float().to(device)).sum().backward()
-    corners = leaf.detach()[0].cpu().double().numpy()
-    faces = mesh.faces.cpu().numpy()
-    assert sum(reference.cross(*corners[face]) == 0 for face in faces) == 56
-    want = reference.gradient(
-        corners,
-        faces,
-        mesh.face_labels.cpu().numpy(),
-        shown,
-        image.face_index[0].cpu().numpy(),
-        g,
-        depth=image.depth[0].cpu().numpy(),
-        depth_weight=0.0,
-    )
+    scene = mesh_scene(leaf[0], mesh)
+    assert sum(reference.cross(*scene.vertices[face]) == 0 for face in scene.faces) == 56
+    want = reference.gradient(scene, mesh_picture(image), g, depth_weight=0.0)
     have = leaf.grad[0].cpu().numpy()
     assert np.linalg.norm(have - want) < 1e-4 * np.linalg.norm(want)
 

@@ -14,6 +14,7 @@ from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Perspective, ScreenCamera, WeakPerspective
 from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.reference.mesh import MeshPicture, MeshScene
 from warp_partdr.render.ellipsoids import Ellipsoids
 from warp_partdr.render.mesh import PartImage, draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
@@ -152,6 +153,18 @@ def projected_bodies(seed, size, device, perspective=False, subdivisions=0, batc
     """The vertices of posed bodies on the screen, on the host, and their mesh on the device."""
     vertices = pose(**body_parameters(seed, device, batch)).vertices(subdivisions).cpu()
     return body_camera(size, perspective, batch).project(vertices).numpy(), ellipbody_mesh(subdivisions, device=device)
+
+
+def mesh_scene(vertices, mesh, perspective=False):
+    """One body's vertices on the screen and its mesh as the reference takes them."""
+    corners = vertices.detach().cpu().double().numpy()
+    near = 0.01 if perspective else -np.inf
+    return MeshScene(corners, mesh.faces.cpu().numpy(), mesh.face_labels.cpu().numpy().astype(int), perspective, near)
+
+
+def mesh_picture(image, b=0):
+    """One body's picture as the reference takes it."""
+    return MeshPicture(*(each[b].cpu().numpy() for each in (image.labels, image.depth, image.face_index)))
 
 
 def smooth_maps(seed, count, size):

@@ -20,8 +20,8 @@ Backward
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,33 @@ from .partdr import MIN_DELTA_Z as MIN_DELTA_Z
 from .partdr import PixelLine, Rule, depth_slope, line_slope
 
 Edge = tuple[int, int, list[tuple[int, int]]]  # its vertices, and of each face beside it index and opposite vertex
+
+
+@dataclass(frozen=True)
+class MeshScene:
+    """Mesh of one body as its camera sees it.
+
+    Attributes:
+        vertices: Columns, rows [px] and depths [m], shape (V, 3).
+        faces: f, shape (F, 3).
+        labels: Part of each face, 1 to K; 0 has no map.
+        perspective: True: 1/depth is linear in the picture, not depth.
+        near: Depth of the near plane [m].
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    labels: np.ndarray
+    perspective: bool = False
+    near: float = -np.inf
+
+
+class MeshPicture(NamedTuple):
+    """Labels (A^1 to A^K as one image), depth [m] and face index, each (H, W)."""
+
+    labels: np.ndarray
+    depth: np.ndarray
+    index: np.ndarray
 
 
 def cross(a: Any, b: Any, c: Any) -> Any:
@@ -63,44 +90,27 @@ def is_drawn(triangle: np.ndarray, near: float) -> bool:
     return bool(cross(*triangle) != 0 and triangle[:, 2].min() > near)
 
 
-def face_index_map(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    size: tuple[int, int],
-    *,
-    perspective: bool = False,
-    near: float = -np.inf,
-) -> tuple[np.ndarray, np.ndarray]:
+def face_index_map(scene: MeshScene, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Eq. 8: the face-index map F, -1 = background, and its depth D [m], both (H, W).
-
-    Args:
-        vertices: Columns, rows [px] and depths [m], shape (V, 3).
-        faces: f, shape (F, 3).
-        size: H and W.
-        perspective: Whether 1/depth is linear in the picture, not depth.
-        near: Depth of the near plane [m].
 
     The paper leaves open who has a pixel's centre on an edge: see the fill rule above. Of equal
     depths, the lower index shows.
     """
-    height, width = size
-    index = np.full(size, -1)
-    depth = np.full(size, np.inf)
-    for f, face in enumerate(faces):
-        triangle = vertices[face]
-        if not is_drawn(triangle, near):
+    index, depth = np.full(size, -1), np.full(size, np.inf)
+    for f, face in enumerate(scene.faces):
+        triangle = scene.vertices[face]
+        if not is_drawn(triangle, scene.near):
             continue
-        for row in range(height):
-            for column in range(width):
-                x, y = column + 0.5, row + 0.5
-                if covers_place(triangle, x, y):
-                    z = weights_at(triangle, x, y, perspective) @ triangle[:, 2]
-                    if z < depth[row, column]:
-                        depth[row, column], index[row, column] = z, f
+        for row, column in np.ndindex(size):
+            x, y = column + 0.5, row + 0.5
+            if covers_place(triangle, x, y):
+                z = weights_at(triangle, x, y, scene.perspective) @ triangle[:, 2]
+                if z < depth[row, column]:
+                    depth[row, column], index[row, column] = z, f
     return index, depth
 
 
-def part_maps(index: np.ndarray, face_labels: Sequence[int] | np.ndarray, num_labels: int) -> np.ndarray:
+def part_maps(index: np.ndarray, face_labels: np.ndarray, num_labels: int) -> np.ndarray:
     """Eq. 9: the maps A^1 to A^K, 1 where the face that shows is of the part, (K, H, W).
 
     Args:
@@ -118,74 +128,47 @@ def part_maps(index: np.ndarray, face_labels: Sequence[int] | np.ndarray, num_la
     return maps
 
 
-def rasterize(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    face_labels: Sequence[int] | np.ndarray,
-    size: tuple[int, int],
-    *,
-    perspective: bool = False,
-    near: float = -np.inf,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Labels (A^1 to A^K as one image), depth and face index of one body."""
-    index, depth = face_index_map(vertices, faces, size, perspective=perspective, near=near)
-    return np.where(index >= 0, np.asarray(face_labels)[index], 0), depth, index
+def rasterize(scene: MeshScene, size: tuple[int, int]) -> MeshPicture:
+    """Draw the picture of one body."""
+    index, depth = face_index_map(scene, size)
+    return MeshPicture(np.where(index >= 0, scene.labels[index], 0), depth, index)
 
 
-def find_edges(faces: np.ndarray, face_labels: Sequence[int] | np.ndarray) -> list[Edge]:
+def find_edges(scene: MeshScene) -> list[Edge]:
     """Edges, split where the label differs or three faces meet."""
     found: dict[tuple[int, int, int], list[tuple[int, int]]] = {}
-    for f, face in enumerate(faces):
+    for f, face in enumerate(scene.faces):
         for k in range(3):
-            i, j, opposite = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
-            found.setdefault((min(i, j), max(i, j), face_labels[f]), []).append((f, opposite))
+            i, j, opposite = np.roll(face, -k)
+            found.setdefault((min(i, j), max(i, j), scene.labels[f]), []).append((f, opposite))
     edges: list[Edge] = []
     for (i, j, _), sides in found.items():
         edges += [(i, j, sides)] if len(sides) == 2 else [(i, j, [side]) for side in sides]
     return edges
 
 
-def gradient(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    face_labels: Sequence[int] | np.ndarray,
-    labels: np.ndarray,
-    face_index: np.ndarray,
-    g: np.ndarray,
-    *,
-    depth: np.ndarray,
-    perspective: bool = False,
-    near: float = -np.inf,
-    **rule: Any,
-) -> np.ndarray:
-    """dL/dvertices (V, 3) of one body, from the picture (labels, face_index, depth) and g of shape (K, H, W).
-
-    ``rule`` are the fields of ``Rule``.
-    """
+def gradient(scene: MeshScene, picture: MeshPicture, g: np.ndarray, **rule: Any) -> np.ndarray:
+    """dL/dvertices (V, 3), from the picture and g of shape (K, H, W); ``rule`` are the fields of ``Rule``."""
     options = Rule(**rule)
-    edges = find_edges(faces, face_labels)
+    edges = find_edges(scene)
     if options.edges == "all":
-        edges = [(a[k], a[(k + 1) % 3], [(f, a[(k + 2) % 3])]) for f, a in enumerate(faces) for k in range(3)]
-    grad = np.zeros_like(vertices)
+        edges = [(a[k], a[(k + 1) % 3], [(f, a[(k + 2) % 3])]) for f, a in enumerate(scene.faces) for k in range(3)]
+    grad = np.zeros_like(scene.vertices)
     for edge in edges:
-        part = int(face_labels[edge[2][0][0]])
-        picture = PixelLine(labels, depth, g[part - 1], face_index)
-        grad += edge_gradient(vertices, edge, part, picture, options, perspective, near)
+        part = int(scene.labels[edge[2][0][0]])
+        line = PixelLine(picture.labels, picture.depth, g[part - 1], picture.index)
+        grad += edge_gradient(scene, edge, part, line, options)
     if options.depth_weight:
-        grad[:, 2] += depth_gradient(
-            vertices, faces, face_labels, labels, face_index, g, perspective, near, options.depth_weight
-        )
+        grad[:, 2] += depth_gradient(scene, picture, g, options.depth_weight)
     return grad
 
 
-def edge_gradient(
-    vertices: np.ndarray, edge: Edge, part: int, picture: PixelLine, rule: Rule, perspective: bool, near: float
-) -> np.ndarray:
+def edge_gradient(scene: MeshScene, edge: Edge, part: int, picture: PixelLine, rule: Rule) -> np.ndarray:
     """The share of one edge in x and y; ``picture`` has whole images instead of lines."""
-    grad = np.zeros_like(vertices)
+    vertices, grad = scene.vertices, np.zeros_like(scene.vertices)
     *ends, sides = edge
     p = vertices[ends]
-    if min(p[:, 2].min(), *(vertices[o][2] for _, o in sides)) <= near:
+    if min(p[:, 2].min(), *(vertices[o][2] for _, o in sides)) <= scene.near:
         return grad
     counted = np.mean([np.sign(cross(p[0], p[1], vertices[o])) for _, o in sides])  # choice 3: +-1, +-1/2 or 0
     for axis in (0, 1):
@@ -201,40 +184,30 @@ def edge_gradient(
                 continue
             w1 = (centre - p[0, across]) / (p[1, across] - p[0, across])
             weights = np.array([1 - w1, w1])
-            edge_depth = float(1 / (weights @ (1 / p[:, 2])) if perspective else weights @ p[:, 2])
+            edge_depth = float(1 / (weights @ (1 / p[:, 2])) if scene.perspective else weights @ p[:, 2])
             pixels = PixelLine(*(image[line] for image in images))
             slope = line_slope(pixels, part, out, weights @ p[:, axis], edge_depth, rule, sides[0][0])
             grad[ends, axis] += abs(counted) * slope * weights
     return grad
 
 
-def depth_gradient(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    face_labels: Sequence[int] | np.ndarray,
-    labels: np.ndarray,
-    face_index: np.ndarray,
-    g: np.ndarray,
-    perspective: bool,
-    near: float,
-    depth_weight: float,
-) -> np.ndarray:
+def depth_gradient(scene: MeshScene, picture: MeshPicture, g: np.ndarray, depth_weight: float) -> np.ndarray:
     """dL/dz of the vertices, shape (V,): eq. 12 at every pixel that shows something."""
-    grad = np.zeros(len(vertices))
-    for row, column in zip(*np.nonzero(labels), strict=True):
+    vertices, grad = scene.vertices, np.zeros(len(scene.vertices))
+    for row, column in zip(*np.nonzero(picture.labels), strict=True):
         x, y = column + 0.5, row + 0.5
-        front = faces[face_index[row, column]]
-        front_weights = weights_at(vertices[front], x, y, perspective)
+        front = scene.faces[picture.index[row, column]]
+        front_weights = weights_at(vertices[front], x, y, scene.perspective)
         front_depth = front_weights @ vertices[front, 2]
         nearest: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}
-        for f, face in enumerate(faces):
-            if face_labels[f] == labels[row, column] or not is_drawn(vertices[face], near):
+        for label, face in zip(scene.labels, scene.faces, strict=True):
+            if label == picture.labels[row, column] or not is_drawn(vertices[face], scene.near):
                 continue
             if covers_place(vertices[face], x, y):
-                weights = weights_at(vertices[face], x, y, perspective)
+                weights = weights_at(vertices[face], x, y, scene.perspective)
                 depth = weights @ vertices[face, 2]
-                if depth < nearest.get(face_labels[f], (np.inf,))[0]:
-                    nearest[face_labels[f]] = (depth, face, weights)
+                if depth < nearest.get(label, (np.inf,))[0]:
+                    nearest[label] = (depth, face, weights)
         for part, (depth, face, weights) in nearest.items():
             if part > len(g):
                 continue
