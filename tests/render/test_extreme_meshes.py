@@ -76,7 +76,7 @@ def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
     body, picture = mesh_scene(leaf[0], mesh, perspective), mesh_picture(image)
     want = reference.rasterize(body, MESH_SIZE)
     np.testing.assert_allclose(picture.depth, want.depth, rtol=1e-5, atol=1e-5)
-    ties = picture.index != want.index  # of faces askew that meet: rounding decides
+    ties = picture.face_index != want.face_index  # of faces askew that meet: rounding decides
     np.testing.assert_array_equal(picture.labels[~ties], want.labels[~ties])
     assume(not rounding_decides(body.vertices, faces))
     forces = reference.gradient(body, picture, g)

@@ -17,9 +17,9 @@ from typing import Any, Protocol
 import torch
 import warp as wp
 
-from ..kernels.launch import get_num_threads, launch_in_slices, run_slices, split_batch
+from ..kernels.launch import get_num_threads, run_slices, split_batch
 from .derivatives import once
-from .streams import capture_graph, launching, on_torch_stream
+from .streams import capture_graph, launch_bodies_on, launching, on_torch_stream
 
 Shapes = tuple[torch.Size, ...]
 
@@ -32,20 +32,32 @@ class Buffers:
     """Inputs and outputs of a renderer's launches, of B bodies.
 
     Attributes:
-        inputs: Tensors that the gradient is taken of, each of shape (B, ...); a body's numbers are contiguous.
+        rows: The inputs and, if needed, their gradients, shape (1 or 2, B, R); a body's numbers lie side by side.
+        inputs: Views of the first rows, each of shape (B, ...).
         target: Target labels, shape (N, H, W), N = 1 or B, uint8.
         losses: Partial sums of L_seg, shape (B, K).
-        grads: Gradients, laid out as the inputs; empty if not needed.
+        grads: Views of the second rows, as of the inputs; empty if not needed.
     """
 
+    rows: torch.Tensor
     inputs: tuple[torch.Tensor, ...]
     target: torch.Tensor
     losses: torch.Tensor
     grads: tuple[torch.Tensor, ...]
 
+    @classmethod
+    def empty(cls, recipe: Recipe, shapes: Shapes, target: torch.Tensor, needs_grad: bool) -> Buffers:
+        """Allocate for inputs of these shapes."""
+        batch, (_, height, width), device = shapes[0][0], target.shape, target.device
+        rows = torch.empty(2 if needs_grad else 1, batch, row_length(shapes), device=device)
+        losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
+        views = [split_rows(each, shapes) for each in rows]
+        return cls(rows, views[0], target, losses, views[1] if needs_grad else ())
+
     def of_bodies(self, part: slice) -> Buffers:
         """Buffers of a slice of the bodies."""
         return Buffers(
+            self.rows[:, part],
             tuple(tensor[part] for tensor in self.inputs),
             self.target if len(self.target) == 1 else self.target[part],
             self.losses[part],
@@ -58,10 +70,7 @@ class Recipe(Protocol):
 
     def __hash__(self) -> int: ...
 
-    @property
-    def name(self) -> str:
-        """Name of the public function."""
-        ...
+    name: str  # of the public function
 
     @property
     def modules(self) -> Sequence[ModuleType]:
@@ -160,22 +169,14 @@ def launch_label_loss(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Loss and rows, in fresh buffers and launch by launch; with ``needs_grad``, ``rows[1]`` is the gradient."""
     shapes = tuple([tensor.shape for tensor in tensors])
-    (batch, height, width), device = (shapes[0][0], *target.shape[1:]), target.device
-    rows = torch.empty(2 if needs_grad else 1, batch, row_length(shapes), device=device)
-    inputs = split_rows(rows[0], shapes)
-    grads = split_rows(rows[1], shapes) if needs_grad else ()
-    torch._foreach_copy_(inputs, tensors)
-    losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
-    buffers = Buffers(inputs, target.contiguous(), losses, grads)
-    if batch > 0:
-        with on_torch_stream(device) as where:
-            launch_in_slices(
-                lambda part: recipe.prepare(buffers.of_bodies(part))(),
-                batch,
-                wp.get_device(where),
-                modules=recipe.modules,
-            )
-    return losses.sum(1), rows
+    buffers = Buffers.empty(recipe, shapes, target.contiguous(), needs_grad)
+    torch._foreach_copy_(buffers.inputs, tensors)
+
+    def launch(part: slice) -> None:
+        recipe.prepare(buffers.of_bodies(part))()
+
+    launch_bodies_on(target.device, launch, shapes[0][0], recipe.modules)
+    return buffers.losses.sum(1), buffers.rows
 
 
 class LossGraph:
@@ -189,31 +190,27 @@ class LossGraph:
     """
 
     def __init__(self, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device) -> None:
-        batch, (_, height, width) = shapes[0][0], targets
-        self._rows = torch.zeros(2, batch, row_length(shapes), device=device)
-        self._inputs, grads = (split_rows(rows, shapes) for rows in self._rows)
-        self._target = torch.zeros(targets, dtype=torch.uint8, device=device)
-        self._losses = torch.zeros(batch, recipe.num_losses(device, batch, height, width), device=device)
-        buffers = Buffers(self._inputs, self._target, self._losses, grads)
-        self._device = device
+        target = torch.empty(targets, dtype=torch.uint8, device=device)
+        self._buffers, self._device = Buffers.empty(recipe, shapes, target, needs_grad=True), device
         self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
-        self._slices = split_batch(batch, on_cpu=device.type == "cpu")
+        self._slices = split_batch(shapes[0][0], on_cpu=device.type == "cpu")
         with on_torch_stream(device):
             # They are kept, for a graph holds no memory alive.
-            self._launches = {part.start: recipe.prepare(buffers.of_bodies(part)) for part in self._slices}
+            self._launches = {part.start: recipe.prepare(self._buffers.of_bodies(part)) for part in self._slices}
         self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
 
     def __call__(self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Copies of loss and rows, for the next call fills the buffers again."""
-        torch._foreach_copy_(self._inputs, tensors)
-        self._target.copy_(target)
+        buffers = self._buffers
+        torch._foreach_copy_(buffers.inputs, tensors)
+        buffers.target.copy_(target)
         if self._stream is None:
             with on_torch_stream(self._device):
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
         else:
             with launching(), torch.cuda.device(self._device):
                 wp.capture_launch(self._graphs[0], stream=self._stream)
-        return self._losses.sum(1), self._rows.clone()
+        return buffers.losses.sum(1), buffers.rows.clone()
 
 
 def _graph(recipe: Recipe, shapes: Shapes, target: torch.Tensor) -> LossGraph:

@@ -161,17 +161,22 @@ def moved(scene: EllipsoidScene, name: str, index: tuple[int, ...], step: float)
     return replace(scene, **{name: values})
 
 
+def no_gradient(scene: EllipsoidScene) -> dict[str, np.ndarray]:
+    """Zeros of each of NAMES: (P, 3), (P, 3), (P, 3) and (4,)."""
+    return {name: np.zeros(4 if name == "camera" else scene.centres.shape) for name in NAMES}
+
+
 def coverage_gradient(
     scene: EllipsoidScene, costs: np.ndarray, lines: int = 16, tiny: float = 1e-6
 ) -> dict[str, np.ndarray]:
-    """Derivative of the area's cost with respect to NAMES: (P, 3), (P, 3), (P, 3) and (4,).
+    """Derivative of the area's cost with respect to NAMES.
 
     Where phi = 0 is a border, a change of phi moves it by -dphi / |grad phi| along its normal, and what the loss then
     gains on a bit of border is (cost before - cost after) times way times length. Lines along x take the share n_x^2 of
     each bit and lines along y the share n_y^2, so that none has to divide by how steeply it meets the border.
     """
     label_of = cost_index(scene, costs)
-    gradients = {name: np.zeros(4 if name == "camera" else scene.centres.shape) for name in NAMES}
+    gradients = no_gradient(scene)
     for axis in (0, 1):
         borders = borders_on_lines(scene, costs.shape[1:], axis, lines)
         x, y = borders.x, borders.y

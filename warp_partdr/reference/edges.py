@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from .coverage import cost_index, moved
+from .coverage import cost_index, moved, no_gradient
 from .ellipsoids import EllipsoidScene, meet
 
 STEP = 1e-7  # small, for fronts are steep near their outlines
@@ -34,12 +34,10 @@ def edges_gradient(
     And the same with what every border adds taken as positive: of opposite sides little may be left, and errors are a
     share of what was added.
     """
-    total = {"centres": np.zeros_like(scene.centres), "turns": np.zeros_like(scene.centres)}
-    total |= {"semi_axes": np.zeros_like(scene.semi_axes), "camera": np.zeros(4)}
-    sizes = {name: np.zeros_like(gradient) for name, gradient in total.items()}
+    total, sizes = no_gradient(scene), no_gradient(scene)
     labels = np.r_[0, scene.labels]
     for axis in (0, 1):
-        ahead = np.array([1.0, 0.0]) if axis == 0 else np.array([0.0, 1.0])
+        ahead = np.eye(2)[axis]
         here, there = (parts[:, :-1], parts[:, 1:]) if axis == 0 else (parts[:-1], parts[1:])
         for row, column in np.argwhere(labels[here] != labels[there]):
             start = np.array([column, row]) + 0.5

@@ -55,7 +55,7 @@ class MeshPicture(NamedTuple):
 
     labels: np.ndarray
     depth: np.ndarray
-    index: np.ndarray
+    face_index: np.ndarray
 
 
 def cross(a: Any, b: Any, c: Any) -> Any:
@@ -156,7 +156,7 @@ def gradient(scene: MeshScene, picture: MeshPicture, g: np.ndarray, **rule: Any)
     grad = np.zeros_like(scene.vertices)
     for edge in edges:
         part = int(scene.labels[edge[2][0][0]])
-        line = PixelLine(picture.labels, picture.depth, g[part - 1], picture.index)
+        line = PixelLine(picture.labels, picture.depth, g[part - 1], picture.face_index)
         grad += edge_gradient(scene, edge, part, line, options)
     if options.depth_weight:
         grad[:, 2] += depth_gradient(scene, picture, g, options.depth_weight)
@@ -196,7 +196,7 @@ def depth_gradient(scene: MeshScene, picture: MeshPicture, g: np.ndarray, depth_
     vertices, grad = scene.vertices, np.zeros(len(scene.vertices))
     for row, column in zip(*np.nonzero(picture.labels), strict=True):
         x, y = column + 0.5, row + 0.5
-        front = scene.faces[picture.index[row, column]]
+        front = scene.faces[picture.face_index[row, column]]
         front_weights = weights_at(vertices[front], x, y, scene.perspective)
         front_depth = front_weights @ vertices[front, 2]
         nearest: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}

@@ -99,8 +99,7 @@ class RendererMesh:
     ) -> PartImage:
         """Draw bodies; arguments and errors as of ``draw_mesh`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
-        rule = {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
-        return draw_mesh(vertices, mesh, camera, image_size, num_maps=num_maps, validate=validate, **rule)
+        return draw_mesh(vertices, mesh, camera, image_size, num_maps=num_maps, validate=validate, **self._rule)
 
     def label_loss(
         self,
@@ -113,14 +112,17 @@ class RendererMesh:
     ) -> tuple[torch.Tensor, PartImage]:
         """L_seg of bodies; arguments and errors as of ``mesh_label_loss`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
-        rule = {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
-        return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **rule)
+        return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **self._rule)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
         """Renderer with the level that these bodies need, so that a loss does not jump while it is minimised."""
         if self.subdivisions != "auto":
             return self
         return replace(self, subdivisions=coarsest_subdivisions(posed, camera, tolerance=self.tolerance))
+
+    @property
+    def _rule(self) -> dict[str, float]:
+        return {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
 
     def _mesh(self, posed: Posed, camera: Camera, part_labels: Sequence[int]) -> tuple[torch.Tensor, PartMesh]:
         level = self.fixed(posed, camera).subdivisions

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Protocol
+from typing import Literal
 
 import torch
 
 from ..body.icosphere import MAX_SUBDIVISIONS, icosphere
+from ..body.posing import Posed
 from ..cameras import Camera
+from .ellipsoids import Ellipsoids
 
 Subdivisions = int | Literal["auto"]  # level of the mesh, or the coarsest that keeps a tolerance
 
@@ -17,27 +19,11 @@ _DIRECTIONS = 256  # around an outline; E3's have about 60 corners
 _BODIES = 8  # at a time: a table of one has 26 MB
 
 
-class Parts(Protocol):
-    """Members of ``Posed`` and ``Ellipsoids`` that are read here."""
-
-    @property
-    def centres(self) -> torch.Tensor:
-        """Shape (B, P, 3) [m]."""
-
-    @property
-    def axes(self) -> torch.Tensor:
-        """Shape (B, P, 3, 3)."""
-
-    @property
-    def semi_axes(self) -> torch.Tensor:
-        """Shape (B, P, 3) [m]."""
-
-
-def coarsest_subdivisions(parts: Parts, camera: Camera, *, tolerance: float = DEFAULT_TOLERANCE) -> int:
+def coarsest_subdivisions(parts: Ellipsoids | Posed, camera: Camera, *, tolerance: float = DEFAULT_TOLERANCE) -> int:
     """Coarsest level whose silhouettes lie nowhere farther than ``tolerance`` from those of the ellipsoids.
 
     Args:
-        parts: B bodies, ``Posed`` or ``Ellipsoids``; one level serves them all.
+        parts: B bodies; one level serves them all.
         camera: One a body, in the pixels that the tolerance is in.
         tolerance: Of every part's silhouette, and so of the body's [px].
 
@@ -59,7 +45,7 @@ def coarsest_subdivisions(parts: Parts, camera: Camera, *, tolerance: float = DE
 
 
 @torch.no_grad()
-def silhouette_error(parts: Parts, camera: Camera, subdivisions: int) -> torch.Tensor:
+def silhouette_error(parts: Ellipsoids | Posed, camera: Camera, subdivisions: int) -> torch.Tensor:
     """Hausdorff distance of each ellipsoid's silhouette from its mesh's [px], shape (B, P), float64.
 
     The mesh is inscribed. In the plane where the ellipse is the unit disc, both have a support in each direction, and

@@ -102,10 +102,11 @@ class MeshRun:
             *(False, -math.inf, math.inf, DEFAULT_DEPTH_WEIGHT),
         )
         self.labels, _ = passes.prepare_raster(self._points, (self._labels, *nothing), background=False)
-        num_losses = passes.num_losses(device, *scene.targets.shape)
-        self._losses = torch.full((scene.batch_size, num_losses), math.nan, device=device)
-        self._grad = torch.full_like(self._points, math.nan)
-        self.gradient = passes.prepare(Buffers((self._points,), scene.targets, self._losses, (self._grad,)))
+        self._buffers = buffers = Buffers.empty(passes, (self._points.shape,), scene.targets, needs_grad=True)
+        buffers.rows.fill_(math.nan)
+        buffers.losses.fill_(math.nan)
+        buffers.inputs[0].copy_(self._points)
+        self.gradient = passes.prepare(buffers)
 
     def check(self) -> None:
         """Hold the runs against ``mesh_label_loss``.
@@ -124,8 +125,8 @@ class MeshRun:
         (want,) = torch.autograd.grad(loss.sum(), leaf)
         wp.synchronize_device(device)
         torch.testing.assert_close(self._labels, image.labels, rtol=0, atol=0)
-        torch.testing.assert_close(self._losses.sum(1), loss.detach())
-        _assert_near(self._grad, want)
+        torch.testing.assert_close(self._buffers.losses.sum(1), loss.detach())
+        _assert_near(self._buffers.grads[0], want)
 
 
 def _assert_near(have: torch.Tensor, want: torch.Tensor) -> None:
