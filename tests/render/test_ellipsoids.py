@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -60,8 +57,7 @@ def check_picture(image, scene, size, b=0):
 @pytest.mark.parametrize("size", [*SMALL, (96, 112)])
 def test_picture_is_the_reference(device, size, perspective):
     scenes = [random_scene(seed, size, perspective, labels=GROUPS) for seed in range(6)]
-    leaves = Leaves.of(*scenes, device=device)
-    image = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size, part_labels=GROUPS)
+    image = Leaves.of(*scenes, device=device).draw(size, part_labels=GROUPS)
     assert (image.labels == 255).any()
     for b, scene in enumerate(scenes):
         check_picture(image, scene, size, b)
@@ -117,25 +113,11 @@ def test_partdr_gradient_of_maps_is_the_reference(device, perspective, max_dista
         scenes = [random_scene(10 * seed + k, size, perspective, labels=GROUPS) for k in range(2)]
         leaves = Leaves.of(*scenes, device=device)
         options = {"max_distance": max_distance, "depth_weight": 0.7}
-        image = draw_ellipsoids(
-            leaves.ellipsoids,
-            leaves.camera,
-            size,
-            part_labels=GROUPS,
-            num_maps=4,
-            gradient="partdr",
-            **options,
-        )
-        g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
-        (image.maps * g).sum().backward()
+        g = torch.randn((2, 4, *size), generator=torch.Generator().manual_seed(seed))
+        image = leaves.push_by_maps(g, part_labels=GROUPS, gradient="partdr", **options)
         for b, scene in enumerate(scenes):
-            want = reference.partdr_gradient(
-                scene,
-                image.parts[b].cpu().numpy(),
-                g[b].cpu().numpy().astype(float),
-                **options,
-            )
-            check_forces(leaves, want, b)
+            parts = image.parts[b].cpu().numpy()
+            check_forces(leaves, reference.partdr_gradient(scene, parts, g[b].double().numpy(), **options), b)
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -146,14 +128,7 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
     count = int(scene.labels.max())
     target = noisy_target(reference.ray_cast(scene, size)[0], count, 0)
     leaves = Leaves.of(scene, device=device)
-    loss, image = ellipsoid_label_loss(
-        leaves.ellipsoids,
-        leaves.camera,
-        torch.from_numpy(target).to(device)[None],
-        part_labels=labels,
-        gradient="partdr",
-    )
-    loss.sum().backward()
+    loss, image = leaves.push_by_loss(target, part_labels=labels, gradient="partdr")
     g = label_gradient(image.labels[0].cpu().numpy(), target, count)
     parts = image.parts[0].cpu().numpy()
     check_forces(leaves, reference.partdr_gradient(scene, parts, g))
@@ -179,10 +154,6 @@ def test_of_hidden_twins_the_first_comes_forward(device):
 # --- What holds for every gradient -------------------------------------------------------------------------------
 
 
-def body_loss(leaves, camera, target, gradient, **options):
-    return ellipsoid_label_loss(pose(**leaves), camera, target, gradient=gradient, **options)
-
-
 @pytest.mark.parametrize("gradient", GRADIENTS)
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_gradients_reach_every_parameter(device, gradient, perspective):
@@ -194,7 +165,7 @@ def test_gradients_reach_every_parameter(device, gradient, perspective):
     for value in numbers.values():
         value.requires_grad_()
     target = draw_ellipsoids(pose(**body_parameters(2, device)), camera, size).labels
-    loss, _ = body_loss(leaves, camera, target, gradient)
+    loss, _ = ellipsoid_label_loss(pose(**leaves), camera, target, gradient=gradient)
     loss.sum().backward()
     for name, leaf in {**leaves, **numbers}.items():
         assert torch.isfinite(leaf.grad).all(), name
@@ -205,7 +176,7 @@ def test_gradients_reach_every_parameter(device, gradient, perspective):
 def test_linear_in_the_incoming_gradient(device, gradient):
     size = (30, 40)
     leaves = Leaves.of(random_scene(0, size, True), random_scene(1, size, True), device=device)
-    maps = draw_ellipsoids(leaves.ellipsoids, leaves.camera, size, num_maps=6, gradient=gradient).maps
+    maps = leaves.draw(size, num_maps=6, gradient=gradient).maps
     tensors = list(leaves.tensors().values())
     g, h = torch.randn(2, *maps.shape, generator=torch.Generator().manual_seed(0)).to(device)
     of = [torch.autograd.grad(maps, tensors, seen, retain_graph=True) for seen in (g, h, 2 * g - 3 * h)]
@@ -217,9 +188,7 @@ def test_linear_in_the_incoming_gradient(device, gradient):
 def test_ignored_pixels_cost_nothing(device, gradient):
     size = (40, 40)
     leaves = Leaves.of(body_scene(4, size, False, device), device=device)
-    target = torch.full((1, *size), 255, dtype=torch.uint8, device=device)
-    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient=gradient)
-    loss.sum().backward()
+    loss, _ = leaves.push_by_loss(np.full(size, 255), gradient=gradient)
     assert loss.item() == 0
     assert all((tensor.grad == 0).all() for tensor in leaves.tensors().values())
 
@@ -259,81 +228,3 @@ def test_groups_are_unions(device):
         loss.sum().backward()
         assert (centres.grad[0, 1] == 0).all()
         assert (centres.grad[0, 0, :2] != 0).all()
-
-
-# --- Errors ------------------------------------------------------------------------------------------------------
-
-
-def changed(bodies, **fields):
-    return replace(bodies, **{name: change(getattr(bodies, name)) for name, change in fields.items()})
-
-
-def set_first(value):
-    def change(tensor):
-        tensor = tensor.clone()
-        tensor.view(-1)[0] = value
-        return tensor
-
-    return change
-
-
-TARGET = torch.zeros(1, 8, 8, dtype=torch.uint8)
-NAN = float("nan")
-BAD_CALLS = {
-    "centres: shape": lambda e, c: draw_ellipsoids(changed(e, centres=lambda t: t[0]), c, (8, 8)),
-    "centres: torch.int32": lambda e, c: draw_ellipsoids(changed(e, centres=lambda t: t.int()), c, (8, 8)),
-    "centres: 256 ellipsoids": lambda e, c: draw_ellipsoids(
-        Ellipsoids(e.centres[:, [0] * 256], e.axes[:, [0] * 256], e.semi_axes[:, [0] * 256]), c, (8, 8)
-    ),
-    "centres: holds NaN": lambda e, c: draw_ellipsoids(changed(e, centres=set_first(NAN)), c, (8, 8)),
-    "centres: 0 ellipsoids": lambda e, c: draw_ellipsoids(
-        Ellipsoids(e.centres[:, :0], e.axes[:, :0], e.semi_axes[:, :0]), c, (8, 8)
-    ),
-    "axes: shape": lambda e, c: draw_ellipsoids(changed(e, axes=lambda t: t[:, :1]), c, (8, 8)),
-    "axes: torch.float64": lambda e, c: draw_ellipsoids(changed(e, axes=lambda t: t.double()), c, (8, 8)),
-    "axes: on meta": lambda e, c: draw_ellipsoids(changed(e, axes=lambda t: t.to("meta")), c, (8, 8)),
-    "axes: holds NaN": lambda e, c: draw_ellipsoids(changed(e, axes=set_first(math.inf)), c, (8, 8)),
-    "semi_axes: shape": lambda e, c: draw_ellipsoids(changed(e, semi_axes=lambda t: t[..., :2]), c, (8, 8)),
-    "semi_axes: on meta": lambda e, c: draw_ellipsoids(changed(e, semi_axes=lambda t: t.to("meta")), c, (8, 8)),
-    "semi_axes: holds NaN": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(NAN)), c, (8, 8)),
-    "semi_axes: 0.0": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(0.0)), c, (8, 8)),
-    "semi_axes: -1.0": lambda e, c: draw_ellipsoids(changed(e, semi_axes=set_first(-1.0)), c, (8, 8)),
-    "camera: 2 of them": lambda e, c: draw_ellipsoids(e, body_camera((8, 8), False, batch=2), (8, 8)),
-    "camera: torch.int64": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics.long()), (8, 8)),
-    "camera: on meta": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics.to("meta")), (8, 8)),
-    "camera: holds NaN": lambda e, c: draw_ellipsoids(e, replace(c, intrinsics=c.intrinsics * NAN), (8, 8)),
-    r"image_size: \(0, 8\)": lambda e, c: draw_ellipsoids(e, c, (0, 8)),
-    r"image_size: \(8.0, 8\)": lambda e, c: draw_ellipsoids(e, c, (8.0, 8)),
-    r"image_size: \(8, 8, 3\)": lambda e, c: draw_ellipsoids(e, c, (8, 8, 3)),
-    r"image_size: 1 pictures of \(65536, 32768\)": lambda e, c: draw_ellipsoids(e, c, (65536, 32768)),
-    r"image_size: 1 pictures of \(1048576, 1048576\)": lambda e, c: ellipsoid_label_loss(
-        e, c, TARGET[:, :1, :1].expand(1, 2**20, 2**20)
-    ),
-    "num_maps: 255": lambda e, c: draw_ellipsoids(e, c, (8, 8), num_maps=255),
-    "num_maps: -1": lambda e, c: draw_ellipsoids(e, c, (8, 8), num_maps=-1),
-    "part_labels: 1 of them; expected 2": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[1]),
-    "part_labels: -1; expected an integer": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[-1, 1]),
-    "part_labels: 256; expected an integer": lambda e, c: draw_ellipsoids(e, c, (8, 8), part_labels=[1, 256]),
-    "gradient: 'exact'": lambda e, c: draw_ellipsoids(e, c, (8, 8), gradient="exact"),
-    "samples_per_pixel: 0": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=0),
-    "samples_per_pixel: nan": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=NAN),
-    "samples_per_pixel: 65": lambda e, c: draw_ellipsoids(e, c, (8, 8), samples_per_pixel=65),
-    "max_distance: -1": lambda e, c: draw_ellipsoids(e, c, (8, 8), max_distance=-1),
-    "max_distance: nan": lambda e, c: ellipsoid_label_loss(e, c, TARGET, max_distance=NAN),
-    "depth_weight: -0.5": lambda e, c: draw_ellipsoids(e, c, (8, 8), depth_weight=-0.5),
-    "depth_weight: nan": lambda e, c: ellipsoid_label_loss(e, c, TARGET, depth_weight=NAN),
-    "depth_weight: inf": lambda e, c: ellipsoid_label_loss(e, c, TARGET, depth_weight=math.inf),
-    "target: shape": lambda e, c: ellipsoid_label_loss(e, c, TARGET[0]),
-    "target: batch 2": lambda e, c: ellipsoid_label_loss(e, c, TARGET.expand(2, 8, 8)),
-    "target: torch.int64": lambda e, c: ellipsoid_label_loss(e, c, TARGET.long()),
-    "target: on meta": lambda e, c: ellipsoid_label_loss(e, c, TARGET.to("meta")),
-}
-
-
-@pytest.mark.parametrize("message", BAD_CALLS)
-def test_bad_calls_name_the_argument(message):
-    leaves = Leaves.of(random_scene(0, (8, 8), False, count=2))
-    bodies = Ellipsoids(*(tensor.detach() for tensor in list(leaves.tensors().values())[:3]))
-    camera = Intrinsics(leaves.camera.intrinsics.detach(), False)
-    with pytest.raises(ValueError, match=message):
-        BAD_CALLS[message](bodies, camera)

@@ -16,23 +16,20 @@ from scenes.pictures import (
     GRADIENTS,
     Leaves,
     all_finite,
-    ball,
     body_camera,
     body_parameters,
     check_ellipsoid_picture,
     checked_target,
-    draw_on_screen,
     loss_on_screen,
     one_scene,
     scene_of,
-    triangle,
 )
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.reference import ellipsoids as ellipsoid_reference
 from warp_partdr.reference import mesh as reference
-from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.ellipsoids import Ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
@@ -188,28 +185,3 @@ def test_a_picture_of_8192_pixels_a_side(device):
     assert torch.isfinite(gradient).all()
     meshes = picture.labels[0, torch.from_numpy(rows).to(device), torch.from_numpy(columns).to(device)].cpu().numpy()
     assert (meshes == parts[1]).mean() > 0.97  # twenty faces an ellipsoid
-
-
-@pytest.mark.parametrize("size", [(2**16, 2**16), (2**14, 2**14), (2**40, 1)])
-def test_pictures_that_can_not_be_counted_are_refused(device, size):
-    """Before anything is allocated."""
-    with pytest.raises(ValueError, match="image_size: 1 pictures of"):
-        draw_on_screen(*triangle(device), size)
-    with pytest.raises(ValueError, match="image_size: 1 pictures of"):
-        draw_ellipsoids(*ball(device=device), size)
-
-
-def test_batches_that_can_not_be_counted_are_refused(device):
-    """So many that what is not refused fails at once: no machine has the memory."""
-    vertices, mesh = triangle(device)
-    many, size = 2**20, (8192, 8192)
-    target = torch.zeros(1, 1, 1, dtype=torch.uint8, device=device).expand(many, *size)
-    calls = [
-        lambda: draw_ellipsoids(*ball(many, device), size),
-        lambda: ellipsoid_label_loss(*ball(many, device), target),
-        lambda: draw_on_screen(vertices.expand(many, -1, -1), mesh, size),
-        lambda: loss_on_screen(vertices.expand(many, -1, -1), mesh, target),
-    ]
-    for call in calls:
-        with pytest.raises(ValueError, match=f"image_size: {many} pictures of"):
-            call()

@@ -13,10 +13,9 @@ from scenes.pictures import (
     noisy_picture,
     projected_bodies,
     relative_error,
-    triangle,
 )
 
-from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.cameras import Perspective
 from warp_partdr.kernels.labels import HIDDEN, MISSING, NUM_EXTENTS, SURPLUS, DenseGradient
 from warp_partdr.kernels.launch import get_num_threads, launch_in_slices, set_num_threads
 from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
@@ -339,41 +338,6 @@ def test_faces_at_the_camera_are_left_out(device):
     camera = Perspective(torch.tensor([[20.0, 20.0]], device=device), torch.tensor([[10.0, 10.0]], device=device))
     mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
     assert draw_mesh(points, mesh, camera, (20, 20)).labels.eq(0).all()
-
-
-BAD_CALLS = {
-    "vertices: shape": lambda v, m: draw_on_screen(v[0], m, (8, 8)),
-    "vertices: torch.int32": lambda v, m: draw_on_screen(v.int(), m, (8, 8)),
-    "vertices: holds NaN": lambda v, m: draw_on_screen(v * float("nan"), m, (8, 8)),
-    "vertices: 2 a body": lambda v, m: draw_on_screen(v[:, :2], m, (8, 8)),
-    "image_size": lambda v, m: draw_on_screen(v, m, (0, 8)),
-    "num_maps": lambda v, m: draw_on_screen(v, m, (8, 8), num_maps=300),
-    "target: batch 2": lambda v, m: loss_on_screen(v, m, torch.zeros(2, 8, 8, dtype=torch.uint8)),
-    "target: shape": lambda v, m: loss_on_screen(v, m, torch.zeros(8, 8, dtype=torch.uint8)),
-    "camera: 2 of them": lambda v, m: draw_mesh(v, m, WeakPerspective(torch.ones(2), torch.zeros(2, 2)), (8, 8)),
-    "target: torch.int64": lambda v, m: loss_on_screen(v, m, torch.zeros(1, 8, 8, dtype=torch.int64)),
-    "target: label 9": lambda v, m: loss_on_screen(v, m, torch.full((1, 8, 8), 9, dtype=torch.uint8)),
-}
-
-
-@pytest.mark.parametrize("message", BAD_CALLS)
-def test_bad_calls_name_the_argument(message):
-    with pytest.raises(ValueError, match=message):
-        BAD_CALLS[message](*triangle())
-
-
-@pytest.mark.parametrize(
-    ("faces", "labels", "message"),
-    [
-        (np.zeros((2, 4)), np.ones(2), "faces: shape"),
-        (np.array([[0, 1, -1]]), np.ones(1), "faces: index -1"),
-        (np.array([[0, 1, 2]]), np.ones(2), "face_labels: shape"),
-        (np.array([[0, 1, 2]]), np.array([255]), "face_labels: 255"),
-    ],
-)
-def test_bad_meshes_name_the_argument(faces, labels, message):
-    with pytest.raises(ValueError, match=message):
-        PartMesh.from_faces(faces, labels)
 
 
 def test_parts_in_no_group_cost_nothing_but_still_hide(device):

@@ -15,7 +15,7 @@ from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Perspective, ScreenCamera, WeakPerspective
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.reference.mesh import MeshPicture, MeshScene
-from warp_partdr.render.ellipsoids import Ellipsoids
+from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import PartImage, draw_mesh, mesh_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 
@@ -134,6 +134,24 @@ class Leaves:
 
         shape = Ellipsoids(leaf("centres"), leaf("axes"), leaf("semi_axes"))
         return cls(shape, Intrinsics(leaf("camera"), scenes[0].perspective))
+
+    def draw(self, size, **options):
+        return draw_ellipsoids(self.ellipsoids, self.camera, size, **options)
+
+    def push_by_loss(self, target, **options):
+        """Loss and picture, when the gradient is collected; ``target`` of one picture or of many."""
+        target = torch.as_tensor(target, dtype=torch.uint8, device=self.camera.intrinsics.device)
+        target = target.view(-1, *target.shape[-2:])
+        loss, image = ellipsoid_label_loss(self.ellipsoids, self.camera, target, **options)
+        loss.sum().backward()
+        return loss.detach(), image
+
+    def push_by_maps(self, weights, **options):
+        """Picture, when the gradient of maps times weights (K, H, W) or (B, K, H, W) is collected."""
+        weights = torch.as_tensor(weights, dtype=torch.float32, device=self.camera.intrinsics.device)
+        image = self.draw(tuple(weights.shape[-2:]), num_maps=weights.shape[-3], **options)
+        (image.maps * weights).sum().backward()
+        return image
 
     def tensors(self):
         e = self.ellipsoids
