@@ -26,19 +26,12 @@ Network = TypeVar("Network", bound=torch.nn.Module)
 
 @dataclass(frozen=True)
 class NetworkFiles(Generic[Network, Config]):
-    """Files of one kind of network.
+    """Files of one kind of network."""
 
-    Attributes:
-        kind: Name and version, in the file.
-        make: From sizes to a network.
-        sizes: Dataclass of the sizes.
-        expected: Description of such a file, for messages.
-    """
-
-    kind: str
-    make: Callable[[Config], Network]
-    sizes: type[Config]
-    expected: str
+    kind: str  # name and version, in the file
+    make: Callable[[Config], Network]  # from sizes to a network
+    sizes: type[Config]  # dataclass of the sizes
+    expected: str  # description of such a file, for messages
 
     def save(
         self,

@@ -35,43 +35,27 @@ _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet'
 
 @dataclass(frozen=True)
 class EllipBodyNetConfig:
-    """Backbone and sizes of an EllipBodyNet.
+    """Backbone and sizes of an EllipBodyNet."""
 
-    Attributes:
-        backbone: Name on the Hugging Face hub, or a local folder with its config.json.
-        architecture: The backbone's configuration as transformers writes it, with its ``model_type``; empty: what
-            ``backbone`` has, which needs a connection (or its cache) for any name but ResNet-50's.
-        pretrained: Start from the backbone's own weights instead of random ones.
-        size: Side of the pictures [px].
-        head_width: Channels of the two heads' deconvolutions.
-        part_cells: Side of the grid that part probabilities are pooled to for the regressor.
-        regressor: Of what follows.
-    """
-
-    backbone: str = RESNET50
+    backbone: str = RESNET50  # name on the Hugging Face hub, or a local folder with its config.json
+    # The backbone's configuration as transformers writes it, with its ``model_type``; empty: what ``backbone`` has,
+    # which needs a connection (or its cache) for any name but ResNet-50's.
     architecture: dict[str, Any] = field(default_factory=dict)
-    pretrained: bool = False
-    size: int = 256
-    head_width: int = 256
-    part_cells: int = 8
+    pretrained: bool = False  # start from the backbone's own weights instead of random ones
+    size: int = 256  # [px], side of the pictures
+    head_width: int = 256  # channels of the two heads' deconvolutions
+    part_cells: int = 8  # side of the grid that part probabilities are pooled to for the regressor
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
 
 
 @dataclass(frozen=True)
 class PicturePrediction:
-    """Output of EllipBodyNet for B pictures.
-
-    Attributes:
-        bodies: EllipBody and its camera.
-        heatmaps: Logits of the keypoints ``LANDMARKS``, shape (B, 24, h, w).
-        keypoints: Their crop coordinates and confidence, shape (B, 24, 3).
-        parts: Logits of background and the 20 parts, shape (B, 21, h, w).
-    """
+    """Output of EllipBodyNet for B pictures."""
 
     bodies: Predicted
-    heatmaps: torch.Tensor
-    keypoints: torch.Tensor
-    parts: torch.Tensor
+    heatmaps: torch.Tensor  # logits of the keypoints ``LANDMARKS``, shape (B, 24, h, w)
+    keypoints: torch.Tensor  # their crop coordinates and confidence, shape (B, 24, 3)
+    parts: torch.Tensor  # logits of background and the 20 parts, shape (B, 21, h, w)
 
     def part_labels(self, size: int) -> torch.Tensor:
         """Most likely part of each pixel at ``size`` pixels a side, 0 = background, shape (B, size, size), uint8."""
@@ -82,12 +66,8 @@ class PicturePrediction:
 class EllipBodyNet(nn.Module):
     """Pictures to bodies, keypoints and parts.
 
-    Args:
-        config: The sizes and the backbone.
-
-    Attributes:
-        config: The same with the backbone's architecture filled in, and not ``pretrained``: from it the network is
-            made again without a connection, and a checkpoint brings the weights.
+    Its own ``config`` has the backbone's architecture filled in, and is not ``pretrained``: from it the network is made
+    again without a connection, and a checkpoint brings the weights.
 
     Raises:
         InputError: If there is no such backbone, it can't be fetched, or it makes no (B, C, h, w) feature maps.

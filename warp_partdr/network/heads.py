@@ -14,13 +14,7 @@ _SURE_SPREAD = 0.1  # [half-sides of the crop], 13 px of 256: a heat map spread 
 
 
 class DeconvolutionHead(nn.Module):
-    """Feature maps (B, C, h, w) to ``outputs`` maps (B, outputs, 8h, 8w).
-
-    Args:
-        channels: C of the feature maps.
-        outputs: Number of maps.
-        width: Channels in between.
-    """
+    """Feature maps (B, channels, h, w) to maps (B, outputs, 8h, 8w), with ``width`` channels in between."""
 
     def __init__(self, channels: int, outputs: int, width: int) -> None:
         super().__init__()

@@ -28,20 +28,12 @@ _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being
 
 @dataclass(frozen=True)
 class LabelNetworkConfig:
-    """Sizes of a label network.
+    """Sizes of a label network."""
 
-    Attributes:
-        size: Side of the label images [px], a multiple of 32.
-        channels: Of the encoder's five stages, each at half the size of the one before.
-        places: Channels that the last stage's places are described with.
-        keypoint_features: Number of features made of the keypoints' coordinates.
-        regressor: Of what follows.
-    """
-
-    size: int = 128
-    channels: tuple[int, ...] = (32, 96, 144, 224, 256)
-    places: int = 48
-    keypoint_features: int = 256
+    size: int = 128  # [px], side of the label images, a multiple of 32
+    channels: tuple[int, ...] = (32, 96, 144, 224, 256)  # of five stages, each at half the size of the one before
+    places: int = 48  # channels that the last stage's places are described with
+    keypoint_features: int = 256  # number of features made of the keypoints' coordinates
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
 
 
@@ -89,11 +81,7 @@ def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> 
 
 
 class LabelNetwork(nn.Module):
-    """Label shares and keypoints to bodies.
-
-    Args:
-        config: The sizes.
-    """
+    """Label shares and keypoints to bodies."""
 
     def __init__(self, config: LabelNetworkConfig) -> None:
         super().__init__()
@@ -136,12 +124,7 @@ class LabelNetwork(nn.Module):
 
 
 def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
-    """Draw each keypoint as a spot as bright as its confidence, shape (B, L, size, size).
-
-    Args:
-        keypoints: Crop coordinates and confidence, shape (B, L, 3).
-        size: Side of the maps [px].
-    """
+    """Draw keypoints (B, L, 3), crop coordinates and confidence, as spots as bright, shape (B, L, size, size)."""
     centres = cell_centres(size, keypoints.device)
     spots = (-0.5 * ((centres - keypoints[..., :2, None]) / _SPREAD).square()).exp()
     return keypoints[..., 2, None, None] * spots[..., 1, :, None] * spots[..., 0, None, :]

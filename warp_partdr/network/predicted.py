@@ -16,23 +16,14 @@ from ..render.ellipsoids import draw_ellipsoids
 
 @dataclass(frozen=True)
 class Predicted:
-    """B bodies, each in a square crop of side 2, as ``BodyParameters`` has them.
+    """B bodies, each in a square crop of side 2, as ``BodyParameters`` has them."""
 
-    Attributes:
-        orientation: Global orientation, camera frame, shape (B, 3, 3).
-        rotations: Local rotations; those of the hips are the identity, shape (B, 20, 3, 3).
-        lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
-        thicknesses: ``THICKNESS_NAMES`` [m], shape (B, 15).
-        log_scale: Logarithm of the crop's half-sides a metre, shape (B,).
-        shift: Position of the pelvis in the crop, shape (B, 2).
-    """
-
-    orientation: torch.Tensor
-    rotations: torch.Tensor
-    lengths: torch.Tensor
-    thicknesses: torch.Tensor
-    log_scale: torch.Tensor
-    shift: torch.Tensor
+    orientation: torch.Tensor  # global orientation, camera frame, shape (B, 3, 3)
+    rotations: torch.Tensor  # local rotations; those of the hips are the identity, shape (B, 20, 3, 3)
+    lengths: torch.Tensor  # ``LENGTH_NAMES`` [m], shape (B, 12)
+    thicknesses: torch.Tensor  # ``THICKNESS_NAMES`` [m], shape (B, 15)
+    log_scale: torch.Tensor  # logarithm of the crop's half-sides a metre, shape (B,)
+    shift: torch.Tensor  # position of the pelvis in the crop, shape (B, 2)
 
     def posed(self) -> Posed:
         """Posed bodies in the camera frame, pelvis at the origin [m], differentiable."""

@@ -31,28 +31,16 @@ _HEADS: dict[str, int] = {
 
 @dataclass(frozen=True)
 class RegressorConfig:
-    """Sizes of a regressor; the paper's by default.
+    """Sizes of a regressor; the paper's by default."""
 
-    Attributes:
-        width: Of the layers.
-        blocks: Residual blocks of two layers each.
-        iterations: Number of corrections of the estimate.
-        dropout: Share of activations that training drops.
-    """
-
-    width: int = 1024
-    blocks: int = 2
-    iterations: int = 3
-    dropout: float = 0.1
+    width: int = 1024  # of the layers
+    blocks: int = 2  # residual blocks of two layers each
+    iterations: int = 3  # corrections of the estimate
+    dropout: float = 0.1  # share of activations that training drops
 
 
 class Regressor(nn.Module):
-    """Features to bodies.
-
-    Args:
-        features: Their number F.
-        config: The sizes.
-    """
+    """So many ``features`` to bodies."""
 
     mean: torch.Tensor
 
@@ -71,11 +59,7 @@ class Regressor(nn.Module):
         self.register_buffer("mean", _mean_estimate(), persistent=False)
 
     def forward(self, features: torch.Tensor) -> Predicted:
-        """Bodies.
-
-        Args:
-            features: Shape (B, F).
-        """
+        """Bodies of features (B, F)."""
         estimate = self.mean.expand(len(features), -1)
         for iteration in range(self.iterations):
             hidden = self.first(torch.cat([features, estimate.to(features.dtype)], dim=1), iteration)

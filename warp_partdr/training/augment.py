@@ -26,21 +26,13 @@ _GREYS = 255.0
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Bounds of the changes to examples.
+    """Bounds of the changes to examples."""
 
-    Attributes:
-        flip: Share of examples that are mirrored.
-        angle: The most they are turned, either way [degrees].
-        zoom: The most they are enlarged or reduced, as a share.
-        shift: The most they are moved along each axis [half-sides of the crop].
-        colour: The most by which each channel's gain, and the brightness, change, as a share.
-    """
-
-    flip: float = 0.5
-    angle: float = 30.0
-    zoom: float = 0.25
-    shift: float = 0.1
-    colour: float = 0.3
+    flip: float = 0.5  # share of examples that are mirrored
+    angle: float = 30.0  # the most they are turned, either way [degrees]
+    zoom: float = 0.25  # the most they are enlarged or reduced, as a share
+    shift: float = 0.1  # the most they are moved along each axis [half-sides of the crop]
+    colour: float = 0.3  # the most by which each channel's gain, and the brightness, change, as a share
 
     def draw(self, rng: np.random.Generator) -> Similarity:
         """A random similarity."""
@@ -60,19 +52,12 @@ class Augmentation:
 
 @dataclass(frozen=True)
 class Similarity:
-    """Of the crop's plane (coordinates -1 to 1): ``x' = zoom R(angle) F x + shift``, F the mirror image if mirrored.
-
-    Attributes:
-        mirrored: Whether left and right change places.
-        angle: From the x axis (right) towards the y axis (down) [rad].
-        zoom: Factor.
-        shift: (x, y) [half-sides of the crop].
-    """
+    """Of the crop's plane (coordinates -1 to 1): ``x' = zoom R(angle) F x + shift``, F the mirror image if mirrored."""
 
     mirrored: bool = False
-    angle: float = 0.0
+    angle: float = 0.0  # from the x axis (right) towards the y axis (down) [rad]
     zoom: float = 1.0
-    shift: tuple[float, float] = (0.0, 0.0)
+    shift: tuple[float, float] = (0.0, 0.0)  # (x, y) [half-sides of the crop]
 
     @property
     def turn(self) -> np.ndarray:
@@ -109,15 +94,9 @@ class Similarity:
         )
 
     def picture(self, picture: np.ndarray, box: Box, size: int) -> np.ndarray:
-        """The crop of a picture, smoothly.
+        """The crop of a picture (H, W, 3), uint8, smoothly, shape (size, size, 3).
 
-        Args:
-            picture: RGB, shape (H, W, 3), uint8.
-            box: The crop before this similarity, a square; it may reach beyond the picture, where all is black.
-            size: Side of the result [px].
-
-        Returns:
-            Shape (size, size, 3), uint8.
+        ``box`` is the crop before this similarity, a square; it may reach beyond the picture, where all is black.
         """
         reduced = max(int((box[2] - box[0]) / size / self.zoom), 1)  # so that no pixel is passed over
         image = Image.fromarray(picture)

@@ -34,17 +34,11 @@ _TENSOR = "__tensor__"  # stands in the JSON where a tensor was
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Content of a checkpoint.
+    """Content of a checkpoint."""
 
-    Attributes:
-        tensors: By file and name.
-        about: JSON: step, seconds, config and the like.
-        ranks: State of each process: tensors and JSON.
-    """
-
-    tensors: dict[str, dict[str, torch.Tensor]]
-    about: dict[str, Any]
-    ranks: list[Any]
+    tensors: dict[str, dict[str, torch.Tensor]]  # by file and name
+    about: dict[str, Any]  # JSON: step, seconds, config and the like
+    ranks: list[Any]  # state of each process: tensors and JSON
 
 
 def save_checkpoint(folder: Path, checkpoint: Checkpoint, keep: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, Literal
@@ -15,95 +15,62 @@ from ..files.sections import read_section, read_toml, set_value
 
 # Name: module of this package and class in it.
 TASKS = {"label-network": ".label_task:LabelTask", "ellipbodynet": ".picture_task:PictureTask"}
+# May differ when a run is resumed.
+_FREE = "steps epochs minutes learning_rate clip log_every validate_every checkpoint_every keep out".split()
 _PACKAGED = resources.files(__package__).joinpath("configs")
-_FREE = {"free": True}  # may differ when a run is resumed
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a run.
+    """A part of a run."""
 
-    Attributes:
-        until: Share of the run at which it ends; of the last phase 1.
-        learning_rate: At its peak; None takes the run's.
-        frozen: Parameters whose names begin so don't change.
-        without: Loss terms left out.
-    """
-
-    until: float = 1.0
-    learning_rate: float | None = None
-    frozen: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
+    until: float = 1.0  # share of the run at which it ends; of the last phase 1
+    learning_rate: float | None = None  # at its peak; None takes the run's
+    frozen: tuple[str, ...] = ()  # parameters whose names begin so don't change
+    without: tuple[str, ...] = ()  # loss terms left out
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """A training run.
+    """A training run."""
 
-    Attributes:
-        task: What is trained: label-network, ellipbodynet, or "module:Class" of one's own (``task.Task``).
-        steps: Steps of the optimizer in all; or
-        epochs: How often every sample is seen, where the task counts its samples.
-        minutes: Wall-clock limit of the run with all its resumed parts: whichever of it and ``steps`` is nearer drives
-            the schedule and ends the run.
-        batch_size: Samples of a batch, per process.
-        accumulation: Batches whose gradients are averaged into one step.
-        initial: A trained network of the same sizes to begin with, a file of `partdr train`; "packaged" is the one in
-            the package. None begins with random weights.
-        joint_normalisation: Batch normalisation with the statistics of all processes' samples, so that the gradients
-            are those of the joint batch; without, each process has its own, which costs nothing and is enough for
-            large batches, and the first one's running statistics are saved.
-        learning_rate: At the peak; it rises linearly in the first ``warm_up`` steps, then follows ``schedule``.
-        warm_up: Steps.
-        schedule: "cosine" falls to ``floor`` over the run, "constant" stays.
-        floor: Share of the learning rate at the end of the cosine.
-        weight_decay: Of AdamW, for weights of matrices and convolutions; none for biases and normalisation.
-        betas: Of AdamW.
-        clip: Largest norm of the gradient; larger ones are scaled down; inf leaves all as they are.
-        ema: Decay of the running mean of the weights, which is what is validated and released; it starts lower, as
-            (1 + step) / (10 + step).
-        precision: "bf16": the model runs in autocast to bfloat16; "no": in float32.
-        tf32: On CUDA, float32 products of matrices in the step may be rounded to TF32.
-        log_every: Steps between lines of the log.
-        validate_every: Steps between validations, with a picture; 0: at the end alone.
-        checkpoint_every: Steps between checkpoints; there is one at the end, too.
-        keep: Checkpoints kept, the newest.
-        seed: Of weights and batches; each process adds its rank.
-        out: Folder for all that is written.
-        weights: Of the loss terms; those left out keep the task's defaults.
-        phases: In order; each has its own learning rate, frozen parameters and loss terms.
-        model: Sizes of the network, a dataclass of the task's.
-        data: Of the samples, a dataclass of the task's.
-    """
-
-    task: str
-    steps: int | None = field(default=None, metadata=_FREE)
-    epochs: float | None = field(default=None, metadata=_FREE)
-    minutes: float | None = field(default=None, metadata=_FREE)
-    batch_size: int = 128
-    accumulation: int = 1
+    task: str  # label-network, ellipbodynet, or "module:Class" of one's own (``task.Task``)
+    # How long: so many steps of the optimizer, or every sample seen so often, where the task counts its samples.
+    steps: int | None = None
+    epochs: float | None = None
+    # Wall-clock limit of the run with all its resumed parts: whichever of it and ``steps`` is nearer drives the
+    # schedule and ends the run.
+    minutes: float | None = None
+    batch_size: int = 128  # samples of a batch, per process
+    accumulation: int = 1  # batches whose gradients are averaged into one step
+    # A trained network of the same sizes to begin with, a file of `partdr train`; "packaged" is the one in the package.
     initial: str | None = None
+    # Batch normalisation with the statistics of all processes' samples, so that the gradients are those of the joint
+    # batch; without, each process has its own, which costs nothing and is enough for large batches, and the first one's
+    # running statistics are saved.
     joint_normalisation: bool = True
-    learning_rate: float = field(default=1e-3, metadata=_FREE)
+    learning_rate: float = 1e-3  # at the peak, to which it rises linearly in the first ``warm_up`` steps
     warm_up: int = 0
-    schedule: Literal["cosine", "constant"] = "cosine"
-    floor: float = 0.0
-    weight_decay: float = 0.0
-    betas: tuple[float, float] = (0.9, 0.999)
-    clip: float = field(default=1.0, metadata=_FREE)
+    schedule: Literal["cosine", "constant"] = "cosine"  # "cosine" falls to ``floor`` over the run
+    floor: float = 0.0  # share of the learning rate at the end of the cosine
+    weight_decay: float = 0.0  # of AdamW, for matrices and convolutions; none for biases and normalisation
+    betas: tuple[float, float] = (0.9, 0.999)  # of AdamW
+    clip: float = 1.0  # largest norm of the gradient; larger ones are scaled down; inf leaves all as they are
+    # Decay of the running mean of the weights, which is what is validated and released; it starts lower, as
+    # (1 + step) / (10 + step).
     ema: float = 0.999
-    precision: Literal["no", "bf16"] = "no"
-    tf32: bool = True
-    log_every: int = field(default=50, metadata=_FREE)
-    validate_every: int = field(default=1000, metadata=_FREE)
-    checkpoint_every: int = field(default=1000, metadata=_FREE)
-    keep: int = field(default=3, metadata=_FREE)
-    seed: int = 0
-    out: Path = field(default=Path("out/train"), metadata=_FREE)
-    weights: dict[str, float] = field(default_factory=dict)
-    phases: tuple[Phase, ...] = (Phase(),)
-    model: Any = None
-    data: Any = None
+    precision: Literal["no", "bf16"] = "no"  # "bf16": the model runs in autocast to bfloat16; "no": in float32
+    tf32: bool = True  # on CUDA, float32 products of matrices in the step may be rounded to TF32
+    log_every: int = 50  # steps between lines of the log
+    validate_every: int = 1000  # steps between validations, with a picture; 0: at the end alone
+    checkpoint_every: int = 1000  # steps between checkpoints; there is one at the end, too
+    keep: int = 3  # checkpoints kept, the newest
+    seed: int = 0  # of weights and batches; each process adds its rank
+    out: Path = Path("out/train")  # folder for all that is written
+    weights: dict[str, float] = field(default_factory=dict)  # of the loss terms; the task's defaults for those left out
+    phases: tuple[Phase, ...] = (Phase(),)  # in order
+    model: Any = None  # sizes of the network, a dataclass of the task's
+    data: Any = None  # of the samples, a dataclass of the task's
 
     def __post_init__(self) -> None:
         if (self.steps is None) == (self.epochs is None):
@@ -151,11 +118,10 @@ class TrainingConfig:
         Returns:
             What a run must keep when it is resumed, and what may change.
         """
-        free = {each.name for each in fields(self) if each.metadata.get("free")}
         lines: tuple[list[str], list[str]] = [], []
         for name, value in self.to_json().items():
             if before.get(name) != value:
-                lines[name in free].append(f"{name} was {before.get(name)}, is {value}")
+                lines[name in _FREE].append(f"{name} was {before.get(name)}, is {value}")
         return lines
 
 

@@ -64,8 +64,7 @@ def memory_errors(config: TrainingConfig) -> Iterator[None]:
 class FiniteWatch:
     """Looks at each step's losses and gradient a few steps later, when the device has long been through with them.
 
-    Args:
-        path: File for the batches of a step that went wrong.
+    The batches of a step that went wrong are written to a file ``path``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -73,12 +72,7 @@ class FiniteWatch:
         self._waiting: deque[tuple[int, torch.Tensor, torch.cuda.Event | None, list[Any]]] = deque()
 
     def see(self, step: int, numbers: list[torch.Tensor], batches: list[Any]) -> None:
-        """Take in a step.
-
-        Args:
-            step: Which one, counted from 1.
-            numbers: Losses and gradient norm, shape () each, that must be finite.
-            batches: From which they come.
+        """Take in a step, counted from 1: losses and gradient norm, shape () each, and the batches that they come from.
 
         Raises:
             InputError: If an earlier step's are not.

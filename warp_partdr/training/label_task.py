@@ -43,15 +43,10 @@ _HIPS = [skeleton(MPJPE_SKELETON).landmarks.index(f"{side}_hip") for side in ("l
 
 @dataclass(frozen=True)
 class LabelData:
-    """Source of the people.
+    """Source of the people."""
 
-    Attributes:
-        poses: Folder of motion capture, or a pose bank made of one (.npz); "" takes the packaged prior alone.
-        validation: Number of held-out people that errors are measured on.
-    """
-
-    poses: str = ""
-    validation: int = 1024
+    poses: str = ""  # folder of motion capture, or a pose bank made of one (.npz); "" takes the packaged prior alone
+    validation: int = 1024  # number of held-out people that errors are measured on
 
 
 class LabelTask(Task):

@@ -16,13 +16,9 @@ if TYPE_CHECKING:
 
 
 class RunLog(ExitStack):
-    """The log of a run, in its folder; silent in all processes but the first.
+    """The log of a run of so many ``steps``, in its folder ``out``; where ``silent`` it says and writes nothing.
 
-    Args:
-        out: The run's folder.
-        step: The step from which the run goes on; later lines of an earlier part are dropped.
-        steps: Steps in all.
-        silent: Say and write nothing.
+    It goes on from ``step``: later lines of an earlier part are dropped.
     """
 
     def __init__(self, out: Path, step: int, steps: int, *, silent: bool) -> None:

@@ -37,18 +37,11 @@ _KEPT = ("step", "summed", "errors", "validated")  # attributes of a run, in its
 
 @dataclass(frozen=True)
 class Trained:
-    """Result of a run.
+    """Result of a run."""
 
-    Attributes:
-        step: Steps done in all.
-        stopped: The signal that stopped it, None if it is complete.
-        report: What report.json holds; of a run that was stopped, its errors are those of the last validation. Empty
-            in all processes but the first.
-    """
-
-    step: int
-    stopped: int | None
-    report: dict[str, Any]
+    step: int  # steps done in all
+    stopped: int | None  # the signal that stopped it, None if it is complete
+    report: dict[str, Any]  # of report.json, errors of the last validation; empty in all processes but the first
 
 
 def run_training(config: TrainingConfig, *, resume: bool = False, device: str = "auto", half: bool = False) -> Trained:
@@ -347,9 +340,7 @@ class _Run:
 def running_mean(model: torch.nn.Module, decay: float) -> AveragedModel:
     """Exponential moving average of a network's weights and floating-point buffers, at first a copy of them.
 
-    Args:
-        model: The network that is trained, not yet wrapped.
-        decay: Share of the mean that stays at a step, at most; (1 + step) / (10 + step) in the first steps.
+    The share of the mean that stays at a step is ``decay``, in the first steps (1 + step) / (10 + step).
     """
 
     def average(means: Any, news: Any, _: Any) -> None:

@@ -34,32 +34,18 @@ _SMALLEST = 8.0  # [px], side of a crop; less shows nobody
 
 @dataclass(frozen=True)
 class Source:
-    """A data set and where it is.
+    """A data set and where it is."""
 
-    Attributes:
-        kind: "human36m", "lsp" (also UP-3D's annotation arrays), "pw3d", "folder", or "shaded": free pictures of Anny
-            people.
-        path: What the reader of ``warp_partdr.evaluation.datasets`` takes; of "shaded", nothing.
-        pictures: Folder that annotation arrays name pictures in.
-        parts: Folder of part labels, for "lsp".
-        labels: Their label set.
-        keypoints: Folder of 2D keypoints, for "human36m" and "pw3d".
-        count: Of "shaded": how many people.
-        seed: Of "shaded": who they are.
-        first_phase: Phase of the training, from 0, from which on it is used.
-        validation: Its errors are measured; nothing is learnt from it.
-    """
-
-    kind: str
-    path: str = ""
-    pictures: str | None = None
-    parts: str | None = None
-    labels: str | None = None
-    keypoints: str | None = None
-    count: int = 256
-    seed: int = 1
-    first_phase: int = 0
-    validation: bool = False
+    kind: str  # "human36m", "lsp" (also UP-3D's annotation arrays), "pw3d", "folder", or "shaded" (``shaded_people``)
+    path: str = ""  # what the reader of ``warp_partdr.evaluation.datasets`` takes; of "shaded", nothing
+    pictures: str | None = None  # folder that annotation arrays name pictures in
+    parts: str | None = None  # folder of part labels, for "lsp"
+    labels: str | None = None  # their label set
+    keypoints: str | None = None  # folder of 2D keypoints, for "human36m" and "pw3d"
+    count: int = 256  # of "shaded": how many people
+    seed: int = 1  # of "shaded": who they are
+    first_phase: int = 0  # phase of the training, from 0, from which on it is used
+    validation: bool = False  # its errors are measured; nothing is learnt from it
 
     def read(self, device: torch.device | str = "cpu") -> list[Sample]:
         """Its people.
@@ -90,23 +76,14 @@ class Source:
 
 @dataclass(frozen=True)
 class Examples:
-    """B people as the network and its losses see them, in square crops of side 2.
+    """B people as the network and its losses see them, in square crops of side 2."""
 
-    Attributes:
-        pictures: RGB, shape (B, 3, S, S), uint8.
-        groups: Group ids, 255 where nothing is known, shape (B, S, S), uint8.
-        part_groups: Group id of each part label in the person's label set, shape (B, 21), uint8; stays on the host.
-        keypoints: ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3).
-        joints: ``JOINTS``, camera frame [m], 0 where unknown; where the origin is does not matter, shape (B, 14, 3).
-        has_joints: 1 where a joint is known, shape (B, 14).
-    """
-
-    pictures: torch.Tensor
-    groups: torch.Tensor
-    part_groups: torch.Tensor
-    keypoints: torch.Tensor
-    joints: torch.Tensor
-    has_joints: torch.Tensor
+    pictures: torch.Tensor  # RGB, shape (B, 3, S, S), uint8
+    groups: torch.Tensor  # group ids, 255 where nothing is known, shape (B, S, S), uint8
+    part_groups: torch.Tensor  # group id of each part label in a person's label set, on the host, shape (B, 21), uint8
+    keypoints: torch.Tensor  # ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3)
+    joints: torch.Tensor  # ``JOINTS``, camera frame [m], of any origin, 0 where unknown, shape (B, 14, 3)
+    has_joints: torch.Tensor  # 1 where a joint is known, shape (B, 14)
 
     def to(self, device: torch.device | str) -> Examples:
         """The same on another device."""
@@ -190,18 +167,12 @@ class ExampleDataset(Dataset):
     """Augmented examples without end, every person once an epoch in random order.
 
     An item is the same whoever asks for it, also on resuming.
-
-    Attributes:
-        samples: The people.
-        size: Side of the crops [px].
-        augmentation: What may change.
-        seed: Of order and augmentation.
     """
 
     samples: Sequence[Sample]
-    size: int
+    size: int  # [px], side of the crops
     augmentation: Augmentation
-    seed: int = 0
+    seed: int = 0  # of order and augmentation
 
     def __getitem__(self, place: int) -> Examples | str:
         """One example, B = 1, or why it can't be made."""

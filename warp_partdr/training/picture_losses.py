@@ -51,26 +51,13 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
 
 
 def seg_term(prediction: PicturePrediction, examples: Examples, *, size: int, gradient: Gradient) -> torch.Tensor:
-    """L_seg through PartDR.
-
-    Args:
-        prediction: The network's.
-        examples: Whose labels may be of several label sets.
-        size: Side of the crops that are drawn [px].
-        gradient: The renderer's, see ``ellipsoid_label_loss``.
-    """
+    """L_seg through PartDR, drawn at ``size`` [px] a side, of labels that may be of several label sets."""
     groups = resize_nearest(examples.groups, size)
     total = prediction.bodies.log_scale.new_zeros(())
     for part_groups, chosen in label_sets(examples):
         bodies = prediction.bodies.select(chosen)
-        loss, _ = ellipsoid_label_loss(
-            bodies.posed(),
-            bodies.camera(size),
-            groups[chosen],
-            part_labels=part_groups,
-            gradient=gradient,
-            validate=False,
-        )
+        drawn = bodies.posed(), bodies.camera(size), groups[chosen]
+        loss, _ = ellipsoid_label_loss(*drawn, part_labels=part_groups, gradient=gradient, validate=False)
         total = total + loss.sum()
     return total * ((REFERENCE_SIZE / size) ** 2 / len(groups))
 
@@ -79,9 +66,8 @@ def head_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     """Cross entropies [nats]: of the keypoints inside the crop ("heatmaps"), and of the labelled pixels ("parts")."""
     keypoints = examples.keypoints
     heatmaps = prediction.heatmaps.float().flatten(2).log_softmax(-1).view_as(prediction.heatmaps)
-    columns, rows = (
-        _spots(keypoints[..., axis], heatmaps.shape[3 - axis]) for axis in (0, 1)
-    )  # of each axis a distribution
+    # Of each axis a distribution.
+    columns, rows = (_spots(keypoints[..., axis], heatmaps.shape[3 - axis]) for axis in (0, 1))
     entropies = -(rows[..., :, None] * columns[..., None, :] * heatmaps).sum((2, 3))
     inside = keypoints[..., 2] * (keypoints[..., :2].abs() < 1).all(2)
 

@@ -37,21 +37,13 @@ _SHOWN = 8  # people on the contact sheet
 
 @dataclass(frozen=True)
 class PictureData:
-    """Data to learn from, and its changes.
-
-    Attributes:
-        sources: The data sets.
-        augmentation: How much their people are changed.
-        workers: Processes that read pictures; 0 reads in the training's own.
-        render_size: Side of the crops that L_seg is drawn at [px].
-        gradient: Of L_seg: "partdr", the paper's, or "edges" or "coverage".
-    """
+    """Data to learn from, and its changes."""
 
     sources: tuple[Source, ...] = ()
     augmentation: Augmentation = field(default_factory=Augmentation)
-    workers: int = 8
-    render_size: int = REFERENCE_SIZE
-    gradient: Gradient = "partdr"
+    workers: int = 8  # processes that read pictures; 0 reads in the training's own
+    render_size: int = REFERENCE_SIZE  # [px], side of the crops that L_seg is drawn at
+    gradient: Gradient = "partdr"  # of L_seg: the paper's, or "edges" or "coverage"
 
 
 class PictureTask(Task):
@@ -60,15 +52,8 @@ class PictureTask(Task):
     MODEL: ClassVar[type[Any]] = EllipBodyNetConfig
     DATA: ClassVar[type[Any]] = PictureData
     WEIGHTS: ClassVar[Mapping[str, float]] = MappingProxyType(
-        {
-            "joints": 1.0,
-            "proj": 1.0,
-            "seg": 1e-2,
-            "lengths": 1e-3,
-            "thicknesses": 1e-3,
-            "heatmaps": 100.0,
-            "parts": 200.0,
-        }
+        {"joints": 1.0, "proj": 1.0, "seg": 1e-2, "lengths": 1e-3, "thicknesses": 1e-3}  # the paper's
+        | {"heatmaps": 100.0, "parts": 200.0}
     )
 
     def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
