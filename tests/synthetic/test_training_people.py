@@ -15,10 +15,9 @@ from warp_partdr.body.posing import pose
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, template
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.landmarks import LANDMARKS
-from warp_partdr.synthetic import split
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
 from warp_partdr.synthetic.people import PHENOTYPE_RANGES
-from warp_partdr.synthetic.training_people import PeopleBatch, PeopleMaker
+from warp_partdr.synthetic.training_people import NUM_CELLS, PeopleBatch, PeopleMaker, cell_of, held_out_cells
 
 COUNT, SIZE, POOL = 48, 96, 256
 
@@ -36,24 +35,24 @@ def people(device: str) -> PeopleBatch:
 @pytest.mark.parametrize("held_out", [False, True])
 def test_bodies_are_of_their_side_of_the_split(held_out: bool, device: str) -> None:
     values = maker(device, held_out=held_out).phenotypes(4000).cpu().double().numpy()
-    assert (np.isin(split.cell_of(values), split.held_out_cells()) == held_out).all()
+    assert (np.isin(cell_of(values), held_out_cells()) == held_out).all()
     low, high = PHENOTYPE_RANGES.T
     if not held_out:
         assert (values.min(0) < low + 0.01 * (high - low)).all()
         assert (values.max(0) > high - 0.01 * (high - low)).all()
-        assert len(np.unique(split.cell_of(values))) > 2000
+        assert len(np.unique(cell_of(values))) > 2000
 
 
 def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
     low, high = PHENOTYPE_RANGES.T
-    assert split.cell_of(np.stack([low, high, low - 1])).tolist() == [0, split.NUM_CELLS - 1, 0]
+    assert cell_of(np.stack([low, high, low - 1])).tolist() == [0, NUM_CELLS - 1, 0]
     steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
     corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
-    assert np.array_equal(split.cell_of(corners), np.arange(split.NUM_CELLS))
+    assert np.array_equal(cell_of(corners), np.arange(NUM_CELLS))
 
 
 def test_cells_that_are_held_out_are_those_that_the_packaged_network_has_not_seen() -> None:
-    cells = split.held_out_cells()
+    cells = held_out_cells()
     assert (len(cells), cells.sum(), cells @ np.arange(1, len(cells) + 1)) == (191, 384160, 49238332)
 
 

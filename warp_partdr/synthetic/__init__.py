@@ -5,5 +5,5 @@
   ``pose_sampler`` (training), ``mocap`` and ``mocap_files``.
 * ``noise``: PartBench's; ``keypoint_noise``, ``label_noise`` and ``occluders``: training's, in batches.
 * ``partbench_people``, ``training_people``, ``shaded`` (pictures) and ``tradeoff_people`` put them together.
-* ``split``: clips and bodies kept from training; ``rng``: random numbers on a device.
+* ``rng``: random numbers on a device.
 """

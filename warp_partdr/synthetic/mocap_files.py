@@ -113,13 +113,10 @@ def _ankle_to_ball(foot: np.ndarray) -> np.ndarray:
 
 
 def _retarget(name: str, root: np.ndarray, bones: _Bones, trunk_pitch: dict[str, float] = WALKING_PITCH) -> Clip:
-    """Copy the orientations of mocap bones.
+    """Copy the orientations of mocap bones; parts that have none follow their parent.
 
-    Args:
-        name: Of the clip.
-        root: World rotation of the mocap's pelvis, shape (F, 3, 3).
-        bones: Parts that are missing follow their parent.
-        trunk_pitch: How far the mocap's trunk parts lean forward when a person stands upright [degrees].
+    ``root`` is the world rotation of the mocap's pelvis, shape (F, 3, 3), and ``trunk_pitch`` says how far its trunk
+    parts lean forward when a person stands upright [degrees].
     """
     rest = template().rest_directions
     root_world = root @ _pitch(-trunk_pitch["pelvis"])

@@ -9,6 +9,7 @@ import torch
 
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.template import NUM_PARTS
+from ..network.heads import cell_centres
 from .label_noise import look_up
 from .rng import TorchRng
 
@@ -60,7 +61,7 @@ def draw_occluders(
     groups = torch.where(ignored, IGNORE, look_up(tables, stranger)).to(torch.uint8)
 
     hiding = mask.clone()
-    centres = (torch.arange(size, device=rng.device) + 0.5) * (2 / size) - 1
+    centres = cell_centres(size, rng.device)
     for place, thing in zip(places.unbind(1), (*[_HOLE] * 4, *[_OCCLUDER] * 2), strict=True):
         place = place + thing.aside * rng.normal(count, 2)
         radii = rng.uniform(count, 2, low=thing.radii[0], high=thing.radii[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,21 @@ from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDIC
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..inputs.observation import CROP_MARGIN
+from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
 from ..render.mesh import draw_mesh
 from . import people
 from .keypoint_noise import KeypointNoise
 from .label_noise import LabelNoise, draw_absent, draw_strengths
 from .occluders import draw_occluders
+from .partbench_people import NUM_PEOPLE, draw_phenotypes
 from .pose_sampler import PoseBank, PoseSampler
 from .poses import mean_body
 from .rng import TorchRng, exact_float32
-from .split import LEVELS, NUM_CELLS, held_out_cells
 
+# Training leaves to PartBench the bodies in a cell with one of its people, of a grid over phenotypes.
+CELL_LEVELS = 4  # of each phenotype value
+NUM_CELLS = CELL_LEVELS ** len(people.PHENOTYPE_RANGES)
 _BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
 _WEAK = 0.5  # share of weak-perspective cameras
 _FAR_AWAY = 100.0  # [m]; their depths are moved so far, where 1/z is as good as linear
@@ -73,7 +78,7 @@ class _Crop:
 
     def unseen(self, size: int) -> torch.Tensor:
         """True for pixels beyond the picture's border, shape (B, size, size), bool."""
-        centres = (torch.arange(size, device=self.half.device) + 0.5) * (2 / size) - 1
+        centres = cell_centres(size, self.half.device)
         beyond = (centres < self.low[..., None]) | (centres > self.high[..., None])  # (B, 2, size)
         return beyond[:, 1, :, None] | beyond[:, 0, None, :]
 
@@ -83,10 +88,23 @@ def _inside(points: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torc
     return ((points > low[:, None]) & (points < high[:, None])).all(-1)
 
 
+def cell_of(phenotypes: np.ndarray) -> np.ndarray:
+    """Cells of phenotype values (..., 6), shape (...); those beyond ``PHENOTYPE_RANGES`` are in the outermost."""
+    low, high = people.PHENOTYPE_RANGES.T
+    levels = np.floor((phenotypes - low) / (high - low) * CELL_LEVELS).clip(0, CELL_LEVELS - 1).astype(np.int64)
+    return np.ravel_multi_index(np.moveaxis(levels, -1, 0), (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES))
+
+
+@lru_cache(maxsize=1)
+def held_out_cells() -> np.ndarray:
+    """Cells that training leaves to PartBench, ascending, int64."""
+    return np.unique(cell_of(np.array([draw_phenotypes(index)[0] for index in range(NUM_PEOPLE)])))
+
+
 class PeopleMaker:
     """Makes people, the same for a seed and a device.
 
-    Bodies are of ``split``'s cells that are not held out, or, with ``held_out``, of the others; the poses are to fit.
+    Bodies are of cells that are not held out, or, with ``held_out``, of the others; the poses are to fit.
 
     Args:
         poses: Motion capture, of the same side of the split.
@@ -114,8 +132,9 @@ class PeopleMaker:
         self._rng = TorchRng(seed << 20, self.device)
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
-        levels = np.stack(np.unravel_index(cells, (LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
-        self._cells = self._numbers(np.stack([levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == 3)]))
+        levels = np.stack(np.unravel_index(cells, (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
+        low, high = levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == CELL_LEVELS - 1)
+        self._cells = self._numbers(np.stack([low, high]))
         self._ranges = self._numbers(people.PHENOTYPE_RANGES)
         groups = (LANDMARKS, people.coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
         rows = [self.model.landmark_names.index(name) for group in groups for name in group]
@@ -150,7 +169,7 @@ class PeopleMaker:
         low, high = self._cells[:, self._rng.integers(self._cells.shape[1], count)]
         levels = low + (high - low) * self._rng.uniform(count, len(PHENOTYPE_ANCHORS))
         least, most = self._ranges.unbind(1)
-        return least + (most - least) * levels / LEVELS
+        return least + (most - least) * levels / CELL_LEVELS
 
     def _make(self, count: int) -> PeopleBatch:
         rng, size = self._rng, (self.size, self.size)
@@ -225,11 +244,7 @@ class PeopleMaker:
     ) -> _Crop:
         """The picture's border, and the square that ``observe`` cuts out, about.
 
-        Args:
-            vertices: Of the body, shape (B, V, 2) [m].
-            points: Keypoints, shape (B, 24, 2) [m].
-            detected: True for those that a detector gives, shape (B, 24), bool.
-            labelled: True for people with labels, shape (B,), bool.
+        Of vertices (B, V, 2) and keypoints (B, 24, 2) [m], which of these are ``detected``, and who is ``labelled``.
         """
         count, rng = len(vertices), self._rng
         low, high = vertices.amin(1), vertices.amax(1)
