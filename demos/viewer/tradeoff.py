@@ -87,7 +87,7 @@ class Tradeoff:
         names = {gradient: name for name, gradient in GRADIENTS.items()}
         name = names[settings.gradient] if settings.level is None else f"mesh {settings.renderer}"
         people, true = self._truth
-        angle = float(gradient_error(Setting(name, settings.size), people, start, true).angle_deg[0])
+        angle = float(gradient_error(Setting(name, settings.size), people, start, true)["angle_deg"][0])
         return angle if np.isfinite(angle) else None
 
     @torch.no_grad()

@@ -55,7 +55,7 @@ def draw_tradeoff_chart(report: TradeoffReport) -> Figure:
     figure = empty_figure(16, 10)
     for axes, panel in zip(figure.subplots(2, 3).flat, _panels(report), strict=True):
         _draw_panel(axes, report, panel)
-    sizes = sorted({size for _, size in report.times})
+    sizes = sorted({setting.size for setting in report.settings()})
     handles = [*figure.axes[0].plot([], [], **_FRONT)]
     labels = ["front: nothing is as fast and better; faster is to the left"]
     for size, points in zip(sizes, _mark_sizes(len(sizes)), strict=True):
@@ -75,10 +75,10 @@ def _panels(report: TradeoffReport) -> list[_Panel]:
     runs = [Setting(name, SIZE, count) for name in NAMES for count in counts]
 
     def score(truth: str, name: str) -> Callable[[Setting], float]:
-        return lambda setting: float(getattr(report.fit(truth, setting).scores, name).mean())
+        return lambda setting: float(report.fit(truth, setting)[name].mean())
 
     def angle(setting: Setting) -> float:
-        return float(np.median(report.gradient(setting).angle_deg))
+        return float(np.median(report.gradient(setting)["angle_deg"]))
 
     after = f"after {ITERATIONS} iterations"
     by_truth = {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,36 +19,27 @@ from ...metrics import accuracy, confusion, pa_mpjpe, part_f1
 from ...refinement.captured import CapturedRefinement
 from ...refinement.energy import Weights
 from ...refinement.refine import refine
+from ...refinement.stepper import Refined
 from ...render.renderers import RendererMesh
 from ...synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
-from ..timing import Timing, time_calls
+from ..timing import time_calls
 from .plan import RATE, Setting
 
 _SCORED = TRUTH_SIZE // 3  # [px], side of the pictures that are compared
 _TIMED_PEOPLE, _TIMED_ITERATIONS = 4, 5
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Nearness of bodies to the truth, an array of shape (N,) each.
+def score_bodies(bodies: BodyParameters, people: People) -> dict[str, np.ndarray]:
+    """Nearness of a body for each person to the truth, shape (N,) each.
 
-    Attributes:
-        part_f1: Of 20 parts and background, of exact ellipsoids at 512 px.
-        accuracy: Share of the picture's pixels with the right label.
-        joint_error_mm: Mean distance of 14 joints after the best similarity.
+    Returns:
+        ``part_f1`` of 20 parts and background, of exact ellipsoids at 512 px; ``accuracy``, the share of the picture's
+        pixels with the right label; ``joint_error_mm``, the mean distance of 14 joints after the best similarity.
     """
-
-    part_f1: np.ndarray
-    accuracy: np.ndarray
-    joint_error_mm: np.ndarray
-
-
-def score_bodies(bodies: BodyParameters, people: People) -> Scores:
-    """Compare a body for each person with the truth."""
     counts = _confusion(draw_truth(bodies, _SCORED), people)
     joints = LandmarkGather(JOINTS, bodies.shift.device)(bodies.posed())
-    error = 1000 * pa_mpjpe(joints, people.joints)
-    return Scores(part_f1(counts), accuracy(counts), error.cpu().numpy())
+    errors = 1000 * pa_mpjpe(joints, people.joints)
+    return {"part_f1": part_f1(counts), "accuracy": accuracy(counts), "joint_error_mm": errors.cpu().numpy()}
 
 
 def own_part_f1(setting: Setting, bodies: BodyParameters, people: People) -> np.ndarray:
@@ -76,14 +68,12 @@ def refine_all(
         The bodies, and the seconds that an iteration took for one of them.
     """
     prior = PosePrior().to(start.shift.device)
-    run: Callable[..., object]
     if isinstance(setting.renderer, RendererMesh):
         # Each term of the energy broadcasts: with all points and labels as one observation, it is that of each body.
-        energy = setting.energy(people.observation(), prior, weights)
-        run = partial(refine, energy=energy, iterations=setting.iterations, learning_rate=RATE)
+        run = _refinement(setting, setting.energy(people.observation(), prior, weights), len(people))
     else:
         energies = [setting.energy(people.observation(index), prior, weights) for index in range(len(people))]
-        run = CapturedRefinement(energies, len(people), iterations=setting.iterations, learning_rate=RATE).refine
+        run = _refinement(setting, energies, len(people))
     begin = time.perf_counter()
     found = run(start)
     float(found.energy.sum())  # until the device is done
@@ -91,8 +81,8 @@ def refine_all(
     return found.parameters, seconds / (len(people) * setting.iterations)
 
 
-def time_iteration(setting: Setting, people: People, start: BodyParameters, device: str, budget: float) -> Timing:
-    """Of one body's refinement without its set-up: the fastest run of each of a few people [s an iteration].
+def time_iteration(setting: Setting, people: People, start: BodyParameters, device: str, budget: float) -> list[float]:
+    """Time of one body's refinement without its set-up [s an iteration]: the fastest run of each of a few people.
 
     Runs are short, so that some of them are disturbed by nothing else on the machine.
     """
@@ -101,10 +91,14 @@ def time_iteration(setting: Setting, people: People, start: BodyParameters, devi
     bodies = one_by_one(start)[:_TIMED_PEOPLE]
     fastest = []
     for person, body in enumerate(bodies):
-        energy = setting.energy(people.observation(person), prior)
-        if isinstance(setting.renderer, RendererMesh):
-            run: Callable[[], object] = partial(refine, body, energy, iterations=setting.iterations)
-        else:
-            run = partial(CapturedRefinement(energy, 1, iterations=setting.iterations).refine, body)
+        run = partial(_refinement(setting, setting.energy(people.observation(person), prior), 1), body)
         fastest.append(time_calls(run, device, budget / len(bodies)).fastest / setting.iterations)
-    return Timing(tuple(fastest))
+    return fastest
+
+
+def _refinement(setting: Setting, energy: Any, batch_size: int) -> Callable[[BodyParameters], Refined]:
+    """A refinement of so many bodies, with one energy or, of exact ellipsoids, perhaps one each."""
+    if isinstance(setting.renderer, RendererMesh):
+        return partial(refine, energy=energy, iterations=setting.iterations, learning_rate=RATE)
+    captured = CapturedRefinement(energy, batch_size, iterations=setting.iterations, learning_rate=RATE)
+    return captured.refine

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 
@@ -19,25 +17,24 @@ from .plan import Setting
 _STEPS = {"lengths": SHAPE_RATE, "thicknesses": SHAPE_RATE}
 
 
-@dataclass(frozen=True)
-class GradientError:
-    """Of gradients against true ones, over all numbers of a body and its camera; an array of shape (N,) each.
+def gradient_error(
+    setting: Setting, people: People, bodies: BodyParameters, true: torch.Tensor
+) -> dict[str, np.ndarray]:
+    """Errors of a setting's estimate at a body for each person, over all numbers of a body and its camera.
 
-    Attributes:
-        angle_deg: Between the two.
-        length_ratio: Of their lengths.
+    Args:
+        setting: Renderer and picture.
+        people: N people.
+        bodies: A body for each.
+        true: As ``true_gradient`` returns it.
+
+    Returns:
+        ``angle_deg`` between the two gradients and ``length_ratio``, shape (N,) each.
     """
-
-    angle_deg: np.ndarray
-    length_ratio: np.ndarray
-
-
-def gradient_error(setting: Setting, people: People, bodies: BodyParameters, true: torch.Tensor) -> GradientError:
-    """Of a setting's estimate at a body for each person; ``true`` as ``true_gradient`` returns it."""
     found = _gradient(setting, bodies, resize_nearest(people.labels, setting.size))
     cosine = torch.nn.functional.cosine_similarity(found, true, dim=1)
-    ratio = found.norm(dim=1) / true.norm(dim=1)
-    return GradientError(torch.rad2deg(cosine.clamp(-1, 1).acos()).cpu().numpy(), ratio.cpu().numpy())
+    angle, ratio = torch.rad2deg(cosine.clamp(-1, 1).acos()), found.norm(dim=1) / true.norm(dim=1)
+    return {"angle_deg": angle.cpu().numpy(), "length_ratio": ratio.cpu().numpy()}
 
 
 def true_gradient(people: People, bodies: BodyParameters) -> torch.Tensor:

@@ -9,6 +9,7 @@ from functools import partial
 from itertools import product
 from typing import get_args
 
+import numpy as np
 import torch
 
 from ...body.parameters import BodyParameters
@@ -28,7 +29,7 @@ from ..renderers import COVERAGE, LEVELS, MESH, PARTDR
 from .fits import one_by_one, own_part_f1, refine_all, score_bodies, time_iteration
 from .gradient import gradient_error, true_gradient
 from .plan import DISTANCE, ITERATIONS, NAMES, RATE, Setting, TradeoffPlan
-from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, LABELS_ALONE, Fit, Precision, TradeoffReport
+from .report import BFLOAT16, FLOAT32, FLOAT64, KEYPOINTS_TOO, LABELS_ALONE, TradeoffReport
 
 _WITHOUT_KEYPOINTS = Weights(proj=0.0)
 _LEVELS = ("clean", "realistic")  # of PartBench
@@ -55,7 +56,9 @@ def _time_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> It
     start = people.starts(DISTANCE)
 
     def work(name: str, size: int) -> None:
-        report.times[name, size] = time_iteration(Setting(name, size), people, start, plan.device, plan.budget)
+        fastest = time_iteration(Setting(name, size), people, start, plan.device, plan.budget)
+        seconds = {"seconds": float(np.median(fastest)), "fastest_of_each_person_s": fastest}
+        report.times.append({"renderer": name, "size_px": size, **seconds})
 
     for name, size in product(NAMES, plan.sizes):
         yield f"time, {name}, {size} px", partial(work, name, size)
@@ -76,8 +79,14 @@ def _fit(report: TradeoffReport, people: People, setting: Setting, distance: flo
     weights = _WITHOUT_KEYPOINTS if seen == LABELS_ALONE else None
     bodies, seconds = refine_all(setting, people, people.starts(distance), weights)
     is_mesh = setting.name in LEVELS and setting == Setting(setting.name)
-    own = own_part_f1(setting, bodies, people) if is_mesh else None
-    report.fits[people.name, seen, setting, distance] = Fit(score_bodies(bodies, people), own, seconds)
+    report.fits.append(
+        {
+            **{"truth": people.name, "seen": seen, **setting.columns, "distance_rad": distance},
+            **score_bodies(bodies, people),
+            "own_part_f1": own_part_f1(setting, bodies, people) if is_mesh else None,
+            "batch_seconds": seconds,
+        }
+    )
 
 
 def _gradient_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -> Iterator[Job]:
@@ -85,7 +94,8 @@ def _gradient_jobs(plan: TradeoffPlan, report: TradeoffReport, people: People) -
         bodies = people.starts(distance)
         true = true_gradient(people, bodies)
         for name, size in product(NAMES, plan.sizes):
-            report.gradients[name, size, distance] = gradient_error(Setting(name, size), people, bodies, true)
+            error = gradient_error(Setting(name, size), people, bodies, true)
+            report.gradients.append({"renderer": name, "size_px": size, "distance_rad": distance, **error})
 
     for distance in plan.gradient_distances:
         yield f"gradients, {distance} rad off", partial(work, distance)
@@ -109,9 +119,9 @@ def _compare_numbers(report: TradeoffReport, people: People, setting: Setting) -
     reference = gather(found[FLOAT32].posed())
     for numbers, kept in found.items():
         bodies = _cast(kept, torch.float32)
-        moved = 1000 * (gather(bodies.posed()) - reference).norm(dim=-1).mean()
-        scores = score_bodies(bodies, people)
-        report.precisions.append(Precision(setting.name, numbers, scores, float(moved), seconds[numbers]))
+        moved = 1000 * float((gather(bodies.posed()) - reference).norm(dim=-1).mean())
+        row = {"renderer": setting.name, "numbers": numbers, **score_bodies(bodies, people)}
+        report.precisions.append({**row, "moved_mm": moved, "seconds": seconds[numbers]})
 
 
 def _refine_in_torch(setting: Setting, people: People, start: BodyParameters, kind: torch.dtype) -> BodyParameters:

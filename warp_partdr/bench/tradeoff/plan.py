@@ -31,6 +31,11 @@ class Setting:
     iterations: int = ITERATIONS
 
     @property
+    def columns(self) -> dict[str, str | int]:
+        """The same in rows of JSON."""
+        return {"renderer": self.name, "size_px": self.size, "iterations": self.iterations}
+
+    @property
     def renderer(self) -> Renderer:
         """The object that draws."""
         return RENDERERS[self.name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from ...synthetic.tradeoff_people import ANNY, ELLIPBODY
 from ..machine import in_words
 from ..report import make_table, print_tables
 from .plan import DISTANCE, ITERATIONS, NAMES, SIZE, Setting
-from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Fit, TradeoffReport, front, mesh_gains
+from .report import CONVERGED, KEYPOINTS_TOO, LABELS_ALONE, Row, TradeoffReport, front, mesh_gains
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,24 +41,20 @@ def print_tradeoff(report: TradeoffReport, console: Console) -> None:
 
 
 def _settings_table(report: TradeoffReport) -> Table:
-    def of_fits(truth: str, value: Callable[[Fit], float]) -> list[float]:
-        return [value(report.fit(truth, setting)) for setting in settings]
-
-    def of_gradients(name: str) -> list[float]:
-        return [float(np.median(getattr(report.gradient(setting), name))) for setting in settings]
-
     settings = report.settings()
+    own, annys = ([report.fit(truth, setting) for setting in settings] for truth in (ELLIPBODY, ANNY))
+    gradients = [report.gradient(setting) for setting in settings]
     times = [report.time(setting) for setting in settings]
     columns = (  # heading, format, values, and which are best: the least (1), the greatest (-1), or none is (0)
         ("an iteration [ms]", "{:.3g}", [1e3 * time for time in times], 0),
-        ("in a batch [ms]", "{:.3g}", of_fits(ELLIPBODY, lambda fit: 1e3 * fit.seconds), 0),
-        ("EllipBody: part F1", "{:.3f}", of_fits(ELLIPBODY, _part_f1), -1),
-        ("joints [mm]", "{:.1f}", of_fits(ELLIPBODY, _joint_error), 1),
-        ("found", "{:.0%}", of_fits(ELLIPBODY, lambda fit: fit.found), 0),
-        ("Anny: part F1", "{:.3f}", of_fits(ANNY, _part_f1), -1),
-        ("joints [mm]", "{:.1f}", of_fits(ANNY, _joint_error), 1),
-        ("gradient off [°]", "{:.1f}", of_gradients("angle_deg"), 1),
-        ("length", "{:.2f}", of_gradients("length_ratio"), 0),
+        ("in a batch [ms]", "{:.3g}", [1e3 * fit["batch_seconds"] for fit in own], 0),
+        ("EllipBody: part F1", "{:.3f}", [fit["part_f1"].mean() for fit in own], -1),
+        ("joints [mm]", "{:.1f}", [fit["joint_error_mm"].mean() for fit in own], 1),
+        ("found", "{:.0%}", [_found(fit) for fit in own], 0),
+        ("Anny: part F1", "{:.3f}", [fit["part_f1"].mean() for fit in annys], -1),
+        ("joints [mm]", "{:.1f}", [fit["joint_error_mm"].mean() for fit in annys], 1),
+        ("gradient off [°]", "{:.1f}", [np.median(error["angle_deg"]) for error in gradients], 1),
+        ("length", "{:.2f}", [np.median(error["length_ratio"]) for error in gradients], 0),
     )
     rows = [[setting.name, str(setting.size)] for setting in settings]
     for _, form, values, sign in columns:
@@ -70,16 +65,12 @@ def _settings_table(report: TradeoffReport) -> Table:
     return make_table(f"{ITERATIONS} iterations from starts {DISTANCE} rad off", headings, rows, sections=True)
 
 
-def _part_f1(fit: Fit) -> float:
-    return float(fit.scores.part_f1.mean())
+def _found(fit: Row) -> float:
+    return float(np.mean(fit["part_f1"] >= CONVERGED))
 
 
-def _joint_error(fit: Fit) -> float:
-    return float(fit.scores.joint_error_mm.mean())
-
-
-def _cell(fit: Fit) -> str:
-    return f"{_part_f1(fit):.3f}, {_joint_error(fit):.0f} mm"
+def _cell(fit: Row) -> str:
+    return f"{fit['part_f1'].mean():.3f}, {fit['joint_error_mm'].mean():.0f} mm"
 
 
 def _iterations_table(report: TradeoffReport) -> Table:
@@ -93,12 +84,12 @@ def _iterations_table(report: TradeoffReport) -> Table:
 
 
 def _starts_table(report: TradeoffReport) -> Table:
-    distances = sorted({distance for *_, distance in report.fits})
+    distances = sorted({row["distance_rad"] for row in report.fits})
     rows = []
     for seen in (KEYPOINTS_TOO, LABELS_ALONE):
         for name in NAMES:
             fits = [report.fit(ELLIPBODY, Setting(name), distance, seen) for distance in distances]
-            rows.append([name, seen, *(f"{_cell(fit)}, {fit.found:.0%}" for fit in fits)])
+            rows.append([name, seen, *(f"{_cell(fit)}, {_found(fit):.0%}" for fit in fits)])
     return make_table(
         f"EllipBody: part F1, joints, found, {ITERATIONS} iterations at {SIZE} px, by distance of the start [rad]",
         [_RENDERER, "sees", *map(str, distances)],
@@ -108,28 +99,22 @@ def _starts_table(report: TradeoffReport) -> Table:
 
 
 def _gradients_table(report: TradeoffReport) -> Table:
-    distances = sorted({distance for *_, distance in report.gradients})
+    distances = sorted({row["distance_rad"] for row in report.gradients})
     rows = []
     for setting in report.settings():
-        errors = [report.gradients[setting.name, setting.size, distance] for distance in distances]
-        cells = [f"{np.median(error.angle_deg):.1f}, {np.median(error.length_ratio):.2f}" for error in errors]
+        errors = [report.gradient(setting, distance) for distance in distances]
+        cells = [f"{np.median(error['angle_deg']):.1f}, {np.median(error['length_ratio']):.2f}" for error in errors]
         rows.append([setting.name, str(setting.size), *cells])
     title = "Gradient: angle [°] and length, medians, by distance [rad]"
     return make_table(title, [_RENDERER, "px", *map(str, distances)], rows, sections=True)
 
 
 def _precisions_table(report: TradeoffReport) -> Table:
-    rows = [
-        [
-            row.name,
-            row.numbers,
-            f"{row.scores.part_f1.mean():.4f}",
-            f"{row.scores.joint_error_mm.mean():.2f}",
-            f"{row.moved_mm:.2f}",
-            f"{1e3 * row.seconds:.3g}",
-        ]
-        for row in report.precisions
-    ]
+    forms = ("{renderer}", "{numbers}", "{part_f1:.4f}", "{joint_error_mm:.2f}", "{moved_mm:.2f}", "{ms:.3g}")
+    rows = []
+    for row in report.precisions:
+        means = {name: row[name].mean() for name in ("part_f1", "joint_error_mm")}
+        rows.append([form.format(**{**row, **means, "ms": 1e3 * row["seconds"]}) for form in forms])
     headings = [_RENDERER, "numbers", "part F1", "joints [mm]", "joints moved [mm]", "an iteration [ms]"]
     return make_table(f"Numbers: {ITERATIONS} iterations in torch at {SIZE} px", headings, rows, left=(0, 1))
 
