@@ -20,18 +20,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from warp_partdr.bench.machine import about, in_words
-from warp_partdr.bench.report import save_figures
+from warp_partdr.bench.report import make_table, save_figures, wide_console
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import MPJPE_SKELETON, skeleton
 from warp_partdr.cli.progress import FitProgress
@@ -79,34 +75,23 @@ def read_example() -> list[Sample]:
     ]
 
 
-COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "PA-MPJPE [mm]": lambda row: f"{row['pa_mpjpe_mm']:.1f}",
-    "MPJPE [mm]": lambda row: f"{row['mpjpe_mm']:.0f}",
-    "foreground F1": lambda row: f"{row['foreground_f1']:.3f}",
-    "part F1": lambda row: f"{row['part_f1']:.3f}",
-    "undisputed: foreground": lambda row: f"{row['undisputed_foreground_f1']:.3f}",
-    "part": lambda row: f"{row['undisputed_part_f1']:.3f}",
-    "keypoints off [% of height]": lambda row: f"{100 * row['keypoint_distance']:.1f}",
-    "hypotheses": lambda row: f"{row['hypotheses']:.0f}",
-    "time [s]": lambda row: f"{row['seconds']:.1f}",
+COLUMNS = {  # of tables: a figure's name and its format
+    "PA-MPJPE [mm]": ("pa_mpjpe_mm", "{:.1f}"),
+    "MPJPE [mm]": ("mpjpe_mm", "{:.0f}"),
+    "foreground F1": ("foreground_f1", "{:.3f}"),
+    "part F1": ("part_f1", "{:.3f}"),
+    "undisputed: foreground": ("undisputed_foreground_f1", "{:.3f}"),
+    "part": ("undisputed_part_f1", "{:.3f}"),
+    "keypoints off [% of height]": ("keypoint_distance", "{:.1%}"),
+    "hypotheses": ("hypotheses", "{:.0f}"),
+    "time [s]": ("seconds", "{:.1f}"),
 }
-JOINT_COLUMNS = ("PA-MPJPE [mm]", "MPJPE [mm]")
 
 
-def table(title: str, rows: dict[tuple[str, str], dict[str, Any]]) -> Table:
-    """A table in Markdown; keys of rows are (person, supervision), of which the person may be empty everywhere."""
-    summaries = list(rows.values())
-    shown = [name for name in COLUMNS if "mpjpe_mm" in summaries[0] or name not in JOINT_COLUMNS]
-    people = any(person for person, _ in rows)
-    result = Table(title=title, title_justify="left", title_style="bold", box=MARKDOWN)
-    for name in [*(["person"] if people else []), "fitted to"]:
-        result.add_column(name, no_wrap=True)
-    for name in shown:
-        result.add_column(name, justify="right", no_wrap=True)
-    for (person, supervision), summary in rows.items():
-        cells = [COLUMNS[name](summary) for name in shown]
-        result.add_row(*([person] if people else []), supervision, *cells)
-    return result
+def cells(person: str, method: str, figures: dict[str, Any]) -> list[str]:
+    """A row of a table; what is not known is empty."""
+    known = (form.format(figures[name]) if name in figures else "" for name, form in COLUMNS.values())
+    return [person, method, *known]
 
 
 def main() -> None:
@@ -130,18 +115,15 @@ def main() -> None:
     for failure in report.failures:
         print(f"{failure.source}: {failure.sample}: {failure.method}: {failure.reason}")
 
-    console = Console(width=200, highlight=False, markup=False)
+    console, pooled = wide_console(), report.pooled()
     console.print(in_words(about()), f", jobs {arguments.jobs}", sep="")
-    pooled = report.pooled()
     for title, group in samples.items():
         source = group[0].source
-        rows = {("", name): summary for name, summary in pooled[source].items()}
-        if source != "example":
-            mine = [score for score in report.scores if score.source == source]
-            rows = {(score.sample, score.method): summarise([score]) for score in mine}
-            rows |= {("all", name): summary for name, summary in pooled[source].items()}
+        mine = [score for score in report.scores if score.source == source]
+        rows = [cells(score.sample, score.method, summarise([score])) for score in mine] if len(group) > 1 else []
+        rows += [cells("all" if rows else "", name, figures) for name, figures in pooled[source].items()]
         console.print()
-        console.print(table(title, rows))
+        console.print(make_table(title, ["person", "fitted to", *COLUMNS], rows, left=(0, 1), sections=True))
 
     if arguments.out is not None:
         # The options are there to be read, not to be parsed: they change.

@@ -291,11 +291,8 @@ def test_evaluate_runs_all_methods_in_order(rng, jobs):
     assert rows["none"]["mpjpe_mm"] > 10
 
 
-def test_evaluate_shows_results_and_says_why_nothing_could_be_fitted(rng):
+def test_evaluate_says_why_nothing_could_be_fitted(rng):
     (sample,) = flat_people(rng, 1)
-    seen = []
-    evaluate([sample], MADE, visit=lambda sample, name, result: seen.append((sample.name, name, type(result))))
-    assert seen == [("0", "none", Body), ("0", "all", Body)]
     nobody = replace(sample, keypoints=replace(sample.keypoints, confidence=np.zeros(14, np.float32)))
     with pytest.raises(InputError, match="made: 0: keypoints: too few"):
         evaluate([nobody], MADE)

@@ -22,15 +22,10 @@ _RUNS_IN_GRAPH = 10  # one replay of one small kernel is shorter than CUDA's clo
 
 @dataclass(frozen=True)
 class Launched:
-    """One kernel launch.
+    """One kernel launch."""
 
-    Attributes:
-        name: Of the kernel.
-        spans: Memory from first to last element of each array that it was given, shape (N, 2) [bytes].
-    """
-
-    name: str
-    spans: np.ndarray
+    name: str  # of the kernel
+    spans: np.ndarray  # memory from first to last element of each array that it was given, shape (N, 2) [bytes]
 
     @property
     def bytes(self) -> int:

@@ -26,19 +26,12 @@ _LOG_SCALE = -0.1  # so that a body covers a tenth of the picture
 
 @dataclass(frozen=True)
 class BenchScene:
-    """B bodies and B targets.
+    """B bodies and B targets."""
 
-    Attributes:
-        bodies: Starts of a refinement.
-        targets: Labels wanted of each body, shape (B, size, size), uint8.
-        points: Keypoints wanted of each body (COCO), -1 to 1, shape (B, 17, 2).
-        size: Side of the picture [px].
-    """
-
-    bodies: BodyParameters
-    targets: torch.Tensor
-    points: torch.Tensor
-    size: int
+    bodies: BodyParameters  # starts of a refinement
+    targets: torch.Tensor  # labels wanted of each body, shape (B, size, size), uint8
+    points: torch.Tensor  # keypoints wanted of each body (COCO), -1 to 1, shape (B, 17, 2)
+    size: int  # side of the picture [px]
 
     @classmethod
     def random(cls, batch_size: int, size: int, device: str) -> BenchScene:

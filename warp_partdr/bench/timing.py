@@ -22,13 +22,9 @@ _QUEUED = 10  # replays that wait on CUDA at once, so that the host is never wha
 
 @dataclass(frozen=True)
 class Timing:
-    """Repeated runs of one thing.
+    """Repeated runs of one thing."""
 
-    Attributes:
-        seconds: Each run's duration, N of them, at least one.
-    """
-
-    seconds: tuple[float, ...]
+    seconds: tuple[float, ...]  # each run's duration, at least one
 
     @property
     def median(self) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from itertools import starmap
 from typing import Any
@@ -29,8 +29,6 @@ from ..inputs.sample import Sample
 from ..interop.devices import without_driver_warning
 from ..kernels.launch import set_num_threads
 from .scoring import Score, score_fit, summarise
-
-Visit = Callable[[Sample, str, Any], None]
 
 
 def all_parts(parts: PartLabels) -> PartLabels:
@@ -52,19 +50,14 @@ def no_labels(parts: PartLabels) -> None:
 class Method:
     """One way to fit. Its functions are called in other processes, so they must be those of a module.
 
-    Attributes:
-        see: What of a sample's labels the fit gets to see.
-        options: How it goes.
-        fit: Called as ``fit_body`` is, with keypoints, labels, others, options and device; returns a ``FitResult``, or
-            what has its ``hypotheses``, ``camera``, ``landmarks`` and ``draw``.
-        vertices: Of what ``fit`` returns, those of a mesh as ``Sample.vertices`` has it, in the camera frame, shape
-            (V, 3) [m]; None if it has no such mesh.
+    ``fit`` is called as ``fit_body`` is, with keypoints, labels, others, options and device; it returns a
+    ``FitResult``, or what has its ``hypotheses``, ``camera``, ``landmarks`` and ``draw``.
     """
 
-    see: Callable[[PartLabels], PartLabels | None] = all_parts
+    see: Callable[[PartLabels], PartLabels | None] = all_parts  # what of a sample's labels the fit gets to see
     options: FitOptions = field(default_factory=FitOptions)
     fit: Callable[..., Any] = fit_body
-    vertices: Callable[[Any], np.ndarray] | None = None
+    vertices: Callable[[Any], np.ndarray] | None = None  # of a result's mesh, as ``Sample.vertices``, camera frame [m]
 
     def fit_sample(self, sample: Sample, device: str) -> Any:
         """Fit one person; returns what ``fit`` does."""
@@ -121,7 +114,6 @@ def evaluate(
     *,
     jobs: int = 1,
     device: str = "cpu",
-    visit: Visit | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Fit every sample by every method and score the results.
@@ -134,7 +126,6 @@ def evaluate(
         jobs: Fits at a time, in processes of their own with one thread each; they make one another slower. 1 stays in
             this process.
         device: "cpu" or a CUDA device.
-        visit: Called with sample, method's name and result after each fit, in the process of the fit.
         progress: Called with ("fits", done, total).
 
     Raises:
@@ -143,7 +134,7 @@ def evaluate(
     """
     if jobs < 1:
         raise ValueError(f"jobs: {jobs}; expected 1 or more")
-    tasks = [(sample, name, method, device, visit) for sample in samples for name, method in methods.items()]
+    tasks = [(sample, name, method, device) for sample in samples for name, method in methods.items()]
 
     def counted(finished: Iterable[Any]) -> Iterator[Any]:
         for done, each in enumerate(finished, start=1):
@@ -156,14 +147,7 @@ def evaluate(
     else:
         spawn = multiprocessing.get_context("spawn")  # a fork would inherit Warp's and torch's threads half alive
         with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=one_thread) as pool:
-            futures = [pool.submit(_run, *task) for task in tasks]
-            try:
-                for future in counted(as_completed(futures)):
-                    future.result()
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
-        outcomes = [future.result() for future in futures]
+            outcomes = list(counted(pool.map(_run, *zip(*tasks, strict=True))))
     scores = tuple(outcome for outcome in outcomes if isinstance(outcome, Score))
     failures = tuple(outcome for outcome in outcomes if isinstance(outcome, Failure))
     if failures and not scores:
@@ -184,7 +168,7 @@ def one_thread() -> None:
 _warm: set[tuple[str, str]] = set()  # (method, device) that this process has fitted by
 
 
-def _run(sample: Sample, name: str, method: Method, device: str, visit: Visit | None) -> Score | Failure:
+def _run(sample: Sample, name: str, method: Method, device: str) -> Score | Failure:
     try:
         if (name, device) not in _warm:
             method.fit_sample(sample, device)
@@ -194,8 +178,6 @@ def _run(sample: Sample, name: str, method: Method, device: str, visit: Visit | 
         seconds = time.perf_counter() - started
     except InputError as error:
         return Failure(sample.source, sample.name, name, str(error))
-    if visit is not None:
-        visit(sample, name, result)
     return score_fit(sample, name, result, seconds, None if method.vertices is None else method.vertices(result))
 
 

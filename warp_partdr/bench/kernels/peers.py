@@ -23,17 +23,11 @@ _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
 
 @dataclass(frozen=True)
 class MeshView:
-    """The scene that a peer draws.
+    """The scene that a peer draws."""
 
-    Attributes:
-        vertices: Projected (u [px], v [px], z [m]), shape (B, V, 3).
-        mesh: Their faces and labels.
-        targets: Wanted labels, shape (B, H, W), uint8.
-    """
-
-    vertices: torch.Tensor
+    vertices: torch.Tensor  # projected (u [px], v [px], z [m]), shape (B, V, 3)
     mesh: PartMesh
-    targets: torch.Tensor
+    targets: torch.Tensor  # wanted labels, shape (B, H, W), uint8
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -61,8 +55,8 @@ class MeshView:
         return (maps - self.maps_of(self.targets)).square().sum()
 
 
-_Draw = Callable[[], torch.Tensor]
-_Loss = Callable[[torch.Tensor], torch.Tensor]
+_Draw = Callable[[], torch.Tensor]  # the hard label image, shape (B, H, W)
+_Loss = Callable[[torch.Tensor], torch.Tensor]  # L_seg of vertices
 
 
 def ours(view: MeshView) -> tuple[_Draw, _Loss]:
@@ -151,18 +145,11 @@ def embree(view: MeshView) -> tuple[_Draw, None]:
 
 @dataclass(frozen=True)
 class Peer:
-    """Another rasterizer.
+    """Another rasterizer."""
 
-    Attributes:
-        package: The package that must be importable.
-        devices: Where it runs, of "cpu" and "cuda".
-        adapt: Makes, in time that is not counted, what draws the hard label image of a view, shape (B, H, W), and what
-            takes L_seg of vertices, None where there is no gradient.
-    """
-
-    package: str
-    devices: tuple[str, ...]
-    adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]
+    package: str  # which must be importable
+    devices: tuple[str, ...]  # where it runs, of "cpu" and "cuda"
+    adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]  # in time that is not counted
 
     @property
     def is_installed(self) -> bool:

@@ -25,25 +25,15 @@ Run = tuple[str, str, int, int]  # what, renderer, B, side of the picture [px]
 
 @dataclass(frozen=True)
 class KernelPlan:
-    """Rows to time.
+    """Rows to time."""
 
-    Attributes:
-        device: "cpu" or "cuda:0".
-        size: Side of the picture of kernels and peers [px].
-        targets: Runs that stand first.
-        others: More of them.
-        batches: Those whose kernels are timed one by one, and that peers draw.
-        budget: For each row [s].
-        start: Whether to time a cold and a warm start.
-    """
-
-    device: str
-    size: int
-    targets: tuple[Run, ...]
+    device: str  # "cpu" or "cuda:0"
+    size: int  # side of the picture of kernels and peers [px]
+    targets: tuple[Run, ...]  # runs that stand first
     others: tuple[Run, ...]
-    batches: tuple[int, ...]
-    budget: float
-    start: bool = True
+    batches: tuple[int, ...]  # those whose kernels are timed one by one, and that peers draw
+    budget: float  # for each row [s]
+    start: bool = True  # whether to time a cold and a warm start
 
 
 def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:

@@ -36,11 +36,9 @@ _SUBDIVISIONS = 1  # of the mesh that kinematics places
 
 
 class ExactRun:
-    """The exact renderer.
+    """The exact renderer: ``labels`` draws the hard label image alone, ``gradient`` takes L_seg and its gradient, too.
 
-    Attributes:
-        labels: Draws the hard label image alone: of the 20 parts, so the index of the nearest is its label.
-        gradient: Projects, renders, and takes L_seg and its gradient, as forces on the ellipsoids.
+    Labels are the 20 parts, so the index of the nearest is its label; gradients are forces on the ellipsoids.
     """
 
     def __init__(self, scene: BenchScene, gradient: Gradient) -> None:
@@ -84,12 +82,7 @@ class ExactRun:
 
 
 class MeshRun:
-    """The mesh renderer, from projected vertices.
-
-    Attributes:
-        labels: Draws the hard label image alone.
-        gradient: Renders, and takes L_seg and its gradient.
-    """
+    """The mesh renderer, from projected vertices; does what ``ExactRun`` does."""
 
     def __init__(self, scene: BenchScene, subdivisions: int) -> None:
         self._scene, device = scene, scene.targets.device

@@ -18,17 +18,11 @@ RATE = 0.02  # of Adam: between those of a fit's stages
 
 @dataclass(frozen=True)
 class Setting:
-    """A user's choices for a refinement.
+    """A user's choices for a refinement."""
 
-    Attributes:
-        name: One of ``NAMES``.
-        size: Side of the drawn crop [px].
-        iterations: Steps of Adam.
-    """
-
-    name: str
-    size: int = SIZE
-    iterations: int = ITERATIONS
+    name: str  # one of ``NAMES``
+    size: int = SIZE  # side of the drawn crop [px]
+    iterations: int = ITERATIONS  # of Adam
 
     @property
     def columns(self) -> dict[str, str | int]:
@@ -47,29 +41,17 @@ class Setting:
 
 @dataclass(frozen=True)
 class TradeoffPlan:
-    """Amount of what is run; ``SIZE``, ``ITERATIONS`` and ``DISTANCE`` are among its numbers.
+    """Amount of what is run; ``SIZE``, ``ITERATIONS`` and ``DISTANCE`` are among its numbers."""
 
-    Attributes:
-        device: "cpu" or a CUDA device.
-        ellipbodies: People who are EllipBodies.
-        annys: People who are Annys.
-        sizes: Sides of the picture [px].
-        iterations: Steps of Adam; each number is a run of its own, for the rate falls along all of a run.
-        distances: Of starts from the truth [rad].
-        gradient_distances: The same, of bodies whose gradients are compared [rad].
-        budget: For timing a setting [s].
-        fits: People whom ``fit_body`` fits at each quality; 0: none.
-    """
-
-    device: str
-    ellipbodies: int = 12
-    annys: int = 12
-    sizes: tuple[int, ...] = (64, 128, 256, 512)
-    iterations: tuple[int, ...] = (10, 25, 50, 100)
-    distances: tuple[float, ...] = (NEAR, DISTANCE, FAR)
-    gradient_distances: tuple[float, ...] = (0.01, NEAR, DISTANCE, FAR)
-    budget: float = 0.5
-    fits: int = 20
+    device: str  # "cpu" or a CUDA device
+    ellipbodies: int = 12  # people who are EllipBodies
+    annys: int = 12  # people who are Annys
+    sizes: tuple[int, ...] = (64, 128, 256, 512)  # sides of the picture [px]
+    iterations: tuple[int, ...] = (10, 25, 50, 100)  # each is a run of its own, for the rate falls along all of a run
+    distances: tuple[float, ...] = (NEAR, DISTANCE, FAR)  # of starts from the truth [rad]
+    gradient_distances: tuple[float, ...] = (0.01, NEAR, DISTANCE, FAR)  # of bodies whose gradients are compared [rad]
+    budget: float = 0.5  # for timing a setting [s]
+    fits: int = 20  # people whom ``fit_body`` fits at each quality; 0: none
 
 
 def plan_tradeoff(device: str, *, quick: bool = False) -> TradeoffPlan:
