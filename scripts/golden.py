@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import get_args
@@ -23,7 +23,8 @@ import torch
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.cameras import Camera, Perspective, WeakPerspective
+from warp_partdr.body.posing import Posed
+from warp_partdr.cameras import Camera, Perspective, ScreenCamera, WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.registration import register
 from warp_partdr.evaluation.partbench.samples import make_sample
@@ -69,14 +70,9 @@ def scenes() -> dict[str, str]:
     for index in range(SCENES):
         generator = torch.Generator().manual_seed(index)
         mean = BodyParameters.mean(2)
-        bent = BodyParameters(
-            **{
-                **mean.tensors(),
-                "rotations": 0.3 * torch.randn(2, 20, 3, generator=generator),
-                "orientation": mean.orientation + 0.3 * torch.randn(mean.orientation.shape, generator=generator),
-            }
-        )
-        target, body = (BodyParameters(**{**mean.tensors(), "rotations": bent.rotations}).posed(), bent.posed())
+        target = replace(mean, rotations=0.3 * torch.randn(2, 20, 3, generator=generator))
+        turned = mean.orientation + 0.3 * torch.randn(mean.orientation.shape, generator=generator)
+        target, body = target.posed(), replace(target, orientation=turned).posed()
         camera = _camera(index)
         name = f"scene {index}"
         for gradient in get_args(Gradient):
@@ -93,13 +89,13 @@ def _camera(index: int) -> Camera:
     return Perspective(torch.full((2, 2), 160.0), middle)
 
 
-def _moved(body: object, camera: Camera) -> Ellipsoids:
+def _moved(body: Posed, camera: Camera) -> Ellipsoids:
     """Ellipsoids moved before a perspective camera."""
     centres = body.centres + torch.tensor([0.0, 0.0, 3.0 if camera.perspective else 0.0])
     return Ellipsoids(centres.detach(), body.axes.detach(), body.semi_axes.detach())
 
 
-def _ellipsoids(body: object, target: object, camera: Camera, gradient: Gradient, reach: float) -> str:
+def _ellipsoids(body: Posed, target: Posed, camera: Camera, gradient: Gradient, reach: float) -> str:
     shown = _moved(body, camera)
     leaves = [tensor.requires_grad_() for tensor in (shown.centres, shown.axes, shown.semi_axes)]
     labels = [int(group) for group in LABELS.part_groups[1:]]
@@ -112,31 +108,16 @@ def _ellipsoids(body: object, target: object, camera: Camera, gradient: Gradient
     return fingerprint(labels_seen, loss, picture.labels, picture.depth, picture.parts, maps, *of_loss, *of_maps)
 
 
-@dataclass(frozen=True)
-class _OnScreen:
-    """A camera whose picture of the vertices is a leaf, so that a gradient can be taken in it."""
-
-    camera: Camera
-    screen: torch.Tensor
-
-    def project(self, points: torch.Tensor) -> torch.Tensor:
-        return self.screen
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self.camera, name)
-
-
-def _mesh(body: object, target: object, camera: Camera, level: int) -> str:
+def _mesh(body: Posed, target: Posed, camera: Camera, level: int) -> str:
     mesh = ellipbody_mesh(level).relabel(LABELS.part_groups)
     shift = torch.tensor([0.0, 0.0, 3.0 if camera.perspective else 0.0])
-    # By the gradient on the screen, which is what fingerprints hold: those of the camera's own axes are torch's.
+    labels_seen = draw_mesh(target.vertices(level) + shift, mesh, camera, SIZE).labels
+    # By the gradient on the screen: those of the camera's own axes are torch's.
     screen = camera.project(body.vertices(level) + shift).detach().requires_grad_()
-    camera = _OnScreen(camera, screen)
-    vertices = body.vertices(level)
-    labels_seen = draw_mesh(target.vertices(level) + shift, mesh, camera.camera, SIZE).labels
-    loss, picture = mesh_label_loss(vertices, mesh, camera, labels_seen)
+    shown = screen, mesh, ScreenCamera(camera.perspective)
+    loss, picture = mesh_label_loss(*shown, labels_seen)
     (of_loss,) = torch.autograd.grad(loss.sum(), screen)
-    maps = draw_mesh(vertices, mesh, camera, SIZE, num_maps=mesh.num_labels).maps
+    maps = draw_mesh(*shown, SIZE, num_maps=mesh.num_labels).maps
     (of_maps,) = torch.autograd.grad((maps * torch.linspace(-1, 1, SIZE[1])).sum(), screen)
     return fingerprint(labels_seen, loss, picture.labels, picture.depth, picture.face_index, maps, of_loss, of_maps)
 

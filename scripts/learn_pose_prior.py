@@ -135,9 +135,7 @@ def least_variances() -> np.ndarray:
     return np.append(np.repeat(deviations, 3), [MIN_DEVIATION_UP] * 3) ** 2
 
 
-def fit_mixture(
-    data: np.ndarray, weights: np.ndarray, random: np.random.Generator, label: str
-) -> tuple[Mixture, float]:
+def fit_mixture(data: np.ndarray, weights: np.ndarray, random: np.random.Generator) -> tuple[Mixture, float]:
     """Expectation-maximisation on poses and their mirror images; also returns the mean log-likelihood.
 
     With mirrored data, what holds for a component holds for its twin.
