@@ -119,36 +119,3 @@ def skeleton(name: str) -> Skeleton:
     if name not in SKELETONS:
         raise ValueError(f"skeleton: {name!r}; expected one of {', '.join(SKELETONS)}")
     return SKELETONS[name]
-
-
-def joint_map(source: str, target: str) -> np.ndarray:
-    """Index of the joint of ``source`` for each joint of ``target``, -1 if it has none, shape (J,), int64."""
-    order = skeleton(source).landmarks
-    return np.array([order.index(name) if name in order else -1 for name in skeleton(target).landmarks], dtype=np.int64)
-
-
-def convert(values: np.ndarray, source: str, target: str, *, missing: float = np.nan) -> np.ndarray:
-    """Reorder keypoints of one format as another; what the source lacks becomes ``missing``.
-
-    Args:
-        values: Coordinates (and perhaps confidences), shape (..., J_source, C); integers become float64.
-        source: Name of the format of ``values``.
-        target: Name of the format of the result.
-        missing: Value of the joints that ``source`` lacks: NaN for positions, 0 for confidences.
-
-    Returns:
-        Values of shape (..., J_target, C).
-
-    Raises:
-        ValueError: If a name is no skeleton or the shape does not fit.
-    """
-    values = np.asarray(values)
-    if values.dtype.kind != "f":
-        values = values.astype(np.float64)
-    joints = len(skeleton(source))
-    if values.ndim < 2 or values.shape[-2] != joints:
-        raise ValueError(f"values: shape {values.shape}; expected (..., {joints}, C) of {source}")
-    indices = joint_map(source, target)
-    converted = values[..., indices, :]
-    converted[..., indices < 0, :] = missing
-    return converted

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_partdr.body.skeletons import SKELETONS, convert
+from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
 from warp_partdr.inputs.keypoints import person_height
@@ -50,12 +50,6 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
     assert keypoints.points.dtype == keypoints.confidence.dtype == np.float32
     np.testing.assert_allclose(keypoints.points, np.array(values)[:, :2])
     np.testing.assert_allclose(keypoints.confidence, 0.5 if width == 3 else 1.0)
-    # What the format has in common with another survives the way there and back.
-    there = convert(keypoints.points, name, "body25")
-    back = convert(there, "body25", name)
-    shared = ~np.isnan(back[:, 0])
-    assert shared.sum() >= 12
-    np.testing.assert_array_equal(back[shared], keypoints.points[shared])
 
 
 @pytest.mark.parametrize(
