@@ -36,8 +36,7 @@ from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SHAPE_INDICES
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.mesh import detailed_mesh
-from warp_partdr.clothing.model import Detailed, DetailedModel
+from warp_partdr.clothing.model import Detailed, DetailedModel, detailed_mesh
 from warp_partdr.clothing.registration import Registered, RegistrationOptions, RegistrationWeights, register
 from warp_partdr.clothing.surfaces import skin_vertices
 from warp_partdr.render.part_mesh import PartMesh

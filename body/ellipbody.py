@@ -13,7 +13,7 @@ from ..errors import check_whole
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from .icosphere import icosphere
-from .template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, THICKNESS_NAMES, template
+from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, THICKNESS_NAMES, template
 
 if TYPE_CHECKING:
     import torch
@@ -156,21 +156,16 @@ class EllipBody(WarpArrays):
             raise ValueError(f"dtype: {dtype}; expected warp.float32 or warp.float64")
         vec, mat = _PRECISIONS[dtype]
         batch = len(np.atleast_1d(global_orient))
-        given = {
-            "global_orient": (np.asarray(global_orient), (batch, 3, 3), mat),
-            "translation": (np.asarray(translation), (batch, 3), vec),
-            "rotations": (np.asarray(rotations), (batch, NUM_PARTS, 3, 3), mat),
-            "lengths": (np.asarray(lengths), (batch, len(LENGTH_NAMES)), dtype),
-            "thicknesses": (np.asarray(thicknesses), (batch, len(THICKNESS_NAMES)), dtype),
-        }
-        for name, (value, shape, _) in given.items():
-            if value.shape != shape:
-                raise ValueError(f"{name}: shape {value.shape}; expected {shape}")
+        given = [np.asarray(value) for value in (global_orient, translation, rotations, lengths, thicknesses)]
+        for (name, shape), value in zip(BODY_SHAPES.items(), given, strict=True):
+            if value.shape != (batch, *shape):
+                raise ValueError(f"{name}: shape {value.shape}; expected {(batch, *shape)}")
             if value.dtype.kind not in "fiu":
                 raise ValueError(f"{name}: {value.dtype}; expected numbers")
-        numbers = {name: torch.from_numpy(value.astype(np.float64)) for name, (value, _, _) in given.items()}
-        check_numbers(numbers, rotations=("global_orient", "rotations"))
-        return cls(**{name: wp.array(value, dtype=kind, device=device) for name, (value, _, kind) in given.items()})
+        numbers = [torch.from_numpy(value.astype(np.float64)) for value in given]
+        check_numbers(dict(zip(BODY_SHAPES, numbers, strict=True)), rotations=("global_orient", "rotations"))
+        kinds = (mat, vec, mat, dtype, dtype)
+        return cls(*(wp.array(value, dtype=kind, device=device) for value, kind in zip(given, kinds, strict=True)))
 
     @property
     def batch_size(self) -> int:

@@ -13,13 +13,13 @@ from ..interop.checks import check_finite, check_tensor
 from ..interop.movable import Movable
 from .posing import Posed, pose
 from .rotations import rotation_from_6d, rotation_from_axis_angle
-from .template import LENGTH_NAMES, LOCKED_PARTS, NUM_PARTS, THICKNESS_NAMES, template
+from .template import BODY_SHAPES, LOCKED_PARTS, NUM_PARTS, template
 
 ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
     "orientation": (6,),
     "rotations": (NUM_PARTS, 3),
-    "lengths": (len(LENGTH_NAMES),),
-    "thicknesses": (len(THICKNESS_NAMES),),
+    "lengths": BODY_SHAPES["lengths"],
+    "thicknesses": BODY_SHAPES["thicknesses"],
     "log_scale": (),
     "shift": (2,),
 }

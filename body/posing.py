@@ -20,7 +20,7 @@ from ..kernels import kinematics
 from . import plain_posing
 from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
 from .landmarks import landmark_points
-from .template import LENGTH_NAMES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
+from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
 
 _WARP_TYPES = {torch.float32: (wp.float32, wp.vec3f, wp.mat33f), torch.float64: (wp.float64, wp.vec3d, wp.mat33d)}
 
@@ -100,21 +100,13 @@ def pose(
     """
     check_tensor("global_orient", global_orient, (None, 3, 3), dtypes=tuple(_WARP_TYPES))
     batch = global_orient.shape[0]
-    shapes = {
-        "global_orient": (global_orient, (batch, 3, 3)),
-        "translation": (translation, (batch, 3)),
-        "rotations": (rotations, (batch, NUM_PARTS, 3, 3)),
-        "lengths": (lengths, (batch, len(LENGTH_NAMES))),
-        "thicknesses": (thicknesses, (batch, len(THICKNESS_NAMES))),
-    }
-    for name, (tensor, shape) in shapes.items():
-        check_tensor(name, tensor, shape, dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
     parameters = (global_orient, translation, rotations, lengths, thicknesses)
+    for (name, shape), tensor in zip(BODY_SHAPES.items(), parameters, strict=True):
+        check_tensor(name, tensor, (batch, *shape), dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
     if _in_torch(*parameters):
         return Posed(*plain_posing.pose_bones_by_torch(*parameters))
     if validate:
-        numbers = {name: tensor for name, (tensor, _) in shapes.items()}
-        check_numbers(numbers, rotations=("global_orient", "rotations"))
+        check_numbers(dict(zip(BODY_SHAPES, parameters, strict=True)), rotations=("global_orient", "rotations"))
     return Posed(*_Bones.apply(*parameters))
 
 

@@ -55,6 +55,15 @@ PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(row[1]) - 1 for row in _PARTS
 LENGTH_NAMES: tuple[str, ...] = tuple(dict.fromkeys(row[3] for row in _PARTS))
 THICKNESS_NAMES: tuple[str, ...] = tuple(dict.fromkeys(name for row in _PARTS for name in row[4:]))
 
+# Shape of each argument of ``pose``, without the batch.
+BODY_SHAPES: dict[str, tuple[int, ...]] = {
+    "global_orient": (3, 3),
+    "translation": (3,),
+    "rotations": (NUM_PARTS, 3, 3),
+    "lengths": (len(LENGTH_NAMES),),
+    "thicknesses": (len(THICKNESS_NAMES),),
+}
+
 # Per part: (length, first thickness, second thickness), indices into the two tuples above.
 SHAPE_INDICES: tuple[tuple[int, int, int], ...] = tuple(
     (LENGTH_NAMES.index(length), THICKNESS_NAMES.index(first), THICKNESS_NAMES.index(second))

@@ -16,8 +16,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.load import load_model
-from warp_partdr.clothing.mesh import detailed_mesh
-from warp_partdr.clothing.model import DetailedModel
+from warp_partdr.clothing.model import DetailedModel, detailed_mesh
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.render.part_mesh import ellipbody_mesh
 

@@ -19,7 +19,7 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
 from warp_partdr.clothing.anny import anny
-from warp_partdr.clothing.mesh import detailed_mesh
+from warp_partdr.clothing.model import detailed_mesh
 from warp_partdr.clothing.registration import Registered, RegistrationOptions, register
 from warp_partdr.errors import InputError
 from warp_partdr.fit.fitting import fit_body

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..errors import InputError
+from ..errors import InputError, cause
 from ..files.array_files import MAX_BYTES, read_npz
 from .anny import anny
 from .model import DetailedModel
@@ -64,7 +64,5 @@ def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
             raise InputError(f"{path}: {size / 1e9:.1f} GB; expected {_EXPECTED}, at most {MAX_BYTES / 1e9:.1f} GB")
         with safe_open(path, framework="numpy") as file:
             return {name: file.get_tensor(name) for name in ARRAYS if name in file.keys()}  # noqa: SIM118  no mapping
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; expected {_EXPECTED}") from error
-    except (SafetensorError, TypeError) as error:  # a dtype that NumPy lacks
-        raise InputError(f"{path}: {' '.join(str(error).split())}; expected {_EXPECTED}") from error
+    except (OSError, SafetensorError, TypeError) as error:  # TypeError: a dtype that NumPy lacks
+        raise InputError(f"{path}: {cause(error)}; expected {_EXPECTED}") from error

@@ -18,6 +18,7 @@ from ..body.labels import label_set
 from ..body.template import NUM_PARTS, PART_NAMES
 from ..interop.checks import check_tensor
 from ..interop.movable import Movable
+from ..render.part_mesh import PartMesh
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
@@ -247,3 +248,13 @@ def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tens
     top = torch.cat([rotations, positions[..., None]], dim=-1)
     bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=top.dtype, device=top.device).expand(*top.shape[:-2], 1, 4)
     return torch.cat([top, bottom], dim=-2)
+
+
+def detailed_mesh(model: DetailedModel) -> PartMesh:
+    """A detailed model's mesh with labels 1 to 20, on the model's device; keep it, its edges take a moment to find.
+
+    ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients
+    reach shape and rotations. ``relabel`` shows another set of parts.
+    """
+    faces, parts = model.faces.cpu().numpy(), model.face_parts.cpu().numpy()
+    return PartMesh.from_faces(faces, parts, device=model.faces.device)

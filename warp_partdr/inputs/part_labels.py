@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..body.labels import IGNORE, LABEL_SETS, LabelSet, label_set
-from ..errors import InputError
+from ..errors import InputError, cause
 from ..files.array_files import Header, read_npy
 from ..files.json_files import read_json
 
@@ -122,9 +122,9 @@ def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
         raise
     except Image.DecompressionBombError as error:
         _check_pixels(path, 2 * (Image.MAX_IMAGE_PIXELS or 0) + 1)
-        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+        raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
     except (OSError, ValueError, SyntaxError, MemoryError) as error:
-        raise InputError(f"{path}: {_reason(error)}; expected {expected}") from error
+        raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
 
 
 def _check_pixels(path: str | Path, pixels: int) -> None:
@@ -188,13 +188,6 @@ def _read_npy(path: str | Path, channels: int) -> np.ndarray:
         _check_pixels(path, math.prod(shape) // (channels if len(shape) == 3 else 1))
 
     return read_npy(path, expected="a .npy array of part labels", check=check)
-
-
-def _reason(error: BaseException) -> str:
-    """Describe in one line what went wrong with a file."""
-    if isinstance(error, OSError):
-        return error.strerror or str(error)
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from ..body.ellipbody import EllipBody
-from ..body.template import LENGTH_NAMES, NUM_PARTS, PART_NAMES, THICKNESS_NAMES
+from ..body.template import BODY_SHAPES, PART_NAMES
 from ..cameras import WeakPerspective
 from ..errors import InputError
 from ..files.array_files import read_npz
@@ -32,11 +32,7 @@ from .result_sets import check_not_in_set, check_result
 
 FORMAT = "warp-partdr body 1"
 _SHAPES: dict[str, tuple[int, ...]] = {
-    "global_orient": (3, 3),
-    "translation": (3,),
-    "rotations": (NUM_PARTS, 3, 3),
-    "lengths": (len(LENGTH_NAMES),),
-    "thicknesses": (len(THICKNESS_NAMES),),
+    **BODY_SHAPES,
     "camera_scale": (),
     "camera_translation": (2,),
     "image_size": (2,),

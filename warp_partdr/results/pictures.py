@@ -11,8 +11,7 @@ import torch
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
 from ..cameras import WeakPerspective
-from ..clothing.mesh import detailed_mesh
-from ..clothing.model import Detailed, DetailedModel
+from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..inputs.keypoints import Keypoints2D
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh, ellipbody_mesh

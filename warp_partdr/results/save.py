@@ -21,7 +21,7 @@ from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Crop, WeakPerspective
-from ..clothing.mesh import detailed_mesh
+from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
 from ..errors import check_type
 from ..fit.result import FitResult

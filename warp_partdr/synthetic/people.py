@@ -12,8 +12,7 @@ from ..body.rotations import rotation_between, rotation_from_axis_angle
 from ..body.template import JOINT_NAMES, LOCKED_PARTS, PARENTS, SHAPE_INDICES, template
 from ..cameras import Camera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny
-from ..clothing.mesh import detailed_mesh
-from ..clothing.model import Detailed, DetailedModel
+from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import pose_from_ellipbody
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh
