@@ -115,9 +115,11 @@ def test_missing_keypoints() -> None:
     (keypoints,) = parse_keypoints(values)
     assert np.flatnonzero(~keypoints.visible).tolist() == [1, 2, 3, 4, 5]
     assert not keypoints.points[1:6].any()
-    pairs: list[Any] = rows(17, 2)
-    pairs[1:4] = [[0, 0], [None, None], [NAN, NAN]]
-    assert np.flatnonzero(~parse_keypoints(pairs)[0].visible).tolist() == [1, 2, 3]
+    pairs: list[Any] = rows(17, 2)  # without confidences, (0, 0) alone says that a keypoint is missing
+    pairs[1:6] = [[0, 0], [None, None], [NAN, NAN], [0, 50], [50, 0]]
+    (keypoints,) = parse_keypoints(pairs)
+    assert np.flatnonzero(~keypoints.visible).tolist() == [1, 2, 3]
+    assert keypoints.points[4:6].tolist() == [[0, 50], [50, 0]]
 
 
 def changed(joint: int, row: Any) -> list[Any]:

@@ -45,15 +45,6 @@ def test_bones_are_the_mean_bodys_shares_of_its_height(bone):
     assert torch.isfinite(posed.joints).all()
 
 
-def test_keypoints_on_the_pictures_border_are_there():
-    """Without confidences, (0, 0) alone says that a keypoint is missing."""
-    rows = [[10.0 + 3 * joint, 20.0 + 5 * joint] for joint in range(17)]
-    rows[1], rows[2], rows[3] = [0.0, 50.0], [50.0, 0.0], [0.0, 0.0]
-    (keypoints,) = parse_keypoints(rows)
-    assert np.flatnonzero(~keypoints.visible).tolist() == [3]
-    assert keypoints.points[1:3].tolist() == [[0.0, 50.0], [50.0, 0.0]]
-
-
 def test_many_people_are_read_as_each_alone(rng: np.random.Generator) -> None:
     """People are looked at side by side; flat lists, rows and missing keypoints in one file."""
     data: list[Any] = []

@@ -1,10 +1,10 @@
-"""Label files in all their formats, and faulty ones."""
+"""Label files in all their formats, faulty ones, and such as are too large, which their headers tell."""
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,9 +16,10 @@ from PIL import Image
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
+from warp_partdr.inputs import part_labels
 from warp_partdr.inputs.part_labels import check_sizes, read_parts, read_photo
 
-NAN = math.nan
+CDCL = label_set("cdcl14")
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
 
 
@@ -52,7 +53,7 @@ def save_palette(path: Path, picture: np.ndarray) -> None:
 )
 def test_label_files(name: str, save: Callable[[Path, np.ndarray], None], tmp_path: Path) -> None:
     save(tmp_path / name, label_picture())
-    parts = read_parts(tmp_path / name, label_set("cdcl14"))
+    parts = read_parts(tmp_path / name, CDCL)
     expected = label_picture()
     expected[expected == 9] = parts.label_set.group_names.index("right_upper_leg") + 1
     np.testing.assert_array_equal(parts.groups, expected)
@@ -108,7 +109,7 @@ def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
         (np.zeros((4, 5), dtype="U3"), "<U3; expected integers, or probabilities"),
         (np.zeros((4, 5, 3), dtype=np.uint8), "uint8 of shape (4, 5, 3); expected (H, W) ids, or float probabilities"),
         (soft(14), "shape (14, 4, 5); expected (15, H, W) or (H, W, 15), one map per id of cdcl14"),
-        (soft() * NAN, "values from nan to nan; expected probabilities, 0 to 1"),
+        (soft() * np.nan, "values from nan to nan; expected probabilities, 0 to 1"),
         (soft() - 1, "values from -0.933333 to -0.933333; expected probabilities"),
         (soft(scale=7.5), "class probabilities add up to 7.5 to 7.5; expected 1 at each pixel"),
         (np.array([[None, {}]]), "holds pickled Python objects, which could run code"),
@@ -118,19 +119,11 @@ def test_bad_label_arrays(array: np.ndarray, message: str, tmp_path: Path) -> No
     path = tmp_path / "bad.npy"
     np.save(path, array, allow_pickle=True)
     with pytest.raises(InputError) as raised:
-        read_parts(path, label_set("cdcl14"))
+        read_parts(path, CDCL)
     error = str(raised.value)
     assert error.startswith(str(path))
     assert message in error
     assert "\n" not in error
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA"])
-def test_coloured_labels(mode: str, tmp_path: Path) -> None:
-    path = tmp_path / "colours.png"
-    Image.fromarray(label_picture()).convert(mode).save(path)
-    with pytest.raises(InputError, match=rf"colours\.png: {mode} picture; expected one channel of label ids"):
-        read_parts(path, label_set("cdcl14"))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".npy"])
@@ -144,14 +137,16 @@ def test_unreadable_label_files(suffix: str, tmp_path: Path, rng: np.random.Gene
     ):
         path.unlink() if content is None else path.write_bytes(content)
         with pytest.raises(InputError, match=rf"parts\{suffix}: {reason}; expected a"):
-            read_parts(path, label_set("cdcl14"))
+            read_parts(path, CDCL)
 
 
-def test_other_label_files_and_sets(tmp_path: Path) -> None:
+def test_other_label_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"parts\.jpg: \.jpg; expected \.png or \.npy part labels"):
-        read_parts(tmp_path / "parts.jpg", label_set("cdcl14"))
-    with pytest.raises(InputError, match=r"labels: 'cdcl'; expected one of .*cdcl14"):
-        label_set("cdcl")
+        read_parts(tmp_path / "parts.jpg", CDCL)
+    for mode in ("RGB", "RGBA", "LA"):
+        Image.fromarray(label_picture()).convert(mode).save(tmp_path / "colours.png")
+        with pytest.raises(InputError, match=rf"colours\.png: {mode} picture; expected one channel of label ids"):
+            read_parts(tmp_path / "colours.png", CDCL)
 
 
 def test_photo_and_sizes(tmp_path: Path) -> None:
@@ -187,4 +182,47 @@ def test_probabilities_add_up_to_one_but_for_rounding(total, taken, tmp_path):
     np.save(tmp_path / "soft.npy", maps)
     says = pytest.raises(InputError, match=r"class probabilities add up to .*; expected 1 at each pixel")
     with nullcontext() if taken else says:
-        assert read_parts(tmp_path / "soft.npy", label_set("cdcl14")).maps is not None
+        assert read_parts(tmp_path / "soft.npy", CDCL).maps is not None
+
+
+TOO_LARGE = r": more than .* megapixels; expected a smaller picture$"
+
+
+@pytest.mark.parametrize("pil_limit", [None, 100, 300, 10**9])
+def test_larger_pictures_are_refused_by_their_headers(pil_limit, tmp_path, monkeypatch):
+    """Whatever PIL's own limit is; above twice that, it raises."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", pil_limit)
+    monkeypatch.setattr(part_labels, "LARGEST_PICTURE", 199)
+    path = tmp_path / "large.png"
+    Image.fromarray(np.zeros((20, 20), dtype=np.uint8)).save(path)
+    path.write_bytes(path.read_bytes()[:50])  # signature, IHDR and where pixels begin
+    for read in (read_photo, lambda path: read_parts(path, CDCL)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(InputError, match=r"large\.png" + TOO_LARGE):
+                read(path)
+
+
+def test_large_pictures_are_read_without_a_word(tmp_path, monkeypatch):
+    """Of which PIL warns; the limit is above its warning, below its error, and below what the renderer takes."""
+    assert Image.MAX_IMAGE_PIXELS < part_labels.LARGEST_PICTURE < 2 * Image.MAX_IMAGE_PIXELS
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 150)
+    path = tmp_path / "fine.png"
+    Image.fromarray(label_picture()).save(path)
+    with pytest.warns(Image.DecompressionBombWarning):
+        Image.open(path).close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_photo(path).shape == (12, 16, 3)
+        assert read_parts(path, CDCL).groups.shape == (12, 16)
+
+
+@pytest.mark.parametrize("shape", [(20, 10), (15, 20, 10), (20, 10, 15)])
+def test_larger_arrays_are_refused_by_their_headers(shape, tmp_path, monkeypatch):
+    path = tmp_path / "labels.npy"
+    with path.open("wb") as file:  # the header alone
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    for limit, message in ((199, r"labels\.npy" + TOO_LARGE), (200, "says that its shape is")):
+        monkeypatch.setattr(part_labels, "LARGEST_PICTURE", limit)
+        with pytest.raises(InputError, match=message):
+            read_parts(path, CDCL)
