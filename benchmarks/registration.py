@@ -33,7 +33,7 @@ from anny_person import Person as AnnyPerson
 from measure_mean_body import Silhouettes, fit_thicknesses
 
 from warp_partdr.body.posing import Posed, pose
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SHAPE_INDICES
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SHAPE_INDICES
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.model import Detailed, DetailedModel, detailed_mesh
@@ -44,7 +44,7 @@ from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.pictures import blend, shade_mesh
 from warp_partdr.synthetic.mocap import Clip
 from warp_partdr.synthetic.mocap_files import held_out_frames
-from warp_partdr.synthetic.people import BONE_STARTS, PHENOTYPE_RANGES, pose_anny, rotations_along
+from warp_partdr.synthetic.people import PHENOTYPE_RANGES, pose_anny, rotations_along
 from warp_partdr.synthetic.poses import mean_body
 
 DEPTH = 0.002  # [m] inside an ellipsoid that counts

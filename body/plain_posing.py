@@ -8,13 +8,10 @@ from __future__ import annotations
 import torch
 
 from .icosphere import icosphere
-from .template import LENGTH_NAMES, PARENTS, SHAPE_INDICES, template
+from .template import BONE_STARTS, PARENTS, SIZE_COLUMNS, template
 
 _DIRECTIONS = torch.from_numpy(template().rest_directions)
 _AXES = torch.from_numpy(template().rest_axes)
-# Of each part, in lengths and thicknesses side by side.
-_SIZES = [[length, *(len(LENGTH_NAMES) + index for index in thicknesses)] for length, *thicknesses in SHAPE_INDICES]
-_STARTS = [parent + 1 for parent in PARENTS]  # joint where each bone starts
 
 
 def pose_bones_by_torch(
@@ -29,13 +26,13 @@ def pose_bones_by_torch(
     for parent, rotation in zip(PARENTS, rotations.unbind(1), strict=True):
         turns.append((global_orient if parent < 0 else turns[parent]) @ rotation)
     turned = torch.stack(turns, dim=1)
-    sizes = torch.cat([lengths, thicknesses], dim=1)[:, _SIZES]
+    sizes = torch.cat([lengths, thicknesses], dim=1)[:, SIZE_COLUMNS]
     bones = (turned @ _DIRECTIONS.to(lengths)[..., None])[..., 0] * sizes[..., :1]
     ends = [translation]
-    for start, bone in zip(_STARTS, bones.unbind(1), strict=True):
+    for start, bone in zip(BONE_STARTS, bones.unbind(1), strict=True):
         ends.append(ends[start] + bone)
     joints = torch.stack(ends, dim=1)
-    centres = (joints[:, _STARTS] + joints[:, 1:]) / 2
+    centres = (joints[:, BONE_STARTS] + joints[:, 1:]) / 2
     return joints, turned, centres, turned @ _AXES.to(lengths), sizes / 2
 
 

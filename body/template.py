@@ -51,6 +51,7 @@ NUM_JOINTS = len(JOINT_NAMES)
 
 # Parent bone of each bone; -1 is the root.
 PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(row[1]) - 1 for row in _PARTS)
+BONE_STARTS = [parent + 1 for parent in PARENTS]  # joint where each bone starts
 
 LENGTH_NAMES: tuple[str, ...] = tuple(dict.fromkeys(row[3] for row in _PARTS))
 THICKNESS_NAMES: tuple[str, ...] = tuple(dict.fromkeys(name for row in _PARTS for name in row[4:]))
@@ -69,6 +70,11 @@ SHAPE_INDICES: tuple[tuple[int, int, int], ...] = tuple(
     (LENGTH_NAMES.index(length), THICKNESS_NAMES.index(first), THICKNESS_NAMES.index(second))
     for *_, length, first, second in _PARTS
 )
+
+# The same, indices into lengths and thicknesses side by side.
+SIZE_COLUMNS = [
+    [length, *(len(LENGTH_NAMES) + index for index in thicknesses)] for length, *thicknesses in SHAPE_INDICES
+]
 
 # Body direction that the first thickness axis of a part follows in the rest pose, as near as the bone allows:
 # depth (z) everywhere but the feet, whose first thickness is their width (x).

@@ -21,7 +21,14 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES
+from warp_partdr.body.template import (
+    BONE_STARTS,
+    JOINT_NAMES,
+    LENGTH_NAMES,
+    NUM_PARTS,
+    PART_NAMES,
+    SIZE_COLUMNS,
+)
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import MEASURES, UNGROWN
@@ -95,14 +102,13 @@ def mesh_measures(registered: Registered, posed: Posed) -> torch.Tensor:
     parts, areas = vertex_parts(registered.model)
     joints = registered.model.landmarks(registered.detailed, JOINT_NAMES)
     sizes = torch.zeros_like(posed.semi_axes)
-    sizes[..., 0] = (joints[:, 1:] - joints[:, [parent + 1 for parent in PARENTS]]).norm(dim=-1)
+    sizes[..., 0] = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1)
     for part in range(NUM_PARTS):
         weights = (areas * (parts == part) / areas[parts == part].sum())[:, None]
         across = registered.detailed.vertices @ posed.axes[:, part, :, 1:]
         middle = (weights * across).sum(1, keepdim=True)
         sizes[:, part, 1:] = (weights * (across - middle).square()).sum(1).sqrt()
-    indices = torch.tensor(SHAPE_INDICES) + torch.tensor([0, len(LENGTH_NAMES), len(LENGTH_NAMES)])
-    sharing = torch.nn.functional.one_hot(indices.flatten(), len(MEASURES)).to(sizes)
+    sharing = torch.nn.functional.one_hot(torch.tensor(SIZE_COLUMNS).flatten(), len(MEASURES)).to(sizes)
     return sizes.flatten(1) @ (sharing / sharing.sum(0))
 
 

@@ -34,9 +34,9 @@ from PIL import Image, ImageDraw
 from warp_partdr.body.rotations import rotation_from_6d
 from warp_partdr.body.template import (
     _FIRST_THICKNESS_AXIS,
+    BONE_STARTS,
     JOINT_NAMES,
     LENGTH_NAMES,
-    PARENTS,
     PART_NAMES,
     SHAPE_INDICES,
     THICKNESS_NAMES,
@@ -199,7 +199,7 @@ def main() -> None:
     person = rest_pose(PersonFactory())
     joints = measure_joints(person)
     places = np.array([joints[name] for name in JOINT_NAMES])
-    starts, ends = places[[parent + 1 for parent in PARENTS]], places[1:]
+    starts, ends = places[BONE_STARTS], places[1:]
     silhouettes = Silhouettes(person, starts, ends)
     thicknesses = fit_thicknesses(silhouettes)
     lengths = np.zeros(len(LENGTH_NAMES))

@@ -11,7 +11,7 @@ import torch
 from scenes.bodies import QUICK_REGISTRATION, ellipbodies
 
 from warp_partdr.body.posing import Posed
-from warp_partdr.body.template import JOINT_NAMES, NUM_PARTS, PARENTS
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, NUM_PARTS
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import (
@@ -70,7 +70,7 @@ def test_shape_from_lengths_is_exact_for_bodies_of_the_model(device: str) -> Non
 
     def bones(shape: torch.Tensor) -> torch.Tensor:
         joints = model.landmarks(model.rest(shape), JOINT_NAMES)
-        return (joints[:, 1:] - joints[:, [p + 1 for p in PARENTS]]).norm(dim=-1)
+        return (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1)
 
     posed = ellipbodies(device, 1)
     semi_axes = posed.semi_axes.clone()

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from importlib import resources
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
-from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, observation_of
+from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, seen_by
+from scenes.files import EXAMPLE
 from typer.testing import CliRunner
 
 from warp_partdr import label_set
 from warp_partdr.body.labels import LabelSet
-from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import main
 from warp_partdr.fit.explain import explain, print_choices
 from warp_partdr.fit.fitting import fit_body
@@ -21,20 +21,17 @@ from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
 
 
-def seen_by(body: BodyParameters, labels: LabelSet, image: tuple[int, int] = (300, 400)) -> tuple:
-    """Keypoints and labels of a picture with the body in its upper left corner."""
-    size = 200
-    seen = observation_of(body, labels, size)
-    points = ((seen.points + 1) * size / 2).cpu().numpy()
-    groups = np.zeros(image, dtype=np.uint8)
-    groups[:size, :size] = seen.labels.cpu().numpy()
-    confidence = np.ones(len(points), dtype=np.float32)
+def seen(labels: LabelSet) -> tuple[Keypoints2D, PartLabels]:
+    """Keypoints, the face's without confidence, and labels of a body at the edge of a picture."""
+    keypoints, parts = seen_by(bent_bodies(batch=1))
+    confidence = np.ones(17, dtype=np.float32)
     confidence[:3] = 0.0
-    return Keypoints2D("coco17", points.astype(np.float32), confidence), PartLabels(labels, groups)
+    groups = np.pad(labels.from_parts(parts.groups), ((0, 100), (0, 240)))
+    return replace(keypoints, confidence=confidence), PartLabels(labels, groups)
 
 
 def test_a_fit_says_what_it_models():
-    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    keypoints, parts = seen(WITHOUT_TIPS)
     choices = {choice.what: choice for choice in explain(keypoints, parts)}
     assert choices["keypoints"].modelled.startswith("14 of 17")
     assert choices["keypoints"].left_out == "nose; left_eye; right_eye"
@@ -49,7 +46,7 @@ def test_a_fit_says_what_it_models():
 
 
 def test_a_fit_without_labels_draws_nothing():
-    keypoints, _ = seen_by(bent_bodies(), label_set("body14"))
+    keypoints, _ = seen(label_set("body14"))
     last = explain(keypoints)[-1]
     assert last.what == "part labels"
     assert last.left_out == "L_seg; outline"
@@ -60,7 +57,7 @@ def test_a_fit_without_labels_draws_nothing():
 
 def test_a_fit_says_where_it_looks_for_depth():
     for labels, modelled, why in ((WITHOUT_TIPS, "stages labels, coarse", ""), (label_set("full1"), "", "one label")):
-        keypoints, parts = seen_by(bent_bodies(), labels)
+        keypoints, parts = seen(labels)
         choices = explain(keypoints, parts, options=FitOptions.at("balanced", "search"))
         depth = next(choice for choice in choices if choice.what == "z gradient")
         assert depth.modelled.startswith(modelled)
@@ -69,7 +66,7 @@ def test_a_fit_says_where_it_looks_for_depth():
 
 
 def test_the_table_holds_every_choice(capsys):
-    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    keypoints, parts = seen(WITHOUT_TIPS)
     choices = explain(keypoints, parts)
     print_choices(choices, Console(width=200))
     shown = capsys.readouterr().out
@@ -78,7 +75,7 @@ def test_the_table_holds_every_choice(capsys):
 
 def test_fits_of_a_few_stages_still_fit():
     """What is explained is what is done: the same stages, the same crop."""
-    keypoints, parts = seen_by(bent_bodies(), WITHOUT_TIPS)
+    keypoints, parts = seen(WITHOUT_TIPS)
     options = FitOptions(stages=(Stage("lift", 8, 5, 0.1), Stage("labels", 2, 3, 0.02, 64)))
     result = fit_body(keypoints, parts, options=options)
     picture = next(choice for choice in explain(keypoints, parts, options=options) if choice.what == "picture")
@@ -88,8 +85,7 @@ def test_fits_of_a_few_stages_still_fit():
 
 
 def test_the_command_explains(tmp_path):
-    example = resources.files("warp_partdr") / "assets" / "example"
-    inputs = [str(example / "photo.png"), "--keypoints", str(example / "keypoints.json")]
+    inputs = [str(EXAMPLE / "photo.png"), "--keypoints", str(EXAMPLE / "keypoints.json")]
     run = CliRunner().invoke(main.app, ["fit", *inputs, "--explain", "--model", "none", "--out", str(tmp_path / "fit")])
     assert run.exit_code == 0, run.output
     assert "What is modelled" in run.output

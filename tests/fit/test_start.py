@@ -38,33 +38,20 @@ def astray(tmp_path):
 
 
 def test_a_fit_starts_from_the_network(device):
-    keypoints, parts = seen_by(walker(device))
-    result = fit_body(keypoints, parts, quality="fast", device=device)
-    assert result.start == "network"
-    assert result.hypotheses == 1
-    assert set(result.stage_seconds) == {"network", "labels"}
-
-
-def test_the_network_finds_somebody_it_never_saw(device):
+    """It finds somebody it never saw; without stages, its body stays as it is."""
     body = walker(device)
     keypoints, parts = seen_by(body)
     found = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
-    off = (found.posed.joints - body.posed().joints).norm(dim=-1).mean()
-    assert float(off) < 0.12  # [m]
+    seen, _ = observe(keypoints, parts, device=device)
+    said = predict_bodies([seen], packaged_network(str(seen.points.device)))
+    assert torch.equal(found.parameters.rotations, said.rotations)
+    assert (found.energy, found.history) == ({}, [])
+    assert float((found.posed.joints - body.posed().joints).norm(dim=-1).mean()) < 0.12  # [m]
     refined = fit_body(keypoints, parts, quality="fast", device=device)
+    assert (refined.start, refined.hypotheses, set(refined.stage_seconds)) == ("network", 1, {"network", "labels"})
     size = parts.groups.shape
     wrong = [float((each.draw(size).labels[0].cpu().numpy() != parts.groups).sum()) for each in (found, refined)]
     assert wrong[1] < 0.8 * wrong[0]
-
-
-def test_without_stages_the_networks_body_stays_as_it_is(device):
-    keypoints, parts = seen_by(walker(device))
-    result = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
-    seen, _ = observe(keypoints, parts, device=device)
-    said = predict_bodies([seen], packaged_network(device if device == "cpu" else str(seen.points.device)))
-    assert torch.equal(result.parameters.rotations, said.rotations)
-    assert result.energy == {}
-    assert result.history == []
 
 
 def test_a_search_takes_over_from_a_network_gone_astray(device, astray):

@@ -23,31 +23,18 @@ LEFT |= {18: (43, 44, -4), 20: (68, 45, -4)}
 def smpl_arrays(num_joints: int = 24, num_shapes: int = 12) -> dict[str, np.ndarray]:
     """Arrays as in a file of SMPL (24), SMPL-H (52) or SMPL-X (55)."""
     rng = np.random.default_rng(0)
-    parents, joints = list(BODY_PARENTS), np.zeros((22, 3))
-    for joint, place in MIDDLE.items():
-        joints[joint] = place
+    parents, joints = list(BODY_PARENTS), [MIDDLE.get(joint, (0, 0, 0)) for joint in range(22)]
     for joint, place in LEFT.items():
         joints[joint], joints[joint + 1] = place, np.multiply(place, (-1, 1, 1))
-    parents += {24: [], 52: [], 55: [15, 15, 15]}[num_joints]
-    for wrist in (20, 21):
-        for _ in range(1 if num_joints == 24 else 5):
-            for knuckle in range(1 if num_joints == 24 else 3):
+    if num_joints == 55:  # jaw and eyes
+        parents, joints = parents + [15] * 3, joints + [np.add(joints[15], (0, 3, 5))] * 3
+    knuckles, fingers = (1, (1,)) if num_joints == 24 else (3, (3, 1, -3, -1, 4))  # index, middle, pinky, ring, thumb
+    for wrist, side in ((20, 1), (21, -1)):
+        for forward in fingers:
+            for knuckle in range(knuckles):
                 parents.append(wrist if knuckle == 0 else len(parents) - 1)
-    side = {parent: np.sign(joints[parent, 0]) for parent in (20, 21)}
-    for joint in range(22, num_joints):
-        above, wrist = parents[joint], joint
-        while wrist > 21:
-            wrist = parents[wrist]
-        if wrist == 15:
-            place = joints[15] + [0, 3, 5]
-        elif above == wrist:
-            first = (joint - (22 if num_joints == 52 else 25)) // 3 % 5 if num_joints > 24 else 1
-            forward = {0: 3, 1: 1, 2: -3, 3: -1, 4: 4}[first]  # index, middle, pinky, ring, thumb
-            place = joints[wrist] + [8 * side[wrist], 0, forward]
-        else:
-            place = joints[above] + [3 * side[wrist], 0, 0]
-        joints = np.vstack([joints, place])
-    joints /= 100
+                joints.append(np.add(joints[wrist], (side * (8 + 3 * knuckle), 0, forward)))
+    joints = np.array(joints) / 100
     corners = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     vertices = (joints[:, None] + corners).reshape(-1, 3)
     weights = np.zeros((len(vertices), num_joints))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes.bodies import clips
 
-from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES
 from warp_partdr.synthetic import mocap, mocap_files
 
 LIMBS = ("upper_leg", "lower_leg", "upper_arm", "forearm", "hand")
@@ -19,7 +19,7 @@ LIMBS = ("upper_leg", "lower_leg", "upper_arm", "forearm", "hand")
 def directions(clip: mocap.Clip) -> np.ndarray:
     """Unit directions of EllipBody's bones, shape (F, 20, 3)."""
     joints = mocap.joint_positions(clip.global_orient, clip.rotations)
-    starts = joints[:, [parent + 1 for parent in PARENTS]]
+    starts = joints[:, BONE_STARTS]
     bones = joints[:, 1:] - starts
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
 

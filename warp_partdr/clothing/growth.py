@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import torch
 
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, SHAPE_INDICES, THICKNESS_NAMES, template
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, SIZE_COLUMNS, THICKNESS_NAMES, template
 from .model import DetailedModel
 from .pose import rest_turns
 
@@ -39,9 +39,6 @@ UNGROWN: tuple[str, ...] = ("pelvis height", "shoulder thickness")
 # Bones between joints are the same on both sides; what an estimated shape leaves.
 _LENGTH_SPREAD = 0.015
 
-_LENGTH_STARTS = [parent + 1 for parent in PARENTS]
-_INDICES = [[length, len(LENGTH_NAMES) + first, len(LENGTH_NAMES) + second] for length, first, second in SHAPE_INDICES]
-
 
 class Growth:
     """EllipBody's measures of a model's bodies, and stretches of the model's parts that change them.
@@ -61,7 +58,7 @@ class Growth:
         """
         self.model = model
         like = areas
-        self.indices = torch.tensor(_INDICES, device=like.device)
+        self.indices = torch.tensor(SIZE_COLUMNS, device=like.device)
         of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(like) * areas[:, None]
         whole = of_parts.sum(0)
         self.shares = (of_parts / whole.clamp(min=1e-12)).T
@@ -82,7 +79,7 @@ class Growth:
         """Logarithms of the 27 measures of the model's bodies, shape (B, 27), differentiable."""
         rest = self.model.rest(shape, stretches=stretches)
         joints = self.model.landmarks(rest, JOINT_NAMES)
-        lengths = (joints[:, 1:] - joints[:, _LENGTH_STARTS]).norm(dim=-1, keepdim=True)
+        lengths = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1, keepdim=True)
         means = self.shares @ rest.vertices
         products = (rest.vertices[..., :, None] * rest.vertices[..., None, :]).flatten(2)
         covariances = (self.shares @ products).unflatten(2, (3, 3)) - means[..., :, None] * means[..., None, :]

@@ -14,7 +14,7 @@ import torch
 
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES
 from ..errors import check_type
 from ..interop.checks import check_numbers, check_steps, check_tensor
 from ..interop.movable import Movable
@@ -215,10 +215,9 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
     rows = [model.landmark_names.index(name) for name in JOINT_NAMES]
     points = torch.cat([model.rest_vertices, model.rest_joints])
     directions = torch.cat([model.shape_directions, model.joint_directions], dim=1)
-    starts = [parent + 1 for parent in PARENTS]
     joints = model.landmark_weights[rows] @ points
     moves = model.landmark_weights[rows] @ directions
-    bones, changes = joints[1:] - joints[starts], moves[:, 1:] - moves[:, starts]
+    bones, changes = joints[1:] - joints[BONE_STARTS], moves[:, 1:] - moves[:, BONE_STARTS]
     targets = 2 * posed.semi_axes[..., 0]
     shape = bones.new_zeros(len(targets), model.num_shapes)
     regular = _LENGTH_PRIOR * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)

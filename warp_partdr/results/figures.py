@@ -11,7 +11,7 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
 from ..body.posing import Posed
-from ..body.template import LENGTH_NAMES, SHAPE_INDICES, THICKNESS_NAMES
+from ..body.template import LENGTH_NAMES, SIZE_COLUMNS, THICKNESS_NAMES
 from ..cameras import Camera
 from ..fit.result import FitResult
 from ..render.ellipsoids import draw_ellipsoids
@@ -90,8 +90,7 @@ def draw_groups(posed: Posed, camera: Camera, size: tuple[int, ...], groups: Lab
 def body_sizes(posed: Posed) -> np.ndarray:
     """``LENGTH_NAMES``, then ``THICKNESS_NAMES`` of a body [m], shape (27,)."""
     sizes = np.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
-    columns = np.add(SHAPE_INDICES, [0, len(LENGTH_NAMES), len(LENGTH_NAMES)])
-    sizes[columns] = 2 * posed.semi_axes[0].cpu().numpy()
+    sizes[np.array(SIZE_COLUMNS)] = 2 * posed.semi_axes[0].cpu().numpy()
     return sizes
 
 

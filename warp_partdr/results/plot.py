@@ -15,7 +15,7 @@ import torch
 
 from ..body.labels import BACKGROUND, LabelSet, label_set
 from ..body.posing import Posed
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, PARENTS, THICKNESS_NAMES
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, THICKNESS_NAMES
 from ..cameras import Camera, WeakPerspective
 from ..errors import check_whole
 from ..fit.result import FitResult
@@ -305,7 +305,7 @@ def compare_bodies(first: Body, second: Body, *, names: tuple[str, str] = ("firs
     front.contour(shades[1][..., 3], levels=[127], colors=_BETWEEN[1], extent=extent, origin="upper", linewidths=1.2)
     for axes, axis, label in ((front, 0, "x [m], right"), (side, 2, "z [m], away from the viewer")):
         for colour, points in zip(_BETWEEN, joints, strict=True):
-            ends = torch.stack([points[[parent + 1 for parent in PARENTS]], points[1:]])
+            ends = torch.stack([points[BONE_STARTS], points[1:]])
             axes.plot(ends[..., axis], ends[..., 1], "o-", color=colour, markersize=3)
         axes.set_aspect("equal")
         axes.set_xlabel(label)

@@ -9,7 +9,7 @@ import torch
 
 from ..body.posing import Posed
 from ..body.rotations import rotation_between, rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LOCKED_PARTS, PARENTS, SHAPE_INDICES, template
+from ..body.template import BONE_STARTS, JOINT_NAMES, LOCKED_PARTS, SHAPE_INDICES, template
 from ..cameras import Camera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
@@ -29,7 +29,6 @@ PHENOTYPES: dict[str, tuple[float, float]] = {
 }
 PHENOTYPE_RANGES: np.ndarray = np.array([PHENOTYPES[name] for name in PHENOTYPE_ANCHORS])  # (6, 2)
 
-BONE_STARTS = [parent + 1 for parent in PARENTS]  # joint at which each part's bone begins
 _FACE_COVER = 0.04  # [m]: how much nearer than a point of the face a surface must be to hide it
 
 

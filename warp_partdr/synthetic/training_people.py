@@ -12,7 +12,7 @@ import torch
 
 from ..body.labels import IGNORE
 from ..body.rotations import rotation_from_axis_angle
-from ..body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
 from ..inputs.observation import CROP_MARGIN
@@ -143,7 +143,7 @@ class PeopleMaker:
         self._cover = self._numbers(people.cover_of(LANDMARKS))
         self._cut_odds = self._numbers(np.array(_CUT_SIDES))
         of_length = np.array([[row[0] == length for row in SHAPE_INDICES] for length in range(len(LENGTH_NAMES))])
-        self._bone_starts = torch.tensor(people.BONE_STARTS, device=self.device)
+        self._bone_starts = torch.tensor(BONE_STARTS, device=self.device)
         self._length_weights = self._numbers(of_length / of_length.sum(1, keepdims=True))
 
     def _numbers(self, values: np.ndarray) -> torch.Tensor:
