@@ -29,10 +29,9 @@ from scenes.commands import (
 )
 from scenes.files import save_npz
 
-from warp_partdr.body.labels import label_set
+from warp_partdr import label_set, load_body
 from warp_partdr.cli import progress
 from warp_partdr.results import save
-from warp_partdr.results.body_file import load_body
 
 files, run = commands.files, commands.run  # fixtures
 

@@ -13,12 +13,11 @@ from scenes import commands
 from scenes.commands import GOOD, Run, change_keypoints, cut, ids, move, put_nan, save_ids, soft_maps
 from scenes.files import tree
 
+from warp_partdr import InputError, load_body
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights
-from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
 from warp_partdr.results import result_sets, save
-from warp_partdr.results.body_file import load_body
 
 files, run = commands.files, commands.run  # fixtures
 

@@ -14,15 +14,12 @@ from conftest import HANG
 from scenes import commands
 from scenes.commands import ALONE, EVERY_FILE, GOOD, Run
 
-from warp_partdr import __version__
+from warp_partdr import FitOptions, InputError, RendererEllipsoids, RendererMesh, __version__
 from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.cli import fit
-from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
-from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import STAGES
-from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 files, run = commands.files, commands.run  # fixtures
 

@@ -16,10 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes.files import Trap
 
-from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.body.template import PART_NAMES
-from warp_partdr.errors import InputError
-from warp_partdr.results.body_file import FORMAT, BodyFile, load_body
+from warp_partdr import PART_NAMES, BodyParameters, InputError, load_body
+from warp_partdr.results.body_file import FORMAT, BodyFile
 
 FIELDS = ("global_orient", "translation", "rotations", "lengths", "thicknesses", "camera_scale", "camera_translation")
 

@@ -21,8 +21,7 @@ import numpy as np
 import pytest
 from scenes.files import body_file, tree
 
-from warp_partdr.errors import InputError
-from warp_partdr.results.body_file import load_body
+from warp_partdr import InputError, load_body
 from warp_partdr.results.result_sets import (
     FIT_REPORT,
     PREDICTIONS_REPORT,
@@ -34,23 +33,17 @@ from warp_partdr.results.result_sets import (
 )
 from warp_partdr.results.save import DETAILED_FILES
 
-FIT = FIT_REPORT, (FIT_REPORT, REGISTRATION_REPORT)
-REGISTRATION = REGISTRATION_REPORT, (REGISTRATION_REPORT,)
-PREDICTIONS = PREDICTIONS_REPORT, ()
+FIT = FIT_REPORT, FIT_REPORT, REGISTRATION_REPORT  # a report, and those that it outdates
+REGISTRATION = REGISTRATION_REPORT, REGISTRATION_REPORT
+PREDICTIONS = (PREDICTIONS_REPORT,)
 
 
-def fill(
-    folder: Path, kind: tuple[str, tuple[str, ...]] = FIT, *, then: BaseException | None = None, **files: str
-) -> None:
-    with replacing(folder, kind[0], {"about": "a run"}, outdates=kind[1]) as temporary:
+def fill(folder: Path, kind: tuple[str, ...] = FIT, *, then: BaseException | None = None, **files: str) -> None:
+    with replacing(folder, kind[0], {"about": "a run"}, outdates=kind[1:]) as temporary:
         for name, text in files.items():
             (temporary / name).write_text(text)
         if then is not None:
             raise then
-
-
-def sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def reads(path: Path) -> bool:
@@ -148,34 +141,29 @@ def other(folder: Path) -> None:
     fill(folder, a="third", b="third")
 
 
-@pytest.mark.parametrize("before", [nothing, notes, older, older_and_detailed, of_an_older_version])
-def test_ended_at_any_change_no_mixture_passes(before: Callable[[Path], None], tmp_path: Path) -> None:
-    new, seen = {"a": "new", "b": "new", "m": "new"}, []
-    for folder in killed(tmp_path, before, newer):
-        if before is nothing:
-            assert not folder.parent.exists()  # a new folder appears as the last change
-            continue
-        found = passing(folder)
-        assert found == new or set(found.values()) <= {"old"}
-        if (folder / FIT_REPORT).exists() and before is not of_an_older_version:
-            assert found == new or {"a", "b", "g"} <= found.keys()
-        assert (folder / "notes").read_text() == "mine"
-        seen.append(found)
-    assert before is nothing or (new in seen and {} in seen)
-
-
 @pytest.mark.parametrize("after", [newer, other])
 @pytest.mark.parametrize("before", [nothing, notes, older, older_and_detailed, of_an_older_version])
-def test_the_next_run_puts_all_right(
+def test_ended_at_any_change_no_mixture_passes_and_the_next_run_puts_all_right(
     before: Callable[[Path], None], after: Callable[[Path], None], tmp_path: Path
 ) -> None:
     (tmp_path / "clean").mkdir()
     if before is not nothing:
         notes(tmp_path / "clean" / "x" / "out")
     after(tmp_path / "clean" / "x" / "out")
+    new, seen = {"a": "new", "b": "new", "m": "new"}, []
     for folder in killed(tmp_path, before, newer):
+        if before is nothing:
+            assert not folder.parent.exists()  # a new folder appears as the last change
+        else:
+            found = passing(folder)
+            assert found == new or set(found.values()) <= {"old"}
+            if (folder / FIT_REPORT).exists() and before is not of_an_older_version:
+                assert found == new or {"a", "b", "g"} <= found.keys()
+            assert (folder / "notes").read_text() == "mine"
+            seen.append(found)
         after(folder)
         assert tree(folder.parents[1]) == tree(tmp_path / "clean")
+    assert before is nothing or (new in seen and {} in seen)
 
 
 def test_predictions_add_up_and_a_mixture_of_them_does_not_pass(tmp_path: Path) -> None:
@@ -296,26 +284,20 @@ def test_a_body_is_read_with_its_own_report_or_with_none(tmp_path: Path) -> None
     with replacing(tmp_path / "fit", FIT_REPORT, {}) as temporary:
         body_file().save(temporary / "body.npz")
     load_body(tmp_path / "fit" / "body.npz")
-    replace(body_file(), camera_scale=np.array(50.0)).save(tmp_path / "body.npz")
-    load_body(tmp_path / "body.npz")
-    shutil.copy(tmp_path / "body.npz", tmp_path / "fit" / "other.npz")  # by itself beside a fit
-    load_body(tmp_path / "fit" / "other.npz")
+    before = tree(tmp_path)
+    other = replace(body_file(), camera_scale=np.array(50.0))
+    with pytest.raises(InputError, match=r"fit/body\.npz: of the run that report\.json"):
+        other.save(tmp_path / "fit" / "body.npz")
+    assert tree(tmp_path) == before
+    for alone in (tmp_path / "body.npz", tmp_path / "fit" / "other.npz"):  # also by itself beside a fit
+        other.save(alone)
+        load_body(alone)
     shutil.copy(tmp_path / "body.npz", tmp_path / "fit")
     with pytest.raises(InputError, match=r"fit/body\.npz: not of the same run as report\.json") as told:
         load_body(tmp_path / "fit" / "body.npz")
     assert len(str(told.value).splitlines()) == 1
     (tmp_path / "fit" / FIT_REPORT).unlink()
     load_body(tmp_path / "fit" / "body.npz")
-
-
-def test_a_body_is_not_saved_into_another_one_s_set(tmp_path: Path) -> None:
-    with replacing(tmp_path / "fit", FIT_REPORT, {}) as temporary:
-        body_file().save(temporary / "body.npz")
-    before = tree(tmp_path)
-    with pytest.raises(InputError, match=r"fit/body\.npz: of the run that report\.json"):
-        body_file().save(tmp_path / "fit" / "body.npz")
-    assert tree(tmp_path) == before
-    body_file().save(tmp_path / "fit" / "edited.npz")
 
 
 @pytest.mark.parametrize(
@@ -362,30 +344,24 @@ def test_replacing_an_existing_folder(tmp_path: Path) -> None:
         (temporary / "b").write_text("more")
         assert (folder / "a").read_text() == "old"
         assert not (folder / "b").exists()
-    report = json.dumps({"files": {"a": sha256("new"), "b": sha256("more")}}, indent=1).encode() + b"\n"
-    files = {"a": b"new", "b": b"more", "notes": b"mine", "report.json": report, "sub": None}
-    assert tree(tmp_path) == {"out": None, **{f"out/{name}": content for name, content in files.items()}}
+    sums = {name: hashlib.sha256(text).hexdigest() for name, text in (("a", b"new"), ("b", b"more"))}
+    report = json.dumps({"files": sums}, indent=1).encode() + b"\n"
+    assert tree(folder) == {"a": b"new", "b": b"more", "notes": b"mine", "report.json": report, "sub": None}
+    assert list(tmp_path.iterdir()) == [folder]
 
 
-@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])
+@pytest.mark.parametrize("error", [RuntimeError("x"), KeyboardInterrupt("x"), OSError("x"), None])
 @pytest.mark.parametrize("there", [True, False])
-def test_an_error_leaves_everything_as_it_was(error: type[BaseException], there: bool, tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b" / "out"
-    if there:
-        folder.mkdir(parents=True)
+def test_an_error_leaves_everything_as_it_was(error: BaseException | None, there: bool, tmp_path: Path) -> None:
+    """Without one, a folder in a file's place is refused before anything moves."""
+    folder = tmp_path / "x" / "y" / "out"
+    if there or error is None:
+        (folder / "b").mkdir(parents=True)
         (folder / "a").write_text("old")
     before = tree(tmp_path)
-    with pytest.raises(InputError if error is OSError else error):
-        fill(folder, a="new", then=error("disk full"))
-    assert tree(tmp_path) == before
-
-
-def test_a_folder_in_a_files_place_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    (tmp_path / "out" / "b").mkdir(parents=True)
-    (tmp_path / "out" / "a").write_text("old")
-    before = tree(tmp_path)
-    with pytest.raises(InputError, match="b: a folder"):
-        fill(tmp_path / "out", a="new", b="new")
+    with pytest.raises(InputError if error is None or isinstance(error, OSError) else type(error)) as told:
+        fill(folder, a="new", b="new", then=error)
+    assert error is not None or "b: a folder" in str(told.value)
     assert tree(tmp_path) == before
 
 

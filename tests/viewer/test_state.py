@@ -12,9 +12,8 @@ from scenes import viewer
 from scenes.files import EXAMPLE
 from scenes.viewer import SMALL, make_state, play, read_target
 
-from warp_partdr import load_body
-from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
-from warp_partdr.errors import InputError
+from warp_partdr import PART_NAMES, InputError, load_body
+from warp_partdr.body.template import LENGTH_NAMES
 from warp_partdr.metrics import confusion, part_f1
 from warp_partdr.viewer.settings import CHOICES, Settings
 from warp_partdr.viewer.state import DemoState

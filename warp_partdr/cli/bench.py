@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from ..errors import InputError
 from ..interop.devices import choose_device
@@ -51,7 +52,7 @@ minutes on two cores that do nothing else; --quick one. docs/accuracy.md says wh
 @bench.command("kernels", help=_KERNELS_HELP)
 def bench_kernels(
     device: DeviceOption = "auto",
-    quick: Annotated[bool, typer.Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
+    quick: Annotated[bool, Option(help="The main rows alone, fewer repeats, no starts: under 20 s.")] = False,
     out: OutOption = _OUT,
 ) -> None:
     """Time kernels; see ``_KERNELS_HELP``."""
@@ -64,8 +65,7 @@ def bench_kernels(
 
     with FitProgress() as progress:
         figures = run_kernels(plan_kernels(where, quick=quick), progress)
-    files = _save(out, f"kernels-{where}", figures, draw_kernel_chart(figures))
-    _show(partial(print_kernels, figures), files)
+    _save(out, f"kernels-{where}", figures, partial(print_kernels, figures), draw_kernel_chart(figures))
 
 
 @bench.command("savings", help=_SAVINGS_HELP)
@@ -81,14 +81,13 @@ def bench_savings(device: DeviceOption = "auto", out: OutOption = _OUT) -> None:
     with FitProgress() as progress:
         rows = run_savings(where, progress=progress)
     machine = about(where)
-    files = _save(out, f"savings-{where}", {"machine": machine, "rows": rows})
-    _show(partial(print_savings, rows, machine), files)
+    _save(out, f"savings-{where}", {"machine": machine, "rows": rows}, partial(print_savings, rows, machine))
 
 
 @bench.command("tradeoff", help=_TRADEOFF_HELP)
 def bench_tradeoff(
     device: DeviceOption = "auto",
-    quick: Annotated[bool, typer.Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
+    quick: Annotated[bool, Option(help="Few people and settings: under a minute, and no conclusions.")] = False,
     out: OutOption = _OUT,
 ) -> None:
     """Measure the tradeoff; see ``_TRADEOFF_HELP``."""
@@ -101,8 +100,7 @@ def bench_tradeoff(
 
     with FitProgress() as progress:
         report = run_tradeoff(plan_tradeoff(where, quick=quick), progress)
-    files = _save(out, f"tradeoff-{where}", report.as_dict(), draw_tradeoff_chart(report))
-    _show(partial(print_tradeoff, report), files)
+    _save(out, f"tradeoff-{where}", report.as_dict(), partial(print_tradeoff, report), draw_tradeoff_chart(report))
 
 
 def _begin(device: str, out: Path) -> str:
@@ -119,9 +117,11 @@ def _begin(device: str, out: Path) -> str:
     return where
 
 
-def _save(out: Path, name: str, figures: dict[str, Any], chart: Figure | None = None) -> list[Path]:
-    """Write bench-NAME.json, and bench-NAME.png where there is a chart; return them."""
-    from ..bench.report import save_figures
+def _save(
+    out: Path, name: str, figures: dict[str, Any], show: Callable[[Console], None], chart: Figure | None = None
+) -> None:
+    """Write bench-NAME.json, and bench-NAME.png where there is a chart, and show the figures."""
+    from ..bench.report import save_figures, wide_console
 
     path = out / f"bench-{name.replace(':', '')}"
     files = [path.with_suffix(".json")]
@@ -129,11 +129,5 @@ def _save(out: Path, name: str, figures: dict[str, Any], chart: Figure | None = 
     if chart is not None:
         files.append(path.with_suffix(".png"))
         chart.savefig(files[1])
-    return files
-
-
-def _show(print_figures: Callable[[Console], None], files: list[Path]) -> None:
-    from ..bench.report import wide_console
-
-    print_figures(wide_console())
+    show(wide_console())
     typer.echo(f"{' and '.join(map(str, files))} {'holds' if len(files) == 1 else 'hold'} the same figures")

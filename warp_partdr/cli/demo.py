@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from ..errors import InputError
 from ..files.sections import check_keys, read_section
@@ -36,8 +37,8 @@ lets other machines in), `port=8080` (0 takes a free one), `browser=true` (opens
 class WebAddress:
     """Settings of the page that --web shows."""
 
-    host: str = "127.0.0.1"  # to listen at
-    port: int = 8080  # 0 takes a free one
+    host: str = "127.0.0.1"
+    port: int = 8080
     browser: bool = True  # whether to open it, if there is a screen
 
     def __post_init__(self) -> None:
@@ -47,25 +48,23 @@ class WebAddress:
 
 def demo(
     files: PersonFiles,
-    photo: Annotated[
-        Path | None, typer.Option(help="Picture of the person to reach, to be shown.", metavar="FILE")
-    ] = None,
+    photo: Annotated[Path | None, Option(help="Picture of the person to reach, to be shown.", metavar="FILE")] = None,
     start: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Body to begin with: its name; network, what the label network says; or a body.npz of `partdr fit`.",
             metavar="NAME",
         ),
     ] = "t-pose",
-    target: Annotated[str, typer.Option(help="Body to reach.", metavar="NAME")] = "walking",
+    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = "walking",
     record: Annotated[
-        Path | None, typer.Option(help="Write the refinement, without a window: .gif, .mp4 or .html.", metavar="FILE")
+        Path | None, Option(help="Write the refinement, without a window: .gif, .mp4 or .html.", metavar="FILE")
     ] = None,
     web: Annotated[
-        bool, typer.Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
+        bool, Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
     ] = False,
     profile: Annotated[
-        bool, typer.Option("--profile", help="Print how long a change takes to be drawn, without a window.")
+        bool, Option("--profile", help="Print how long a change takes to be drawn, without a window.")
     ] = False,
     out: OutOption = Path("out"),
     *,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from .options import DeviceOption, LabelsOption, grouped
@@ -32,36 +33,28 @@ evaluate = typer.Typer(
 class RunOptions:
     """Options of every data set."""
 
-    limit: Annotated[int | None, typer.Option(help="Only the first N people.", metavar="N")] = None
-    jobs: Annotated[
-        int, typer.Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")
-    ] = 1
+    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N")] = None
+    jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
     methods: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--method",
             help="What to fit to: keypoints only, full silhouette or parts; may be given again; default: all.",
             metavar="NAME",
-            show_default=False,
         ),
     ] = None
     device: DeviceOption = "auto"
-    out: Annotated[
-        Path | None, typer.Option(help="Write all figures, also of each fit.", metavar="FILE.json", show_default=False)
-    ] = None
+    out: Annotated[Path | None, Option(help="Write all figures, also of each fit.", metavar="FILE.json")] = None
 
 
-PicturesOption = Annotated[
-    Path | None, typer.Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER", show_default=False)
-]
+PicturesOption = Annotated[Path | None, Option(help="The data set's pictures; not needed to fit.", metavar="FOLDER")]
 KeypointsOption = Annotated[
-    Path | None,
-    typer.Option(help="2D keypoints, one JSON file a picture, instead of the file's own.", metavar="FOLDER"),
+    Path | None, Option(help="2D keypoints, one JSON file a picture, instead of the file's own.", metavar="FOLDER")
 ]
 
 
 def folder(
-    path: Annotated[Path, typer.Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
+    path: Annotated[Path, Argument(help="N.jpg, N.keypoints.json, and perhaps N.parts.png.", metavar="FOLDER")],
     labels: LabelsOption = None,
     *,
     options: RunOptions,
@@ -76,7 +69,7 @@ def folder(
 
 
 def h36m(
-    path: Annotated[Path, typer.Argument(help="SPIN's h36m_valid_protocol1.npz or the like.", metavar="FILE.npz")],
+    path: Annotated[Path, Argument(help="SPIN's h36m_valid_protocol1.npz or the like.", metavar="FILE.npz")],
     keypoints: KeypointsOption = None,
     pictures: PicturesOption = None,
     *,
@@ -89,11 +82,11 @@ def h36m(
 
 
 def lsp(
-    path: Annotated[Path, typer.Argument(help="lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
+    path: Annotated[Path, Argument(help="lsp_dataset, or an annotation file.", metavar="FOLDER|FILE.npz")],
     parts: Annotated[
-        Path | None, typer.Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
+        Path | None, Option(help="im1001_part_segmentation.png and so on, of UPi-S1h.", metavar="FOLDER")
     ] = None,
-    labels: Annotated[str, typer.Option(help="Label set of --parts, or a JSON file.", metavar="NAME")] = "lsp6",
+    labels: Annotated[str, Option(help="Label set of --parts, or a JSON file.", metavar="NAME")] = "lsp6",
     pictures: PicturesOption = None,
     *,
     options: RunOptions,
@@ -105,7 +98,7 @@ def lsp(
 
 
 def pw3d(
-    path: Annotated[Path, typer.Argument(help="SPIN's 3dpw_test.npz or the like.", metavar="FILE.npz")],
+    path: Annotated[Path, Argument(help="SPIN's 3dpw_test.npz or the like.", metavar="FILE.npz")],
     keypoints: KeypointsOption = None,
     pictures: PicturesOption = None,
     *,
@@ -119,15 +112,12 @@ def pw3d(
 
 def partbench(
     quick: Annotated[
-        bool, typer.Option("--quick", help=f"{QUICK_PEOPLE} people, two levels, EllipBody alone: a minute.")
+        bool, Option("--quick", help=f"{QUICK_PEOPLE} people, two levels, EllipBody alone: a minute.")
     ] = False,
-    people: Annotated[
-        int | None,
-        typer.Option(help=f"The first N of the 200 people; default {PEOPLE}.", metavar="N", show_default=False),
-    ] = None,
+    people: Annotated[int | None, Option(help=f"The first N of the 200 people; default {PEOPLE}.", metavar="N")] = None,
     level: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--level",
             "--levels",
             help="clean, mild, realistic or hard; may be given again. Default: all.",
@@ -136,20 +126,14 @@ def partbench(
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(
-            "--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"
-        ),
+        Option("--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"),
     ] = None,
     jobs: Annotated[
-        int | None,
-        typer.Option(help="Fits at a time, a process each; default: one a core.", metavar="N", show_default=False),
+        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N")
     ] = None,
     device: DeviceOption = "cpu",
     out: Annotated[
-        Path | None,
-        typer.Option(
-            help="For partbench.html, with the worst fits drawn, and .json.", metavar="FOLDER", show_default=False
-        ),
+        Path | None, Option(help="For partbench.html, with the worst fits drawn, and .json.", metavar="FOLDER")
     ] = None,
 ) -> None:
     """PartBench: synthetic people with the whole truth known; nothing to download.

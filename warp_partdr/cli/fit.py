@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
@@ -60,16 +61,14 @@ _START_HELP = "network (a search where that ends far off) or search."
 
 def fit(
     files: PersonFiles,
-    photo: Annotated[
-        Path | None, typer.Argument(help="The picture, for the overlay; optional.", metavar="PHOTO", show_default=False)
-    ] = None,
+    photo: Annotated[Path | None, Argument(help="The picture, for the overlay; optional.", metavar="PHOTO")] = None,
     out: OutOption = Path("out"),
-    model: Annotated[str, typer.Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
-    quality: Annotated[QualityName, typer.Option(help=_QUALITY_HELP, metavar="NAME")] = QualityName.balanced,
-    start: Annotated[StartName, typer.Option(help=_START_HELP, metavar="NAME")] = StartName.network,
+    model: Annotated[str, Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
+    quality: Annotated[QualityName, Option(help=_QUALITY_HELP, metavar="NAME")] = QualityName.balanced,
+    start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME")] = StartName.network,
     device: DeviceOption = "auto",
     explain: Annotated[
-        bool, typer.Option("--explain", help="First say what is modelled, what is left out, and why.")
+        bool, Option("--explain", help="First say what is modelled, what is left out, and why.")
     ] = False,
     *,
     settings: SettingOptions,

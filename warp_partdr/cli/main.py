@@ -6,6 +6,7 @@ import sys
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from .. import __version__
 from ..errors import InputError
@@ -21,9 +22,7 @@ from .train import TRAIN_HELP, train_network
 _UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
 
 app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode="markdown",
-    context_settings={"help_option_names": ["-h", "--help"]},
+    add_completion=False, rich_markup_mode="markdown", context_settings={"help_option_names": ["-h", "--help"]}
 )
 
 
@@ -36,7 +35,7 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
+        bool, Option("--version", help="Print the version and leave.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Differentiable rendering of body parts, and reconstruction of human pose and shape."""

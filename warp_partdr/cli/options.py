@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-import typer
+from typer import Option
 
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
@@ -17,22 +17,13 @@ from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
 from ..inputs.person import PersonInputs, check_inside
 
-DeviceOption = Annotated[
-    str, typer.Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")
-]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder for the results.", metavar="FOLDER")]
+DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")]
+OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
 LabelsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--labels",
-        help="Label set, or a JSON file of one; default: labels.json there.",
-        metavar="NAME",
-        show_default=False,
-    ),
+    str | None, Option("--labels", help="Label set, or a JSON file of one; default: labels.json there.", metavar="NAME")
 ]
 SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE", show_default=False),
+    list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")
 ]
 
 
@@ -40,9 +31,7 @@ SetOption = Annotated[
 class SettingOptions:
     """The options --config and --set."""
 
-    config: Annotated[Path | None, typer.Option(help="Settings as TOML; --set goes before them.", metavar="FILE")] = (
-        None
-    )
+    config: Annotated[Path | None, Option(help="Settings as TOML; --set goes before them.", metavar="FILE")] = None
     overrides: SetOption = None
 
     def read(self) -> dict[str, Any]:
@@ -73,21 +62,15 @@ def take_whole(values: dict[str, Any], name: str) -> int:
 class PersonFiles:
     """Options for the files of one person."""
 
-    keypoints: Annotated[Path | None, typer.Option(help="2D keypoints, JSON.", metavar="FILE", show_default=False)] = (
-        None
-    )
+    keypoints: Annotated[Path | None, Option(help="2D keypoints, JSON.", metavar="FILE")] = None
     keypoint_format: Annotated[
-        str | None,
-        typer.Option("--format", help="Of the keypoints, if the file does not say.", metavar="NAME"),
+        str | None, Option("--format", help="Of the keypoints, if the file does not say.", metavar="NAME")
     ] = None
     parts: Annotated[
-        Path | None, typer.Option(help="Part labels: ids, .png or .npy, or probabilities, .npy.", metavar="FILE")
+        Path | None, Option(help="Part labels: ids, .png or .npy, or probabilities, .npy.", metavar="FILE")
     ] = None
     labels: LabelsOption = None
-    person: Annotated[
-        int | None,
-        typer.Option(help="Whom to take, 0 = first; default: the largest.", metavar="N"),
-    ] = None
+    person: Annotated[int | None, Option(help="Whom to take, 0 = first; default: the largest.", metavar="N")] = None
 
     def read(self, photo: Path | None) -> PersonInputs:
         """The person, and the picture if there is one.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from .options import DeviceOption, LabelsOption
@@ -25,14 +26,14 @@ predictions.json, which names them. Older results of those names are replaced.
 
 
 def predict(
-    folder: Annotated[Path, typer.Argument(help="Pictures, keypoints and part labels.", metavar="FOLDER")],
+    folder: Annotated[Path, Argument(help="Pictures, keypoints and part labels.", metavar="FOLDER")],
     labels: LabelsOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
+    out: Annotated[Path, Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
     network: Annotated[
         Path | None,
-        typer.Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
+        Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
     ] = None,
-    batch: Annotated[int, typer.Option(help="People at a time.", metavar="N")] = 64,
+    batch: Annotated[int, Option(help="People at a time.", metavar="N")] = 64,
     device: DeviceOption = "auto",
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from .options import DeviceOption, LabelsOption, OutOption
@@ -35,28 +36,19 @@ MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
 
 def register_body(
-    body: Annotated[Path, typer.Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
-    model: Annotated[str, typer.Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
-    photo: Annotated[
-        Path | None, typer.Option(help="The fit's picture, to draw the body over.", metavar="FILE", show_default=False)
-    ] = None,
+    body: Annotated[Path, Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
+    model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
+    photo: Annotated[Path | None, Option(help="The fit's picture, to draw the body over.", metavar="FILE")] = None,
     parts: Annotated[
-        Path | None,
-        typer.Option(
-            help="The fit's part labels, to say how well the detailed body fills them.",
-            metavar="FILE",
-            show_default=False,
-        ),
+        Path | None, Option(help="The fit's part labels, to say how well the detailed body fills them.", metavar="FILE")
     ] = None,
     labels: LabelsOption = None,
     out: OutOption = Path("out"),
     inscribed: Annotated[
-        bool,
-        typer.Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead."),
+        bool, Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead.")
     ] = False,
     grow: Annotated[
-        bool,
-        typer.Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited."),
+        bool, Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited.")
     ] = False,
     device: DeviceOption = "auto",
 ) -> None:
@@ -68,11 +60,8 @@ def register_body(
     image = read_labelled_parts(parts, labels)
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
-    check_sizes(
-        body=(height, width),
-        photo=None if picture is None else picture.shape[:2],
-        parts=None if image is None else image.groups.shape,
-    )
+    sizes = [None if seen is None else seen.shape[:2] for seen in (picture, image and image.groups)]
+    check_sizes(body=(height, width), photo=sizes[0], parts=sizes[1])
 
     import torch
 
@@ -112,11 +101,7 @@ def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Ev
 
 
 def read_model(name: str, device: str) -> DetailedModel:
-    """The model that ``--model`` names.
-
-    Raises:
-        InputError: If there is none of that name, or its file can't be used.
-    """
+    """The model that ``--model`` names."""
     from ..clothing.load import load_model
 
     try:
@@ -138,23 +123,11 @@ def clothe(
     inscribed: bool = False,
     grow: bool = False,
 ) -> str:
-    """Register a model to one EllipBody (B = 1) and write ``DETAILED_FILES``, as ``save_registered`` does.
+    """Register a model to one EllipBody (B = 1) and write it as ``save_registered`` does; returns a line about it.
 
-    Args:
-        posed: In the camera frame.
-        model: On the same device.
-        out: Folder for the files.
-        camera: Of the picture.
-        size: (H, W) of the picture [px].
-        photo: The picture, shape (H, W, 3), uint8.
-        evidence: Of the person in that picture.
-        progress: Has said yet that kernels are compiled.
-        inscribed: Whether the ellipsoids are to lie within the skin.
-        grow: Whether EllipBody's lengths and thicknesses count one by one, and parts may grow beyond the model's
-            people. A fit's are too rough for that: hands and feet came out as thin as boards.
-
-    Returns:
-        A line about the body for the terminal.
+    ``inscribed``: the ellipsoids are to lie within the skin. ``grow``: EllipBody's lengths and thicknesses count one by
+    one, and parts may grow beyond the model's people. A fit's are too rough for that: hands and feet came out as thin
+    as boards.
     """
     import warp as wp
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from .options import DeviceOption, SetOption
@@ -30,24 +31,17 @@ holds what led to it.
 
 
 def train_network(
-    config: Annotated[str, typer.Argument(help="A packaged config's name, or a file.", metavar="CONFIG")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="For all results; default: the config's.", metavar="FOLDER", show_default=False),
-    ] = None,
+    config: Annotated[str, Argument(help="A packaged config's name, or a file.", metavar="CONFIG")],
+    out: Annotated[Path | None, Option(help="For all results; default: the config's.", metavar="FOLDER")] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from FOLDER's newest checkpoint; the same options are needed.")
+        bool, Option("--resume", help="Go on from FOLDER's newest checkpoint; the same options are needed.")
     ] = False,
     minutes: Annotated[
         float | None,
-        typer.Option(
-            help="Stop after so long, resumed parts together; the learning rate falls in time for it.",
-            metavar="M",
-            show_default=False,
-        ),
+        Option(help="Stop after so long, resumed parts together; the learning rate falls in time for it.", metavar="M"),
     ] = None,
     settings: SetOption = None,
-    half: Annotated[bool, typer.Option("--half", help="Write the trained network in float16, half the size.")] = False,
+    half: Annotated[bool, Option("--half", help="Write the trained network in float16, half the size.")] = False,
     device: DeviceOption = "auto",
 ) -> None:
     """Train; see ``TRAIN_HELP``."""
