@@ -41,36 +41,22 @@ PARTS = Supervision("Parts (PartDR)", "The target has two labels; hidden parts c
 
 @dataclass(frozen=True)
 class Scenes:
-    """S scenes of two triangles each; vertices are (u [px], v [px], z [m]), A's three first.
+    """S scenes of two triangles each; vertices (S, 6, 3) are (u [px], v [px], z [m]), A's three first."""
 
-    Attributes:
-        mesh: A has label 1 and B has label 2.
-        start: Vertices at the start, shape (S, 6, 3).
-        goal: Vertices to be found, shape (S, 6, 3).
-        target: Part labels of the goal, all that the optimisation sees, shape (S, H, W), uint8.
-    """
-
-    mesh: PartMesh
+    mesh: PartMesh  # A has label 1 and B has label 2
     start: torch.Tensor
     goal: torch.Tensor
-    target: torch.Tensor
+    target: torch.Tensor  # part labels of the goal, all that the optimisation sees, (S, H, W), uint8
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Distances of S scenes from their goals, each of shape (S,).
+    """Distances of S scenes from their goals, each of shape (S,)."""
 
-    Attributes:
-        iou: Intersection over union of the visible part, the worse of A and B.
-        silhouette_iou: The same of the union of both.
-        distance: Distance of a triangle from its place [px], the worse of A and B.
-        in_order: Whether A is behind B.
-    """
-
-    iou: torch.Tensor
-    silhouette_iou: torch.Tensor
-    distance: torch.Tensor
-    in_order: torch.Tensor
+    iou: torch.Tensor  # intersection over union of the visible part, the worse of A and B
+    silhouette_iou: torch.Tensor  # the same of the union of both
+    distance: torch.Tensor  # of a triangle from its place [px], the worse of A and B
+    in_order: torch.Tensor  # whether A is behind B
 
     @property
     def in_place(self) -> torch.Tensor:
@@ -158,9 +144,8 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
     shift = torch.zeros(count, 2, 1, 2, device=device, requires_grad=True)  # [px]
     advance = torch.zeros(count, 2, 1, 1, device=device, requires_grad=True)  # [m]
     # Adam divides each coordinate's gradient by its own size, so neither lambda nor the loss's scale has to be chosen.
-    optimizer = torch.optim.Adam(
-        [{"params": [shift], "lr": LEARNING_RATE}, {"params": [advance], "lr": DEPTH_LEARNING_RATE}]
-    )
+    rates = {LEARNING_RATE: shift, DEPTH_LEARNING_RATE: advance}
+    optimizer = torch.optim.Adam([{"params": [moved], "lr": rate} for rate, moved in rates.items()])
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, DECAY)
 
     def vertices() -> torch.Tensor:
@@ -168,10 +153,8 @@ def optimize(scenes: Scenes, supervision: Supervision) -> torch.Tensor:
 
     course = [vertices().detach()]
     for iteration in range(ITERATIONS):
-        is_first = iteration == 0  # the target stays, so one look at its labels is enough
-        loss, _ = mesh_label_loss(
-            vertices(), mesh, CAMERA, target, depth_weight=supervision.depth_weight, validate=is_first
-        )
+        options = {"depth_weight": supervision.depth_weight, "validate": iteration == 0}  # the target stays
+        loss, _ = mesh_label_loss(vertices(), mesh, CAMERA, target, **options)
         optimizer.zero_grad()
         loss.sum().backward()
         optimizer.step()

@@ -9,12 +9,13 @@ iterations. Writes one picture; with --scenes it also counts how often random sc
 
 from __future__ import annotations
 
-import argparse
 import textwrap
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import torch
+import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
@@ -122,30 +123,27 @@ def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) 
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Draw the fixed scene; count random ones if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/two_triangles.png"), help="PNG; default: %(default)s")
-    parser.add_argument("--scenes", type=int, default=0, metavar="N", help="also count N random scenes of each kind")
-    parser.add_argument("--depth-weight", type=float, default=1, metavar="LAMBDA", help="eq. 12; default: %(default)s")
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
-    arguments = parser.parse_args()
-    if arguments.scenes < 0:
-        parser.error(f"--scenes: {arguments.scenes}; expected 0 or more")
-    if arguments.out.suffix != ".png":
-        parser.error(f"--out: {arguments.out}; expected a name that ends with .png")
-    supervisions = (FULL, PARTS_WITHOUT_DEPTH, replace(PARTS, depth_weight=arguments.depth_weight))
-    scenes = fixed_scene(arguments.device)
-    courses = {supervision: optimize(scenes, supervision) for supervision in supervisions}
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    draw_picture(scenes, courses).savefig(arguments.out, dpi=110)
-    Image.open(arguments.out).convert("RGB").quantize(255).save(arguments.out, optimize=True)
+def main(
+    out: Path = Path("out/two_triangles.png"),
+    scenes: Annotated[int, typer.Option(min=0, metavar="N")] = 0,
+    depth_weight: Annotated[float, typer.Option(metavar="LAMBDA")] = 1,
+    device: str = "cpu",
+) -> None:
+    """Draw the fixed scene as a PNG; also count N random scenes of each kind. LAMBDA is that of eq. 12."""
+    if out.suffix != ".png":
+        raise typer.BadParameter(f"--out: {out}; expected a name that ends with .png")
+    supervisions = (FULL, PARTS_WITHOUT_DEPTH, replace(PARTS, depth_weight=depth_weight))
+    fixed = fixed_scene(device)
+    courses = {supervision: optimize(fixed, supervision) for supervision in supervisions}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    draw_picture(fixed, courses).savefig(out, dpi=110)
+    Image.open(out).convert("RGB").quantize(255).save(out, optimize=True)
     for supervision, course in courses.items():
-        print(f"{supervision.name}: {': '.join(verdict(judge(scenes, course[-1])))}")
-    print(f"Picture: {arguments.out}")
-    if arguments.scenes:
-        print(count_table(arguments.scenes, supervisions, arguments.device))
+        print(f"{supervision.name}: {': '.join(verdict(judge(fixed, course[-1])))}")
+    print(f"Picture: {out}")
+    if scenes:
+        print(count_table(scenes, supervisions, device))
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -23,7 +23,7 @@ from .state import DemoState
 from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR
 
-WINDOW = (1280, 800)  # [px]
+_WINDOW = (1280, 800)  # [px]
 _IMAGE_SIDE = 256  # [px] of the images on the right, whatever is drawn
 _SMOOTH_LEVELS = (2, 3)  # of the sphere that stands for an exact ellipsoid, where outlines are rough and smooth
 _FRAME, _TARGET_BONES = "#b9bec6", "#8a8f98"
@@ -48,21 +48,13 @@ class Scene:
     Args:
         state: What is shown; ``update`` looks at it again.
         off_screen: Draw without a window.
-        window_size: (width, height) [px].
         smooth: Smooth outlines (multisampling); without a GPU, a picture takes four times as long.
 
     Raises:
         InputError: If VTK can't draw here.
     """
 
-    def __init__(
-        self,
-        state: DemoState,
-        *,
-        off_screen: bool = True,
-        window_size: tuple[int, int] = WINDOW,
-        smooth: bool = True,
-    ) -> None:
+    def __init__(self, state: DemoState, *, off_screen: bool = True, smooth: bool = True) -> None:
         try:
             self._pv = pv = import_module("pyvista")
             logger = import_module("vtkmodules.vtkCommonCore").vtkLogger
@@ -72,7 +64,7 @@ class Scene:
                 groups=[(slice(0, 3), slice(0, 2)), (2, slice(2, 4))],
                 row_weights=[1.0, 1.0, 0.62],
                 off_screen=off_screen,
-                window_size=list(window_size),
+                window_size=list(_WINDOW),
                 border=False,
             )
         except (ImportError, RuntimeError, OSError) as error:  # a VTK without libGL, or without a display to open
@@ -125,9 +117,8 @@ class Scene:
             self._add(frame, color=_FRAME, line_width=1.5),
             self._add(wall, texture=self._wall_image.texture, lighting=False),
         )
-        self._status = self.plotter.add_text(
-            "", position=(0.025, 0.985), viewport=True, font_size=9, color=INK, font="arial"
-        )
+        look = {"viewport": True, "font_size": 9, "color": INK, "font": "arial"}
+        self._status = self.plotter.add_text("", position=(0.025, 0.985), **look)
         self._status.prop.SetVerticalJustificationToTop()
         self.look()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ..errors import InputError
 from ..render.options import DEFAULT_DEPTH_WEIGHT, Gradient
@@ -12,13 +12,6 @@ from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
 Supervision = Literal["keypoints", "silhouette", "parts"]
 RendererName = Literal["exact", "E0", "E1", "E2", "E3"]
 
-# Values of the settings that have but a few.
-CHOICES: dict[str, tuple[Any, ...]] = {
-    "supervision": get_args(Supervision),
-    "renderer": get_args(RendererName),
-    "gradient": get_args(Gradient),
-    "size": (64, 128, 256, 512),
-}
 # Names of what is chosen between: a few renderers, gradients and sizes, from the fastest to the most accurate.
 QUALITIES: dict[str, dict[str, Any]] = {
     "draft": {"renderer": "E0", "gradient": "partdr", "size": 64},
@@ -31,24 +24,21 @@ QUALITIES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the refinement.
+    """Settings of the refinement; ``files.sections`` reads them and checks their types.
 
     Raises:
-        InputError: If a value is none of its choices.
+        InputError: If a number is out of range.
     """
 
     supervision: Supervision = "parts"  # beside the keypoints: nothing, the whole silhouette, or the parts
     depth_gradient: bool = True  # whether PartDR's z gradient counts where there is one; see ``offers_depth``
     renderer: RendererName = "exact"  # ellipsoids, or their mesh of a level
     gradient: Gradient = "partdr"  # of the exact renderer; a mesh has PartDR's alone
-    size: int = 256  # side of the drawn crop [px]
+    size: Literal[64, 128, 256, 512] = 256  # side of the drawn crop [px]
     steps: int = 100  # over which the learning rate falls to a tenth; it stays there
     learning_rate: float = 0.06  # as in ``refine``, whose own is for starts that are nearer
 
     def __post_init__(self) -> None:
-        for name, allowed in CHOICES.items():
-            if (value := getattr(self, name)) not in allowed:
-                raise InputError(f"{name}: {value}; expected one of {', '.join(map(str, allowed))}")
         if self.steps < 1:
             raise InputError(f"steps: {self.steps}; expected 1 or more")
         if not 0 < self.learning_rate <= 1:
@@ -84,3 +74,7 @@ class Settings:
     def drawn(self) -> str:
         """Renderer and gradient in words, such as "exact, partdr" or "mesh E1"."""
         return f"exact, {self.gradient}" if self.level is None else f"mesh {self.renderer}"
+
+
+# Values of the settings that have but a few.
+CHOICES = {name: get_args(kind) for name, kind in get_type_hints(Settings).items() if get_origin(kind) is Literal}

@@ -14,6 +14,7 @@ from scenes.viewer import SMALL, make_state, play, read_target
 
 from warp_partdr import PART_NAMES, InputError, load_body
 from warp_partdr.body.template import LENGTH_NAMES
+from warp_partdr.files.sections import read_section
 from warp_partdr.metrics import confusion, part_f1
 from warp_partdr.viewer.settings import CHOICES, Settings
 from warp_partdr.viewer.state import DemoState
@@ -178,16 +179,16 @@ def test_a_photo_without_labels_says_what_works():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"supervision": "colours"}, "supervision: colours; expected one of keypoints, silhouette, parts"),
-        ({"renderer": "E4"}, "renderer: E4; expected one of exact, E0"),
-        ({"size": 100}, "size: 100; expected one of 64"),
+        ({"supervision": "colours"}, "supervision: 'colours'; expected 'keypoints' or 'silhouette' or 'parts'"),
+        ({"renderer": "E4"}, "renderer: 'E4'; expected 'exact' or 'E0'"),
+        ({"size": 100}, "size: 100; expected 64 or 128 or 256 or 512"),
         ({"steps": 0}, "steps: 0; expected 1 or more"),
         ({"learning_rate": float("nan")}, "learning_rate: nan; expected"),
     ],
 )
 def test_bad_settings(changes, said):
     with pytest.raises(InputError, match=said):
-        Settings(**changes)
+        read_section(Settings, changes)
 
 
 def test_bad_bodies(tmp_path):

@@ -60,8 +60,8 @@ def register_body(
     image = read_labelled_parts(parts, labels)
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
-    sizes = [None if seen is None else seen.shape[:2] for seen in (picture, image and image.groups)]
-    check_sizes(body=(height, width), photo=sizes[0], parts=sizes[1])
+    seen = {"photo": picture, "parts": None if image is None else image.groups}
+    check_sizes(body=(height, width), **{name: each.shape[:2] for name, each in seen.items() if each is not None})
 
     import torch
 
@@ -77,9 +77,9 @@ def register_body(
     detailed_model = read_model(model, where)
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)
-    seen = fitted.camera(), (height, width), picture, person
+    view = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:
-        told = clothe(posed, detailed_model, out, *seen, progress=progress, inscribed=inscribed, grow=grow)
+        told = clothe(posed, detailed_model, out, *view, progress=progress, inscribed=inscribed, grow=grow)
     typer.echo(told)
 
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..body.rotations import rotation_to_axis_angle
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered
 from .ellipbody_files import GLTF_FROM_CAMERA
@@ -57,7 +56,7 @@ def glb(registered: Registered) -> bytes:
     bind = np.linalg.solve(skin[:, :3, :3], (posed - skin[:, :3, 3])[..., None])[..., 0]
 
     nodes: list[dict[str, Any]] = []
-    rotations, translation = registered.rotations[0].detach().cpu(), _first(registered.translation)
+    rotations, translation = _first(registered.rotations), _first(registered.translation)
     for joint, (name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
         nodes.append({"name": name, "translation": offset.tolist(), "rotation": _quaternion(rotations[joint])})
@@ -107,18 +106,15 @@ def bvh(registered: Registered) -> str:
         parent = model.parents[joint]
         offset = np.zeros(3) if parent < 0 else rest[joint] - rest[parent]
         position = "Xposition Yposition Zposition " if parent < 0 else ""
-        lines.append(f"{indent}{'ROOT' if parent < 0 else 'JOINT'} {model.joint_names[joint]}")
-        lines.append(f"{indent}{{")
-        lines.append(f"{indent}  OFFSET {_numbers(offset)}")
-        lines.append(f"{indent}  CHANNELS {6 if position else 3} {position}Zrotation Yrotation Xrotation")
+        head = f"{'ROOT' if parent < 0 else 'JOINT'} {model.joint_names[joint]}"
+        channels = f"  CHANNELS {6 if position else 3} {position}Zrotation Yrotation Xrotation"
+        lines.extend(indent + line for line in (head, "{", f"  OFFSET {_numbers(offset)}", channels))
         numbers.extend(_euler_zyx(rotations[joint]))
         children = _children(model, joint)
         for child in children:
             describe(child, indent + "  ")
-        if not children:
-            end = "End Site", "{", f"  OFFSET {_numbers(np.zeros(3))}", "}"
-            lines.extend(f"{indent}  {line}" for line in end)
-        lines.append(f"{indent}}}")
+        end = () if children else ("  End Site", "  {", f"    OFFSET {_numbers(np.zeros(3))}", "  }")
+        lines.extend(indent + line for line in (*end, "}"))
 
     describe(0, "")
     return "\n".join([*lines, "MOTION", "Frames: 1", "Frame Time: 0.0333333", _numbers(np.array(numbers)), ""])
@@ -173,13 +169,12 @@ def _upright(registered: Registered) -> tuple[np.ndarray, float]:
     return vertices, vertices[:, 1].min()
 
 
-def _quaternion(rotation: torch.Tensor) -> list[float]:
+def _quaternion(rotation: np.ndarray) -> list[float]:
     """(x, y, z, w) of a rotation matrix, of unit length."""
-    vector = rotation_to_axis_angle(rotation.double())
-    angle = float(vector.norm())
-    half = np.sinc(angle / 2 / np.pi) / 2
-    quaternion = np.array([*(half * vector.numpy()), np.cos(angle / 2)])
-    return (quaternion / np.linalg.norm(quaternion)).tolist()
+    from trimesh.transformations import quaternion_from_matrix
+
+    w, *vector = quaternion_from_matrix(rotation).tolist()
+    return [*vector, w]
 
 
 def _euler_zyx(rotation: np.ndarray) -> list[float]:
@@ -198,8 +193,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corners = vertices[faces]
     of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
-    for corner in faces.T:
-        np.add.at(normals, corner, of_faces)
+    np.add.at(normals, faces, of_faces[:, None])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 0, normals / np.maximum(lengths, 1e-30), [0.0, 0.0, 1.0])
 
