@@ -16,12 +16,8 @@ _CORNERS = 7
 class Arrows:
     """Arrows along x and y, coloured by z, in a picture that fills the square from -1 to 1 of the active view.
 
-    Args:
-        plotter: PyVista's.
-        most: How many there can be; of more, the strongest are shown.
-        longest: What the longest one measures, so that small forces at the end are seen, too.
-        half_width: Of a shaft.
-        strongest: Quantile of the forces that the longest arrow stands for; those beyond it are as long.
+    At most ``most`` are shown, the strongest. The longest always measures ``longest``, so that small forces at the end
+    are seen, too; it stands for the quantile ``strongest`` of the forces, and those beyond it are as long.
     """
 
     def __init__(self, plotter: Any, most: int, *, longest: float, half_width: float, strongest: float = 1.0) -> None:

@@ -41,12 +41,8 @@ _HINTS = {
 class Controls:
     """The buttons, the keys, and what the window remembers for them.
 
-    Args:
-        state: What is played with.
-        scene: How it is shown; its ``message`` tells what was done.
-        folder: Where to save to and load from; made when it is saved to.
-        redraw: Draws the window at once, before something that takes long.
-        seed: Of the last random body so far; the next takes the one after.
+    The scene's ``message`` tells what was done; ``redraw`` draws the window at once, before something that takes long.
+    The folder to save to is made when it is needed; the next random body takes the seed after ``seed``.
     """
 
     def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None], seed: int) -> None:

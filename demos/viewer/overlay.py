@@ -40,12 +40,8 @@ class Texture:
 class Overlay:
     """A painted box over one of the plotter's views; it grows with the window.
 
-    Args:
-        renderer: The view.
-        view: (width, height) of the view in a window of the usual size [px].
-        corner: Lower left corner of the box in it [px].
-        size: (width, height) of the box in it, and of what is painted [px].
-        letter: Size of the font [px].
+    ``corner`` is the lower left one in a view of (width, height) ``view``, in a window of the usual size; the box is
+    painted with letters of a size there [px].
     """
 
     def __init__(

@@ -43,12 +43,9 @@ _TITLES = {
 
 
 class Scene:
-    """A plotter with everything in it.
+    """A plotter with everything in it; ``update`` looks at the state again.
 
-    Args:
-        state: What is shown; ``update`` looks at it again.
-        off_screen: Draw without a window.
-        smooth: Smooth outlines (multisampling); without a GPU, a picture takes four times as long.
+    ``smooth`` outlines (multisampling) without a GPU take four times as long.
 
     Raises:
         InputError: If VTK can't draw here.

@@ -32,14 +32,7 @@ _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact 
 
 
 class DemoState:
-    """A body on its way to a target.
-
-    Attributes:
-        start: Where ``restart`` goes back to, B = 1.
-        body: Where it is.
-        target: What it is to reach.
-        settings: How it gets there; ``configure`` changes them.
-        history: Energy before each step so far.
+    """A body (B = 1) on its way from a start to a target, and the energy before each step so far, ``history``.
 
     Raises:
         InputError: If the settings need labels that the target has not.

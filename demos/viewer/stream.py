@@ -25,11 +25,8 @@ class PictureStream:
     """The newest picture of a window, drawn when a page asks for it.
 
     So one picture at most is under way to each page, and none waits for another page's. To trame this is a scheduler
-    (``RcaRenderSchedulerProtocol``).
-
-    Args:
-        rca: The window, as trame sees it.
-        encode: JPEG of an array: (array, columns, rows, quality) to (file, ...).
+    (``RcaRenderSchedulerProtocol``). ``rca`` is the window as trame sees it; ``encode`` makes a JPEG of an array:
+    (array, columns, rows, quality) to (file, ...).
     """
 
     def __init__(self, rca: Any, encode: Callable[..., tuple[Any, ...]]) -> None:
@@ -60,12 +57,9 @@ class PictureStream:
         self.schedule_render()
 
     async def after(self, number: int, quality: int, rate: float) -> JpegPicture:
-        """The next picture for a page: newer than the one it shows or, while nothing changes, better.
+        """The next picture for a page: newer than the one it shows (0: none) or, while nothing changes, better.
 
-        Args:
-            number: Of the picture that the page shows; 0 for none.
-            quality: Of that picture; 0 for none.
-            rate: Bytes a second that reach the page; 0 if it isn't known yet.
+        ``rate`` is how many bytes a second reach the page; 0 if it isn't known yet.
         """
         if number == self._number:
             with suppress(TimeoutError):

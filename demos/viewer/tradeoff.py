@@ -40,12 +40,7 @@ class TradeoffRow:
 
 
 class Tradeoff:
-    """The rows for one start and one target; with another of them they begin anew.
-
-    Attributes:
-        rows: By what tells them apart, in the order in which they were first tried.
-        current: Which of them is the present one.
-    """
+    """The rows for one start and one target, in the order in which they were first tried; with another, none again."""
 
     def __init__(self, state: DemoState) -> None:
         self.state = state
@@ -93,9 +88,9 @@ class Tradeoff:
     @torch.no_grad()
     def _outline(self) -> float:
         level, start = self.state.settings.level, self.state.start
-        return (
-            0.0 if level is None else float(silhouette_error(start.posed(), start.camera(REFERENCE_SIZE), level).max())
-        )
+        if level is None:
+            return 0.0
+        return float(silhouette_error(start.posed(), start.camera(REFERENCE_SIZE), level).max())
 
 
 def _key(settings: Settings) -> tuple[str, int, str]:

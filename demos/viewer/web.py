@@ -80,13 +80,9 @@ def check_backend() -> None:
 
 
 async def serve(window: Window, host: str, port: int, ready: Callable[[int], None]) -> None:
-    """Show a window as a page, and play, until cancelled; all who open the page see and move the same body.
+    """Show an off-screen window as a page, and play, until cancelled; all who open it see and move the same body.
 
-    Args:
-        window: Made off-screen.
-        host: Address of this machine to listen at.
-        port: 0 takes a free one.
-        ready: Called with the port when the page can be opened.
+    ``ready`` is called with the port when the page can be opened; port 0 takes a free one.
 
     Raises:
         InputError: If it can't listen there.

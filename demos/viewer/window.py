@@ -30,13 +30,7 @@ _TURNS = ("RightButtonPressEvent", "MiddleButtonPressEvent", "MouseWheelForwardE
 
 
 class Window:
-    """Sliders, buttons and keys around a scene.
-
-    Args:
-        state: What is played with.
-        folder: Where ``d`` saves to and ``l`` loads from; made when it is saved to.
-        off_screen: Without a window, for a browser, tests and ``profile``.
-        seed: Of the last random body so far; buttons go on from the one after.
+    """Sliders, buttons and keys around a scene; ``off_screen`` for a browser, tests and ``profile``.
 
     Raises:
         InputError: If VTK can't draw here.
@@ -164,9 +158,8 @@ class Window:
         Raises:
             InputError: If there is no display for it.
         """
-        if (
-            kind := self.scene.plotter.render_window.GetClassName()
-        ) in _UNSEEN:  # what VTK falls back to without a word where it can't reach the display
+        # What VTK falls back to without a word where it can't reach the display.
+        if (kind := self.scene.plotter.render_window.GetClassName()) in _UNSEEN:
             raise InputError(
                 f"demo: the display can't be reached (VTK took {kind}); expected one, or --record out.gif or out.html, "
                 "which need none"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -64,50 +64,37 @@ def set_value(values: dict[str, Any], override: str) -> str:
     return key.strip()
 
 
-def read_section(kind: type[Section], values: object, where: str = "") -> Section:
-    """Make a dataclass from a mapping; keys left out keep their defaults.
+def read_section(kind: type[Section], values: object, where: str = "", base: Section | None = None) -> Section:
+    """Make a dataclass from a mapping; keys left out keep their values in ``base``, or their defaults.
 
     Args:
         kind: A dataclass. Its fields are bool, int, float, str, Path, Literal, Any, dataclasses, or tuples, dicts and
             unions of these.
         values: What TOML or JSON gave.
         where: The key that holds it, for messages.
+        base: What is changed: tables change the dataclasses within. None makes a new one.
 
     Raises:
-        InputError: If a key is unknown, missing or of another type.
+        InputError: If a key is unknown or missing, or its value of another type or out of range.
     """
     if not isinstance(values, Mapping):
         raise InputError(f"{where or 'config'}: {shown(values)}; expected a table")
     known = {field.name: field for field in fields(kind) if field.init}  # type: ignore[arg-type]
     check_keys(values, known, where)
     for name, field in known.items():
-        if name not in values and field.default is MISSING and field.default_factory is MISSING:
+        if base is None and name not in values and field.default is MISSING and field.default_factory is MISSING:
             raise InputError(f"{_join(where, name)}: missing; expected a value")
-    hints = get_type_hints(kind)
-    read = {key: _read(hints[key], value, _join(where, key)) for key, value in values.items()}
-    return _checked(lambda: kind(**read), where)
-
-
-def change_section(section: Section, values: object, where: str = "") -> Section:
-    """Replace values of a dataclass by those of a mapping; tables change the dataclasses within.
-
-    Args:
-        section: A dataclass as ``read_section`` reads them.
-        values: What TOML or JSON gave.
-        where: The key that holds it, for messages.
-
-    Raises:
-        InputError: If a key is unknown, or its value of another type or out of range.
-    """
-    if not isinstance(values, Mapping):
-        raise InputError(f"{where or 'config'}: {shown(values)}; expected a table")
-    check_keys(values, [field.name for field in fields(section)], where)  # type: ignore[arg-type]
-    hints, changed = get_type_hints(type(section)), {}
+    hints, read = get_type_hints(kind), {}
     for key, value in values.items():
-        now, place = getattr(section, key), _join(where, key)
+        now, place = getattr(base, key, None), _join(where, key)
         inside = is_dataclass(now) and isinstance(value, Mapping)
-        changed[key] = change_section(now, value, place) if inside else _read(hints[key], value, place)
-    return _checked(lambda: replace(section, **changed), where)  # type: ignore[type-var]
+        read[key] = read_section(type(now), value, place, now) if inside else _read(hints[key], value, place)
+    try:
+        return kind(**read) if base is None else replace(base, **read)  # type: ignore[type-var]
+    except InputError:
+        raise
+    except ValueError as error:  # of the dataclass's own check
+        raise InputError(_join(where, error)) from error
 
 
 def check_keys(values: Mapping[str, Any], known: Iterable[str], where: str = "") -> None:
@@ -115,16 +102,6 @@ def check_keys(values: Mapping[str, Any], known: Iterable[str], where: str = "")
     for key in values:
         if key not in known:
             raise InputError(f"{_join(where, key)}: unknown; expected one of {', '.join(known) or 'no keys'}")
-
-
-def _checked(make: Callable[[], Section], where: str) -> Section:
-    """Make a dataclass; a ValueError of its own check becomes an InputError."""
-    try:
-        return make()
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(_join(where, error)) from error
 
 
 def _read(kind: Any, value: Any, where: str) -> Any:

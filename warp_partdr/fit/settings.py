@@ -9,7 +9,7 @@ from typing import Any
 
 from ..body.icosphere import MAX_SUBDIVISIONS
 from ..errors import InputError, shown
-from ..files.sections import change_section, check_keys, read_section
+from ..files.sections import check_keys, read_section
 from ..render.renderers import RendererMesh
 from .options import FitOptions
 from .stages import OUTLINE, Stage
@@ -36,7 +36,7 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     if isinstance(search := own.get("search"), Mapping):
         options = replace(options, search=_change_stages(options.search, search, "search"))
         del own["search"]
-    options = change_section(options, own)
+    options = read_section(type(options), own, base=options)
     names = [stage.name for stage in options.stages]
     check_keys(values, dict.fromkeys([*_FIELDS, MESH, *names, OUTLINE]))
     tables = {name: value for name, value in values.items() if name not in _FIELDS}
@@ -77,4 +77,4 @@ def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
 def _change_stages(stages: tuple[Stage, ...], tables: Mapping[str, Any], where: str = "") -> tuple[Stage, ...]:
     check_keys(tables, [stage.name for stage in stages], where)
     names = {stage.name: f"{where}.{stage.name}" if where else stage.name for stage in stages}
-    return tuple(change_section(stage, tables.get(stage.name, {}), names[stage.name]) for stage in stages)
+    return tuple(read_section(Stage, tables.get(stage.name, {}), names[stage.name], stage) for stage in stages)
