@@ -65,6 +65,11 @@ def test_a_second_run_replaces_the_first_and_nothing_else(run: Run, files: Path)
     assert {path.name for path in files.iterdir()} == {"photo.png", "p.png", "k.json", "out"}
 
 
+def crop(width: int, height: int) -> None:
+    for name in ("photo.png", "p.png"):
+        Image.open(name).crop((0, 0, width, height)).save(name)
+
+
 def two_people() -> None:
     me = keypoints()["keypoints"]
     other = [[0.5 * x, 0.5 * y, confidence] for x, y, confidence in me]
@@ -94,21 +99,12 @@ TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
     "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
     "labels.json beside the parts": (GOOD.replace(" --labels cdcl14", ""), describe_labels),
-    "wide picture": (
-        GOOD,
-        lambda: [Image.open(name).crop((0, 0, 250, 128)).save(name) for name in ("photo.png", "p.png")],
-    ),
+    "wide picture": (GOOD, lambda: crop(250, 128)),
     "gray photo": (GOOD, lambda: Image.open("photo.png").convert("L").save("photo.png")),
     "the second person": (GOOD + " --person 1", two_people),
     "the largest person": (GOOD, two_people),
-    "cut off by the border": (
-        GOOD,
-        lambda: [Image.open(name).crop((0, 0, 96, 80)).save(name) for name in ("photo.png", "p.png")],
-    ),
-    "missing keypoints": (
-        GOOD,
-        lambda: change_keypoints(lambda rows: [row.__setitem__(2, 0) for row in rows[7:11]]),
-    ),
+    "cut off by the border": (GOOD, lambda: crop(96, 80)),
+    "missing keypoints": (GOOD, lambda: change_keypoints(lambda rows: [row.__setitem__(2, 0) for row in rows[7:11]])),
 }
 
 

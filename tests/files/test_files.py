@@ -27,11 +27,9 @@ from warp_partdr.results.body_file import load_body
 from warp_partdr.synthetic.pose_sampler import PoseBank
 from warp_partdr.training.config import read_config
 
+DEFLATED = zipfile.ZIP_DEFLATED
 DEEP = "[" * 100_000
-READERS: dict[str, Callable[[Path], Any]] = {
-    "keypoints": read_keypoints,
-    "labels": label_set,
-}
+READERS: dict[str, Callable[[Path], Any]] = {"keypoints": read_keypoints, "labels": label_set}
 
 
 def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
@@ -112,9 +110,7 @@ def test_values_in_messages_are_short() -> None:
 # --- arrays ----------------------------------------------------------------------------------------------------------
 
 
-def lying(
-    shape: tuple[int, ...], member: str, path: Path, held: int = 1000, packed: int = zipfile.ZIP_DEFLATED
-) -> Path:
+def lying(shape: tuple[int, ...], member: str, path: Path, held: int = 1000, packed: int = DEFLATED) -> Path:
     """An archive of an array that says it has a shape, and holds so many bytes."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})

@@ -8,7 +8,7 @@ screen, and ``figure.axes`` are there to be changed. Of a batch, the first body 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -161,11 +161,13 @@ def gradient_field(
     posed, seen = first_body(body), first_camera(body, camera)
     goal = torch.from_numpy(expected)[None].to(posed.centres.device)
     if renderer == "exact":
+        name, width, dot = "centres", 0.008, 40
         points = posed.centres.clone().requires_grad_()
         moved = Posed(posed.joints, posed.rotations, points, posed.axes, posed.semi_axes)
         part_labels = groups.part_groups[1:].tolist()
         loss, _ = ellipsoid_label_loss(moved, seen, goal, part_labels=part_labels, gradient="partdr")
     else:
+        name, width, dot = f"vertices of E{subdivisions}", 0.004, 10
         points = posed.vertices(subdivisions).requires_grad_()
         mesh = ellipbody_mesh(subdivisions, device=points.device).relabel(groups.part_groups)
         loss, _ = mesh_label_loss(points, mesh, seen, goal)
@@ -182,29 +184,17 @@ def gradient_field(
     there = np.abs(downhill).max(1) > 0
     longest = float(np.linalg.norm(downhill[:, :2], axis=1).max(initial=0)) or 1.0
     steepest = float(np.abs(downhill[:, 2]).max(initial=0)) or 1.0
-    colour_map, norm = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255), Normalize(-steepest, steepest)
+    colour_map = LinearSegmentedColormap.from_list("depth", DEPTH_COLOURS / 255)
+    look: dict[str, Any] = {"cmap": colour_map, "norm": Normalize(-steepest, steepest)}
+    sixth = max(expected.shape) / 6  # of the picture: the longest arrow
+    sizes: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": longest / sixth, "width": width}
     u, v = places[there].T
-    arrows = axes.quiver(
-        u,
-        v,
-        *downhill[there].T,
-        angles="xy",
-        scale_units="xy",
-        scale=longest / (max(expected.shape) / 6),  # the longest arrow: a sixth of the picture
-        width=0.008 if renderer == "exact" else 0.004,
-        edgecolor="white",
-        linewidth=0.4,
-        zorder=3,
-        cmap=colour_map,
-        norm=norm,
-    )
-    dot = 40 if renderer == "exact" else 10
-    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, cmap=colour_map, norm=norm)
+    arrows = axes.quiver(u, v, *downhill[there].T, edgecolor="white", linewidth=0.4, zorder=3, **sizes, **look)
+    axes.scatter(u, v, dot, downhill[there, 2], zorder=4, **look)
     key = float(f"{longest / 2:.1g}")
     axes.quiverkey(arrows, 0.12, 0.95, key, f"-dL/dx, -dL/dy: {key:g} px/m", labelpos="E", color=DEPTH_COLOURS[1] / 255)
     figure.colorbar(arrows, ax=axes, shrink=0.8, label="-dL/dz [px/m]; above 0: away from the viewer")
-    points_name = "centres" if renderer == "exact" else f"vertices of E{subdivisions}"
-    axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {points_name}")
+    axes.set_title(f"L_seg = {float(loss.detach()):.0f} px; its pull on the {name}")
     add_legend(figure, part_patches(groups, expected))
     return figure
 
