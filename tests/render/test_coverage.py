@@ -28,7 +28,7 @@ from scenes.pictures import (
 from warp_partdr.body.posing import pose
 from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as reference
-from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 
 
 def apart(scene):
@@ -53,19 +53,18 @@ FINE = {"samples_per_pixel": 32.0}
 def coverage_errors(scene, maps, device, lines=16, **options):
     """Relative error of each parameter's gradient through the maps."""
     leaves = Leaves.of(scene, device=device)
-    size = maps.shape[1:]
-    drawn = draw_ellipsoids(
-        leaves.ellipsoids, leaves.camera, size, part_labels=scene.labels, num_maps=len(maps), **options
-    )
-    (drawn.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+    leaves.push_by_maps(maps, part_labels=scene.labels, **options)
     return gradient_errors(scene, leaves, coverage.coverage_gradient(scene, coverage.dense_costs(maps), lines))
+
+
+TWO_ALIKE = np.array([1, 2, 3, 4, 5, 2])
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_gradient_of_outlines_is_that_of_area(device, seed, perspective):
     size = (96, 112)
-    scene = apart(random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2])))
+    scene = apart(random_scene(seed, size, perspective, labels=TWO_ALIKE))
     maps = smooth_maps(seed, 5, size)
     # What moves the whole picture leaves little: the forces on opposite sides of each ellipsoid nearly cancel.
     for options in (FINE, {}):
@@ -87,7 +86,7 @@ def test_gradient_of_a_bodys_outlines_is_that_of_area(device, perspective):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_gradient_of_creases_is_that_of_area(device, seed, perspective):
     size = (96, 112)
-    scene = random_scene(seed, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
+    scene = random_scene(seed, size, perspective, labels=TWO_ALIKE)
     errors = coverage_errors(scene, smooth_maps(seed, 5, size), device, 64, **FINE)
     assert max(errors.values()) < 0.005
 
@@ -149,9 +148,7 @@ def test_coverage_gradient_of_the_label_loss_is_that_of_area(device, perspective
     target = reference.ray_cast(replace(scene, centres=scene.centres + np.array([0.03, -0.04, 0])), size)[0]
     target[20:30, 40:60] = 255
     leaves = Leaves.of(scene, device=device)
-    target_image = torch.from_numpy(target.astype(np.uint8)).to(device)[None]
-    loss, _ = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target_image, part_labels=GROUPS, **FINE)
-    loss.sum().backward()
+    leaves.push_by_loss(target, part_labels=GROUPS, **FINE)
     want = coverage.coverage_gradient(scene, coverage.target_costs(target, 4), 32)
     errors = gradient_errors(scene, leaves, want)
     assert errors.pop("camera") < 0.05
@@ -162,7 +159,7 @@ def test_coverage_gradient_of_the_label_loss_is_that_of_area(device, perspective
 def test_the_reference_is_the_derivative_of_area(perspective):
     """The reference's sum over borders against differences of the area itself, along random directions."""
     size = (48, 56)
-    scene = random_scene(1, size, perspective, labels=np.array([1, 2, 3, 4, 5, 2]))
+    scene = random_scene(1, size, perspective, labels=TWO_ALIKE)
     costs = coverage.dense_costs(np.ones((5, *size)) * np.linspace(-1, 1, 5)[:, None, None])  # no kinks at pixels
     gradients = coverage.coverage_gradient(scene, costs, 64)
     rng = np.random.default_rng(0)

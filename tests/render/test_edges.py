@@ -17,13 +17,13 @@ from scenes.pictures import (
     random_scene,
     smooth_maps,
     turn_gradient,
+    upright,
 )
 
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.reference.edges import edges_gradient
-from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 
 
 def errors(scene, leaves, image, costs):
@@ -42,10 +42,7 @@ def test_gradient_of_maps_is_its_definition(device, size, perspective):
         scene = random_scene(seed, size, perspective, labels=GROUPS)
         maps = smooth_maps(seed, 4, size)
         leaves = Leaves.of(scene, device=device)
-        image = draw_ellipsoids(
-            leaves.ellipsoids, leaves.camera, size, part_labels=GROUPS, num_maps=4, gradient="edges"
-        )
-        (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+        image = leaves.push_by_maps(maps, part_labels=GROUPS, gradient="edges")
         found += errors(scene, leaves, image, coverage.dense_costs(maps))
     # Where a front is steep next to its outline, float32 knows its slope to a few percent.
     assert np.median(found) < 1e-3
@@ -58,10 +55,7 @@ def test_gradient_of_the_label_loss_is_its_definition(device, perspective):
     scene = body_scene(3, size, perspective, device)
     target = noisy_target(reference.ray_cast(scene, size)[0], 20, 0)
     leaves = Leaves.of(scene, device=device)
-    loss, image = ellipsoid_label_loss(
-        leaves.ellipsoids, leaves.camera, torch.from_numpy(target).to(device)[None], gradient="edges"
-    )
-    loss.sum().backward()
+    _, image = leaves.push_by_loss(target, gradient="edges")
     assert max(errors(scene, leaves, image, coverage.target_costs(target, 20))) < 2e-3
 
 
@@ -76,15 +70,7 @@ def test_gradient_approaches_that_of_area(device, perspective):
             scene = replace(scene, camera=scene.camera * scale)
             maps = smooth_maps(seed, 5, (40, 48)).repeat(scale, 1).repeat(scale, 2)
             leaves = Leaves.of(scene, device=device)
-            image = draw_ellipsoids(
-                leaves.ellipsoids,
-                leaves.camera,
-                maps.shape[1:],
-                part_labels=scene.labels,
-                num_maps=5,
-                gradient="edges",
-            )
-            (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+            leaves.push_by_maps(maps, part_labels=scene.labels, gradient="edges")
             want = coverage.coverage_gradient(scene, coverage.dense_costs(maps), 16)
             relative = gradient_errors(scene, leaves, want)
             found.append([relative[name] for name in ("centres", "turns", "semi_axes")])
@@ -95,16 +81,13 @@ def test_gradient_approaches_that_of_area(device, perspective):
 
 def test_a_part_between_pixel_centres_has_no_gradient(device):
     """It shows nowhere; what walks outlines still sees it."""
-    centres = torch.zeros(1, 1, 3, device=device, requires_grad=True)
-    size = torch.tensor([[[0.3, 3.0, 0.3]]], device=device)
-    thin = Ellipsoids(centres, torch.eye(3, device=device)[None, None], size)
     camera = WeakPerspective(torch.ones(1, device=device), torch.full((1, 2), 4.0, device=device))
-    target = torch.zeros(1, 8, 8, dtype=torch.uint8, device=device)
-    target[0, :, 4:] = 1  # the right half wants it
+    target = np.tile([0, 0, 0, 0, 1, 1, 1, 1], (8, 1))  # the right half wants it
     found = {}
     for gradient in ("edges", "coverage"):
-        loss, image = ellipsoid_label_loss(thin, camera, target, gradient=gradient)
+        thin = Leaves(upright([(0, 0, 0)], [(0.3, 3.0, 0.3)], device), camera)
+        _, image = thin.push_by_loss(target, gradient=gradient)
         assert not image.labels.any()
-        found[gradient] = torch.autograd.grad(loss.sum(), centres)[0][0, 0, 0].item()
+        found[gradient] = thin.ellipsoids.centres.grad[0, 0, 0].item()
     assert found["edges"] == 0
     assert found["coverage"] < 0

@@ -22,12 +22,12 @@ from scenes.pictures import (
     random_scene,
     relative_error,
     smooth_maps,
+    upright,
 )
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as reference
-from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 
 SIZE = (24, 32)
 few = settings(max_examples=25, derandomize=True, deadline=None)
@@ -61,22 +61,12 @@ def ellipsoid_scenes(draw):
 def ellipsoid_results(scene, target, gradient, device, size=SIZE):
     """Loss, picture and leaves with the gradient of the label loss, and of maps in a second set of leaves."""
     through_labels, through_maps = (Leaves.of(scene, device=device) for _ in range(2))
-    part_labels = scene.labels.tolist()
-    loss, image = ellipsoid_label_loss(
-        through_labels.ellipsoids, through_labels.camera, target, part_labels=part_labels, gradient=gradient
-    )
-    loss.sum().backward()
-    maps = draw_ellipsoids(
-        through_maps.ellipsoids,
-        through_maps.camera,
-        size,
-        part_labels=part_labels,
-        num_maps=max(part_labels),
-        gradient=gradient,
-    ).maps
+    options = {"part_labels": scene.labels.tolist(), "gradient": gradient}
+    loss, image = through_labels.push_by_loss(target, **options)
+    maps = through_maps.draw(size, num_maps=max(scene.labels), **options).maps
     wanted = target[:, None] == torch.arange(1, maps.shape[1] + 1, device=device)[:, None, None]
     (maps - wanted.float()).square().sum().backward()
-    return loss.detach(), image, through_labels, through_maps
+    return loss, image, through_labels, through_maps
 
 
 @few
@@ -103,9 +93,15 @@ EXTREME_SCENES = {
     "across the camera": ((0, 0, 0.2), (0.5, 0.5, 0.5), {}),
     "around the camera": ((0, 0, 0), (5.0, 5.0, 5.0), {}),
     "behind the camera": ((0, 0, -3), (0.5, 0.5, 0.5), {}),
+    "across the camera, its centre behind": ((0, 0.05, -0.2), (0.3, 0.3, 0.3), {}),
+    "touching the camera": ((0, 0.05, 0.3), (0.3, 0.3, 0.3), {}),
+    "touching the near plane": ((0, 0.05, 0.305), (0.3, 0.3, 0.3), {}),
     "10 km away": ((0, 0, 1e4), (0.5, 0.3, 0.2), {"focal": 1.5e5}),
     "0.1 m away": ((0, 0, 0.1), (0.03, 0.02, 0.01), {"focal": 30.0}),
     "a million pixels off": ((0, 0, 3), (0.5, 0.5, 0.5), {"middle": (1e6, 11.8)}),
+    "a million pixels off both ways": ((0.1, 0, 3), (0.5, 0.3, 0.2), {"middle": (1e6, 1e6)}),
+    "a million pixels large and off": ((0.1, 0, 3), (0.5, 0.3, 0.2), {"focal": 1e6, "middle": (1e6, 1e6)}),
+    "a million pixels about a corner": ((0.1, 0, 3), (0.5, 0.3, 0.2), {"focal": 1e6, "middle": (0.0, 0.0)}),
     "a million pixels large": ((0, 0, 3), (0.5, 0.5, 0.5), {"focal": 6e6}),
     "a wire 10 km away, 2000 px thick": ((0, 0, 1e4), (0.5, 0.01, 0.01), {"focal": 1e9}),
     "askew, 4 px thick and 8000 long": (
@@ -130,10 +126,13 @@ def extreme_scene(name, perspective):
 @pytest.mark.parametrize("perspective", CAMERAS)
 @pytest.mark.parametrize("name", EXTREME_SCENES)
 def test_extreme_ellipsoids_are_drawn_right(device, name, perspective, gradient):
+    """And those that reach the camera are left out, without a gradient."""
     scene = extreme_scene(name, perspective)
     _, image, *leaves = ellipsoid_results(scene, checked_target(SIZE, 2, device), gradient, device)
     check_ellipsoid_picture(image, scene, SIZE)
     assert all(map(all_finite, leaves))
+    for of_parts in (list(each.gradients().values())[:3] for each in leaves):
+        assert all((values[~reference.drawable(scene)] == 0).all() for values in of_parts)
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -145,8 +144,7 @@ def test_gradients_of_extreme_ellipsoids_are_the_references(device, name, perspe
     for gradient in ("partdr", "coverage"):
         leaves = have[gradient] = Leaves.of(scene, device=device)
         fine = {"samples_per_pixel": 32.0} if gradient == "coverage" else {}
-        image = draw_ellipsoids(leaves.ellipsoids, leaves.camera, SIZE, num_maps=2, gradient=gradient, **fine)
-        (image.maps[0] * torch.tensor(maps, dtype=torch.float32, device=device)).sum().backward()
+        image = leaves.push_by_maps(maps, gradient=gradient, **fine)
     forces = reference.partdr_gradient(scene, image.parts[0].cpu().numpy(), maps)
     for parameter, values in have["partdr"].gradients().items():
         assert relative_error(values, getattr(forces, parameter)) < 2e-3, parameter
@@ -154,57 +152,20 @@ def test_gradients_of_extreme_ellipsoids_are_the_references(device, name, perspe
     assert max(gradient_errors(scene, have["coverage"], want).values()) < 0.03
 
 
-def one_ellipsoid(centre, semi_axes, device):
-    numbers = (np.array([centre]), np.eye(3)[None], np.array([semi_axes]))
-    return Ellipsoids(*(torch.tensor(v, dtype=torch.float32, device=device)[None].requires_grad_() for v in numbers))
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-def test_coordinates_of_a_million_pixels(device, gradient):
-    """The same picture, seen far off the origin of a large one: nothing shows, nothing hangs, nothing is NaN."""
-    size = (24, 32)
-    target = torch.ones(1, *size, dtype=torch.uint8, device=device)
-    for focal, middle in ((20.0, 1e6), (1e6, 0.0), (1e6, 1e6)):
-        bodies = one_ellipsoid((0.1, 0.0, 3.0), (0.5, 0.3, 0.2), device)
-        numbers = torch.tensor([[focal, focal, middle, middle]], device=device)
-        loss, image = ellipsoid_label_loss(bodies, Intrinsics(numbers, True), target, gradient=gradient)
-        loss.sum().backward()
-        assert (image.labels == 1).all() == (middle == 0.0)
-        assert torch.isfinite(bodies.centres.grad).all()
-
-
-@pytest.mark.parametrize("gradient", GRADIENTS)
-@pytest.mark.parametrize("depth", [-3.0, -0.2, 0.0, 0.2, 0.3, 0.305])
-def test_ellipsoids_at_the_camera_are_left_out(device, depth, gradient):
-    size = (20, 20)
-    bodies = one_ellipsoid((0.0, 0.05, depth), (0.3, 0.3, 0.3), device)
-    target = torch.ones(1, *size, dtype=torch.uint8, device=device)
-    loss, image = ellipsoid_label_loss(bodies, body_camera(size, True, device=device), target, gradient=gradient)
-    loss.sum().backward()
-    assert (image.labels == 0).all()
-    assert torch.isinf(image.depth).all()
-    for tensor in (bodies.centres, bodies.axes, bodies.semi_axes):
-        assert (tensor.grad == 0).all()
-
-
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_near_plane(device, perspective):
-    size = (20, 20)
-    bodies = one_ellipsoid((0.0, 0.0, 1.0), (0.3, 0.3, 0.3), device)
-    intrinsics = body_camera(size, perspective, device=device).intrinsics
-    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.69), size).labels == 1).any()
-    assert (draw_ellipsoids(bodies, Intrinsics(intrinsics, perspective, 0.71), size).labels == 0).all()
+    bodies = upright([(0.0, 0.0, 1.0)], [[0.3] * 3], device)
+    intrinsics = body_camera(SIZE, perspective, device=device).intrinsics
+    before, behind = (Leaves(bodies, Intrinsics(intrinsics, perspective, near)).draw(SIZE) for near in (0.69, 0.71))
+    assert (before.labels == 1).any()
+    assert (behind.labels == 0).all()
 
 
 def test_unchecked_nonsense_is_not_drawn(device):
     """Without validation, an ellipsoid that is none leaves the others alone."""
-    size = (20, 20)
-    nan = float("nan")
-    scene = random_scene(0, size, False, count=4)
-    bodies = Leaves.of(scene, device=device)
+    bodies = Leaves.of(random_scene(0, SIZE, False, count=4), device=device)
     with torch.no_grad():
-        bodies.ellipsoids.centres[0, 0, 2] = nan
+        bodies.ellipsoids.centres[0, 0, 2] = np.nan
         bodies.ellipsoids.semi_axes[0, 1, 0] = 0.0
-        bodies.ellipsoids.axes[0, 2] = nan
-    image = draw_ellipsoids(bodies.ellipsoids, bodies.camera, size, validate=False)
-    assert set(image.labels.unique().tolist()) == {0, 4}
+        bodies.ellipsoids.axes[0, 2] = np.nan
+    assert set(bodies.draw(SIZE, validate=False).labels.unique().tolist()) == {0, 4}

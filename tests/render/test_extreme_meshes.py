@@ -15,9 +15,10 @@ from scenes.pictures import (
     PLACE,
     checked_target,
     draw_on_screen,
-    loss_on_screen,
+    faces,
     mesh_picture,
     mesh_scene,
+    push_on_screen,
 )
 
 from warp_partdr.reference import mesh as reference
@@ -40,18 +41,17 @@ def grids_of_faces(draw):
     vertices = np.concatenate([np.array(corners) / 4, np.repeat(depths, 3)[:, None]], 1)
     # Some faces share corners, and so lie askew; the others have three of their own.
     shared = draw(st.integers(0, count))
-    faces = np.arange(3 * count)
-    faces[: 3 * shared] = index[: 3 * shared]
+    index[3 * shared :] = range(3 * shared, 3 * count)
     labels = draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))
-    return vertices.astype(np.float32), faces.reshape(-1, 3), np.array(labels)
+    return vertices.astype(np.float32), np.reshape(index, (-1, 3)), np.array(labels)
 
 
 MESH_SIZE = (11, 13)
 
 
-def rounding_decides(vertices, faces):
+def rounding_decides(vertices, index):
     """Whether an edge meets a scan line so near a pixel's centre that float32 may put it on the other side."""
-    for face in faces:
+    for face in index:
         for a, b in ((vertices[face[k]], vertices[face[(k + 1) % 3]]) for k in range(3)):
             for along, across in ((0, 1), (1, 0)):
                 low, high = sorted((a[across], b[across]))
@@ -67,8 +67,8 @@ def rounding_decides(vertices, faces):
 @few
 @given(scene=grids_of_faces(), perspective=st.booleans())
 def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
-    vertices, faces, labels = scene
-    mesh = PartMesh.from_faces(faces, labels, device=device)
+    vertices, index, labels = scene
+    mesh = PartMesh.from_faces(index, labels, device=device)
     g = np.random.default_rng(0).normal(size=(3, *MESH_SIZE)).astype(np.float32).astype(float)
     leaf = torch.from_numpy(vertices).to(device)[None].requires_grad_()
     image = draw_on_screen(leaf, mesh, MESH_SIZE, perspective=perspective, num_maps=3)
@@ -78,7 +78,7 @@ def test_any_faces_are_drawn_right_and_pushed_right(device, scene, perspective):
     np.testing.assert_allclose(picture.depth, want.depth, rtol=1e-5, atol=1e-5)
     ties = picture.face_index != want.face_index  # of faces askew that meet: rounding decides
     np.testing.assert_array_equal(picture.labels[~ties], want.labels[~ties])
-    assume(not rounding_decides(body.vertices, faces))
+    assume(not rounding_decides(body.vertices, index))
     forces = reference.gradient(body, picture, g)
     have = leaf.grad[0].cpu().numpy()
     scale = max(np.abs(forces).max(), 1.0)
@@ -102,22 +102,16 @@ def test_wild_faces_stay_finite_and_cover_what_they_should(device, seed, size, t
     middle = rng.uniform(0, 1, (count, 2)) * (width, height)
     places = middle[:, None] + 10**size * np.stack([way, -way + across, -way - across], 1)
     z = 10**depth * rng.uniform(1, 1.5, (count, 3, 1))
-    vertices = np.concatenate([places, z], 2).reshape(1, -1, 3).astype(np.float32)
-    faces, labels = np.arange(3 * count).reshape(-1, 3), np.arange(1, count + 1)
-    mesh = PartMesh.from_faces(faces, labels, device=device)
-    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-    loss, image = loss_on_screen(leaf, mesh, checked_target(MESH_SIZE, count, device), perspective=perspective)
-    loss.sum().backward()
+    leaf, mesh = faces(np.concatenate([places, z], 2), np.arange(1, count + 1), device)
+    loss, image = push_on_screen(leaf, mesh, checked_target(MESH_SIZE, count, device), perspective=perspective)
     assert torch.isfinite(leaf.grad).all()
     assert torch.isfinite(loss).all()
     assert (torch.isfinite(image.depth) == (image.labels > 0)).all()
     # Moved by what float32 can't tell apart, the reference's picture must hold the kernel's.
-    off = PLACE + 1e-6 * np.abs(vertices[..., :2]).max()
     body = replace(mesh_scene(leaf[0], mesh, perspective), near=-np.inf)
-    moves = product((-off, 0, off), (-off, 0, off), [0])
-    seen = [
-        reference.rasterize(replace(body, vertices=body.vertices + np.array(move)), MESH_SIZE).labels for move in moves
-    ]
+    off = PLACE + 1e-6 * np.abs(body.vertices[..., :2]).max()
+    moved = [replace(body, vertices=body.vertices + np.array(way)) for way in product(*[(-off, 0, off)] * 2, [0])]
+    seen = [reference.rasterize(each, MESH_SIZE).labels for each in moved]
     sure = (np.array(seen) == seen[4]).all(0)
     sure &= np.diff(depths_of_faces(body), axis=0)[0] > 1e-4 * 10**depth
     np.testing.assert_array_equal(image.labels[0].cpu().numpy()[sure], seen[4][sure])
@@ -145,11 +139,9 @@ EXTREME_FACES = {  # corners (x, y, z), and how many pixels of 12 x 12 show some
 @pytest.mark.parametrize("name", EXTREME_FACES)
 def test_extreme_faces(device, name, perspective):
     corners, shows = EXTREME_FACES[name]
-    leaf = torch.tensor([corners], dtype=torch.float32, device=device, requires_grad=True)
-    mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
+    leaf, mesh = faces(corners, [1], device)
     target = checked_target((12, 12), 1, device)
-    loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
-    loss.sum().backward()
+    loss, image = push_on_screen(leaf, mesh, target, perspective=perspective)
     want = reference.rasterize(mesh_scene(leaf[0], mesh, perspective), (12, 12))
     np.testing.assert_array_equal(image.labels[0].cpu().numpy(), want.labels)
     np.testing.assert_allclose(image.depth[0].cpu().numpy(), want.depth, rtol=1e-5)

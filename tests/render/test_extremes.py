@@ -20,18 +20,22 @@ from scenes.pictures import (
     body_parameters,
     check_ellipsoid_picture,
     checked_target,
+    faces,
     loss_on_screen,
     one_scene,
+    push_on_screen,
     scene_of,
+    triangle,
+    upright,
 )
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.reference import ellipsoids as ellipsoid_reference
 from warp_partdr.reference import mesh as reference
-from warp_partdr.render.ellipsoids import Ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 from warp_partdr.render.mesh import mesh_label_loss
-from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
+from warp_partdr.render.part_mesh import ellipbody_mesh
 
 # --- Bodies at the camera -------------------------------------------------------------------------------------------
 
@@ -46,21 +50,18 @@ def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
     leaves = {name: value.requires_grad_() for name, value in body_parameters(2, device).items()}
     with torch.no_grad():
         leaves["translation"][:, 2] = depth
-    target = checked_target(size, 20, device)
+    target, posed = checked_target(size, 20, device), pose(**leaves)
     for gradient in GRADIENTS:
-        posed = pose(**leaves)
         loss, image = ellipsoid_label_loss(posed, camera, target, gradient=gradient)
         check_ellipsoid_picture(image, scene_of(posed, camera), size)
-        for gradients in torch.autograd.grad(loss.sum(), list(leaves.values())):
-            assert torch.isfinite(gradients).all()
-    mesh = ellipbody_mesh(1, device=device)
-    vertices = pose(**leaves).vertices(1)
+        gradients = torch.autograd.grad(loss.sum(), list(leaves.values()), retain_graph=True)
+        assert all(torch.isfinite(each).all() for each in gradients)
+    mesh, vertices = ellipbody_mesh(1, device=device), posed.vertices(1)
     loss, picture = mesh_label_loss(vertices, mesh, camera, target)
     shown = picture.face_index[0].unique()
     drawn = mesh.faces[shown[shown >= 0].long()].long()
     assert (vertices[0, :, 2][drawn] > 0.01).all()
-    for gradients in torch.autograd.grad(loss.sum(), list(leaves.values())):
-        assert torch.isfinite(gradients).all()
+    assert all(torch.isfinite(each).all() for each in torch.autograd.grad(loss.sum(), list(leaves.values())))
     if shows is not None:  # at the camera itself, parts of a mesh may be in front where no whole ellipsoid is
         assert [bool((each.labels > 0).any()) for each in (image, picture)] == [shows, shows]
 
@@ -88,11 +89,8 @@ def test_bodies_turned_by_nothing_and_by_half_a_turn(device, angle):
 def test_no_depth_between_two_parts(device, perspective):
     """The paper's log(1 / dz + 1) with dz = 0: bounded, and equal and opposite."""
     size, z = (16, 16), 2.0
-    triangle = [[1.0, 1.0, z], [14.0, 2.0, z], [5.0, 13.0, z]]
-    leaf = torch.tensor([triangle + triangle], device=device, requires_grad=True)
-    mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device)
-    loss, image = loss_on_screen(leaf, mesh, torch.full((1, *size), 2, dtype=torch.uint8, device=device))
-    loss.sum().backward()
+    leaf, mesh = faces([[[1, 1, z], [14, 2, z], [5, 13, z]]] * 2, [1, 2], device)
+    _, image = push_on_screen(leaf, mesh, torch.full((1, *size), 2, dtype=torch.uint8, device=device))
     pixels = (image.labels == 1).sum().item()
     bound = 2 * pixels * math.log(1 / reference.MIN_DELTA_Z + 1)
     front, back = leaf.grad[0, :3, 2], leaf.grad[0, 3:, 2]
@@ -101,16 +99,13 @@ def test_no_depth_between_two_parts(device, perspective):
     assert back.sum() <= 3 * bound
     torch.testing.assert_close(front, -back)
 
-    centre = torch.tensor([[[0.0, 0.0, z]] * 2], device=device, requires_grad=True)
-    twins = Ellipsoids(centre, torch.eye(3, device=device).expand(1, 2, 3, 3), torch.full_like(centre, 0.5).detach())
-    camera = body_camera(size, perspective, device=device)
-    loss, image = ellipsoid_label_loss(
-        twins, camera, torch.full((1, *size), 2, dtype=torch.uint8, device=device), gradient="partdr"
+    twins = upright([(0, 0, z)] * 2, np.full((2, 3), 0.5), device)
+    _, image = Leaves(twins, body_camera(size, perspective, device=device)).push_by_loss(
+        np.full(size, 2), gradient="partdr"
     )
-    loss.sum().backward()
     push = (image.labels == 1).sum().item() * 2 * math.log(1 / reference.MIN_DELTA_Z + 1)
-    assert centre.grad[0, 1, 2].item() == pytest.approx(push, rel=1e-3 if not perspective else 1.0)
-    assert torch.isfinite(centre.grad).all()
+    assert twins.centres.grad[0, 1, 2].item() == pytest.approx(push, rel=1e-3 if not perspective else 1.0)
+    assert torch.isfinite(twins.centres.grad).all()
 
 
 @pytest.mark.parametrize("label", [0, 1])
@@ -120,16 +115,14 @@ def test_empty_and_full_targets(device, label):
     target = torch.full((1, *size), label, dtype=torch.uint8, device=device)
     sign = -1.0 if label else 1.0
     for gradient in GRADIENTS:
-        semi_axes = torch.full((1, 1, 3), 0.3, device=device, requires_grad=True)
-        ball = Ellipsoids(torch.zeros(1, 1, 3, device=device), torch.eye(3, device=device)[None, None], semi_axes)
-        loss, image = ellipsoid_label_loss(ball, body_camera(size, False, device=device), target, gradient=gradient)
-        loss.sum().backward()
+        sphere = upright([(0, 0, 0)], [[0.3] * 3], device)
+        leaves = Leaves(sphere, body_camera(size, False, device=device))
+        loss, image = leaves.push_by_loss(target, gradient=gradient)
         assert loss.item() == (image.labels != label).sum()
-        assert (sign * semi_axes.grad[0, 0, :2] > 0).all(), gradient
-    corners = torch.tensor([[[4.2, 4.3, 1.0], [11.7, 4.6, 1.0], [8.1, 12.4, 1.0]]], device=device)
+        assert (sign * sphere.semi_axes.grad[0, 0, :2] > 0).all(), gradient
+    corners, mesh = faces([[4.2, 4.3, 1], [11.7, 4.6, 1], [8.1, 12.4, 1]], [1], device)
     middle = corners.mean(1, keepdim=True)
     growth = torch.ones(1, device=device, requires_grad=True)
-    mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
     loss, image = loss_on_screen(middle + growth * (corners - middle), mesh, target)
     loss.sum().backward()
     assert loss.item() == (image.labels != label).sum()
@@ -143,13 +136,11 @@ def test_a_label_that_no_part_has(device):
     target = torch.full((1, *size), 200, dtype=torch.uint8, device=device)
     for gradient in GRADIENTS:
         leaves = Leaves.of(scene, device=device)
-        loss, image = ellipsoid_label_loss(leaves.ellipsoids, leaves.camera, target, gradient=gradient)
-        loss.sum().backward()
+        loss, image = leaves.push_by_loss(target, gradient=gradient)
         assert loss.item() == 16 * 16 + (image.labels > 0).sum()
         assert all_finite(leaves)
-    mesh = PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
     with pytest.raises(ValueError, match="target: label 200"):
-        loss_on_screen(torch.ones(1, 3, 3, device=device), mesh, target)
+        loss_on_screen(*triangle(device), target)
 
 
 # --- Sizes ----------------------------------------------------------------------------------------------------------

@@ -16,15 +16,18 @@ from scenes.pictures import (
     body_camera,
     body_parameters,
     draw_on_screen,
+    faces,
     loss_on_screen,
     noisy_picture,
+    push_on_screen,
     random_scene,
+    upright,
 )
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import PARENTS, PART_NAMES
 from warp_partdr.cameras import WeakPerspective
-from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr.render.ellipsoids import draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
@@ -147,13 +150,11 @@ def test_descending_the_gradient_brings_a_part_to_its_target(device, renderer):
     size = (32, 32)
     camera = body_camera(size, False, device=device)
     if renderer == "mesh":
-        corners = torch.tensor([[[10.0, 10.0, 1.0], [20.0, 11.0, 1.0], [13.0, 21.0, 1.0]]], device=device)
-        mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
+        corners, mesh = faces([[10, 10, 1], [20, 11, 1], [13, 21, 1]], [1], device)
         target, rate, decay, steps, unit = draw_on_screen(corners, mesh, size).labels, 0.5, 0.97, 120, 1
         shifts = [(7, 0), (-7, 0), (0, 7), (0, -7), (9, 8)]
     else:
-        axes, semi_axes = torch.eye(3, device=device)[None, None], torch.tensor([[[0.3, 0.2, 0.2]]], device=device)
-        part = Ellipsoids(torch.zeros(1, 1, 3, device=device), axes, semi_axes)
+        part = upright([(0, 0, 0)], [(0.3, 0.2, 0.2)], device)
         target, rate, decay, steps, unit = draw_ellipsoids(part, camera, size).labels, 0.02, 0.96, 100, 16
         shifts = [(0.2, 0), (-0.2, 0), (0, 0.2), (0, -0.2)]
 
@@ -206,20 +207,15 @@ def test_moving_body_and_camera_together_changes_nothing(device, renderer, seed)
 def test_scaling_metres_scales_the_gradient_back(device, renderer, seed, perspective):
     """Twice the body and the distance and, where it is not perspective, half the pixels a metre: the same picture."""
     scene = random_scene(seed, SIZE, perspective)
-    target = torch.from_numpy(np.roll(shown(scene, device), (2, -3), (0, 1))).to(device)[None]
+    target = rolled_picture(scene, device)
     found = []
     for scale in (1.0, 2.0, 1024.0):
         camera = scene.camera * (1 if perspective else np.array([1 / scale, 1 / scale, 1, 1]))
-        larger = replace(
-            scene, centres=scale * scene.centres, semi_axes=scale * scene.semi_axes, camera=camera, near=-np.inf
-        )
+        larger = replace(scene, centres=scale * scene.centres, semi_axes=scale * scene.semi_axes, camera=camera)
         leaves = Leaves.of(larger, device=device)
-        loss, image = ellipsoid_label_loss(
-            leaves.ellipsoids, leaves.camera, target, gradient=renderer, depth_weight=0.0
-        )
-        loss.sum().backward()
+        loss, image = leaves.push_by_loss(target, gradient=renderer, depth_weight=0.0)
         grads = leaves.gradients()
-        found.append((image.parts, loss.detach(), scale * grads["centres"], grads["axes"], scale * grads["semi_axes"]))
+        found.append((image.parts, loss, scale * grads["centres"], grads["axes"], scale * grads["semi_axes"]))
     for other in found[1:]:
         assert torch.equal(other[0], found[0][0])
         assert torch.equal(other[1], found[0][1])
@@ -227,9 +223,8 @@ def test_scaling_metres_scales_the_gradient_back(device, renderer, seed, perspec
             assert np.abs(have - want).max() <= 2e-5 * np.abs(want).max()
 
 
-def shown(scene, device):
-    leaves = Leaves.of(scene, device=device)
-    return draw_ellipsoids(leaves.ellipsoids, leaves.camera, SIZE).labels[0].cpu().numpy()
+def rolled_picture(scene, device):
+    return Leaves.of(scene, device=device).draw(SIZE).labels.roll((2, -3), (1, 2))
 
 
 @few
@@ -243,9 +238,8 @@ def test_scaling_the_metres_of_a_mesh_changes_nothing(device, seed, perspective)
     for scale in (1.0, 2.0, 1024.0):
         leaf = (points * torch.tensor([1.0, 1.0, scale], device=device)).requires_grad_()
         mesh = ellipbody_mesh(LEVEL, device=device)
-        loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective, depth_weight=0.0)
-        (gradient,) = torch.autograd.grad(loss.sum(), leaf)
-        found.append((image.face_index, loss.detach(), gradient))
+        loss, image = push_on_screen(leaf, mesh, target, perspective=perspective, depth_weight=0.0)
+        found.append((image.face_index, loss, leaf.grad))
     for other in found[1:]:
         assert torch.equal(other[0], found[0][0])
         assert torch.equal(other[1], found[0][1])
@@ -312,19 +306,15 @@ def test_every_part_has_its_mirror_image():
 @pytest.mark.parametrize("renderer", GRADIENTS)
 def test_order_of_ellipsoids_changes_ids_alone(device, renderer, seed, perspective):
     scene = random_scene(seed, SIZE, perspective)
-    target = torch.from_numpy(np.roll(shown(scene, device), (2, -3), (0, 1))).to(device)[None]
+    target = rolled_picture(scene, device)
     order = np.random.default_rng(seed).permutation(6)
     found = []
     for index in (np.arange(6), order):
         numbers = {name: getattr(scene, name)[index] for name in ("centres", "axes", "semi_axes")}
         leaves = Leaves.of(replace(scene, **numbers), device=device)
-        loss, image = ellipsoid_label_loss(
-            leaves.ellipsoids, leaves.camera, target, part_labels=(index + 1).tolist(), gradient=renderer
-        )
-        loss.sum().backward()
-        grads = leaves.gradients()
-        back = np.argsort(index)
-        found.append((image.labels, image.depth, loss.detach(), *(grads[name][back] for name in numbers)))
+        loss, image = leaves.push_by_loss(target, part_labels=(index + 1).tolist(), gradient=renderer)
+        grads, back = leaves.gradients(), np.argsort(index)
+        found.append((image.labels, image.depth, loss, *(grads[name][back] for name in numbers)))
     for have, want in zip(found[1][:3], found[0][:3], strict=True):
         assert torch.equal(have, want)
     for have, want in zip(found[1][3:], found[0][3:], strict=True):
@@ -343,8 +333,8 @@ def test_order_of_faces_changes_indices_alone(device, seed):
     found = []
     for each in (mesh, other):
         leaf = points.clone().requires_grad_()
-        loss, image = loss_on_screen(leaf, each, target)
-        found.append((image.depth, image.labels, loss.detach(), torch.autograd.grad(loss.sum(), leaf)[0]))
+        loss, image = push_on_screen(leaf, each, target)
+        found.append((image.depth, image.labels, loss, leaf.grad))
     torch.testing.assert_close(found[1][0], found[0][0])
     # Faces of two parts may be equally near, where the lower index shows.
     assert (found[1][1] != found[0][1]).sum() <= 2

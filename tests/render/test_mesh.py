@@ -7,11 +7,13 @@ import warp as wp
 from scenes.pictures import (
     CAMERAS,
     draw_on_screen,
+    faces,
     loss_on_screen,
     mesh_picture,
     mesh_scene,
     noisy_picture,
     projected_bodies,
+    push_on_screen,
     relative_error,
 )
 
@@ -22,25 +24,22 @@ from warp_partdr.kernels.mesh import push_xy, push_z, rasterize
 from warp_partdr.kernels.mesh.triangles import ImageArrays, MeshArrays
 from warp_partdr.reference import mesh as reference
 from warp_partdr.reference.losses import label_gradient
-from warp_partdr.reference.mesh import MeshScene
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
 SIZES = [(21, 34), (30, 17)]
 
 
-def random_scene(seed: int, size: tuple[int, int], faces: int = 10, batch: int = 2):
-    """Overlapping triangles of four parts, some far outside the picture."""
+def random_scene(seed: int, size: tuple[int, int], device: str) -> tuple[torch.Tensor, PartMesh]:
+    """Two bodies of overlapping triangles of four parts, some far outside the picture."""
     rng = np.random.default_rng(seed)
-    height, width = size
-    corners = rng.uniform(-0.3, 1.3, (batch, faces, 3, 2)) * (width, height)
+    corners = rng.uniform(-0.3, 1.3, (2, 10, 3, 2)) * size[::-1]
     corners = corners.mean(2, keepdims=True) + (corners - corners.mean(2, keepdims=True)) * 0.8
-    vertices = np.concatenate([corners, rng.uniform(1, 3, (batch, faces, 3, 1))], -1).reshape(batch, -1, 3)
-    index = np.arange(3 * faces).reshape(-1, 3)
-    # every other pair of faces shares an edge
-    index[1::2, :2] = index[::2, [2, 1]]
-    labels = np.repeat(rng.integers(1, 5, (faces + 1) // 2), 2)[:faces]
-    return vertices.astype(np.float32), index, labels
+    vertices = np.concatenate([corners, rng.uniform(1, 3, (2, 10, 3, 1))], -1).reshape(2, -1, 3)
+    index = np.arange(30).reshape(-1, 3)
+    index[1::2, :2] = index[::2, [2, 1]]  # every other pair of faces shares an edge
+    mesh = PartMesh.from_faces(index, np.repeat(rng.integers(1, 5, 5), 2), device=device)
+    return torch.tensor(vertices, dtype=torch.float32, device=device, requires_grad=True), mesh
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
@@ -48,11 +47,10 @@ def random_scene(seed: int, size: tuple[int, int], faces: int = 10, batch: int =
 def test_forward_is_the_reference(device, size, perspective):
     flips = pixels = 0
     for seed in range(4):
-        vertices, faces, labels = random_scene(seed, size)
-        mesh = PartMesh.from_faces(faces, labels, device=device)
-        image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size, perspective=perspective)
+        vertices, mesh = random_scene(seed, size, device)
+        image = draw_on_screen(vertices, mesh, size, perspective=perspective)
         for b in range(len(vertices)):
-            want = reference.rasterize(MeshScene(vertices[b].astype(float), faces, labels, perspective), size)
+            want = reference.rasterize(mesh_scene(vertices[b], mesh, perspective), size)
             have = mesh_picture(image, b)
             same = have.face_index == want.face_index
             flips += (~same).sum()
@@ -66,18 +64,13 @@ def test_forward_is_the_reference(device, size, perspective):
 @pytest.mark.parametrize("scale", [30.0, 3e3])
 def test_large_and_thin_faces_lose_no_pixel(device, scale):
     """Rows are cut where the faces' edges cross them: what rounding may add to a row must not be missing."""
-    size = (24, 32)
-    rng = np.random.default_rng(0)
+    size, rng = (24, 32), np.random.default_rng(0)
     ends = rng.normal(0, scale, (10, 2))
     thin = ends + rng.normal(0, 8, (10, 2))
-    corners = np.stack([ends, -ends, thin], 1).reshape(1, 30, 2) + np.array(
-        [16, 12]
-    )  # each runs right across the picture
-    vertices = np.concatenate([corners, rng.uniform(1, 3, (1, 30, 1))], -1).astype(np.float32)
-    faces, labels = np.arange(30).reshape(-1, 3), np.arange(1, 11)
-    mesh = PartMesh.from_faces(faces, labels, device=device)
-    image = draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size)
-    want = reference.rasterize(MeshScene(vertices[0].astype(float), faces, labels), size).labels
+    corners = np.stack([ends, -ends, thin], 1) + np.array([16, 12])  # each runs right across the picture
+    vertices, mesh = faces(np.concatenate([corners, rng.uniform(1, 3, (10, 3, 1))], -1), np.arange(1, 11), device)
+    image = draw_on_screen(vertices, mesh, size)
+    want = reference.rasterize(mesh_scene(vertices[0], mesh), size).labels
     assert (want > 0).any()
     assert (image.labels[0].cpu().numpy() != want).sum() <= 1
 
@@ -93,35 +86,21 @@ def check_gradient(leaf, scene, image, g, b=0, **rule):
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_dense_gradient_is_the_reference(device, perspective, max_distance):
     for seed, size in enumerate(SIZES):
-        vertices, faces, labels = random_scene(seed, size)
-        mesh = PartMesh.from_faces(faces, labels, device=device)
-        leaf = torch.from_numpy(vertices).to(device).requires_grad_()
-        image = draw_on_screen(
-            leaf,
-            mesh,
-            size,
-            perspective=perspective,
-            num_maps=4,
-            max_distance=max_distance,
-            depth_weight=0.7,
-            near=0.01,
-        )
-        g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed)).to(device)
-        (image.maps * g).sum().backward()
-        for b in range(len(vertices)):
-            scene = MeshScene(vertices[b].astype(float), faces, labels, perspective)
-            slopes = g[b].cpu().double().numpy()
-            check_gradient(leaf, scene, image, slopes, b, max_distance=max_distance, depth_weight=0.7)
+        leaf, mesh = random_scene(seed, size, device)
+        rule = {"max_distance": max_distance, "depth_weight": 0.7}
+        image = draw_on_screen(leaf, mesh, size, perspective=perspective, num_maps=4, near=0.01, **rule)
+        g = torch.randn(image.maps.shape, generator=torch.Generator().manual_seed(seed))
+        (image.maps * g.to(device)).sum().backward()
+        for b in range(len(leaf)):
+            check_gradient(leaf, mesh_scene(leaf[b], mesh, perspective), image, g[b].double().numpy(), b, **rule)
 
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_label_loss_gradient_is_the_reference_on_ellipbody(device, perspective):
     size = (40, 32)
-    vertices, mesh = projected_bodies(3, size, device, perspective)
-    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    leaf, mesh = projected_bodies(3, size, device, perspective)
     target = noisy_picture(draw_on_screen(leaf, mesh, size, perspective=perspective).labels, 20, 0)
-    loss, image = loss_on_screen(leaf, mesh, target, perspective=perspective)
-    loss.sum().backward()
+    loss, image = push_on_screen(leaf, mesh, target, perspective=perspective)
     g = label_gradient(image.labels[0].cpu().numpy(), target[0].cpu().numpy(), 20)
     check_gradient(leaf, mesh_scene(leaf[0], mesh, perspective), image, g)
     assert loss.item() == pytest.approx((np.abs(g).sum() / 2), rel=1e-5)
@@ -160,25 +139,16 @@ def arrays_of(points: torch.Tensor, mesh: PartMesh) -> MeshArrays:
 def test_a_z_buffer_serves_again_and_what_nobody_asked_for_stays(device):
     """Two pictures through one z-buffer are those through fresh ones, and only what shows is written."""
     size = (40, 56)
-    wp_device = wp.get_device(device)
-    zbuffer = rasterize.ZBuffer.make(2, *size, wp_device)
+    zbuffer = rasterize.ZBuffer.make(2, *size, wp.get_device(device))
     for seed in (1, 2):
-        vertices, mesh = projected_bodies(seed, size, device, subdivisions=1, batch=2)
-        points = torch.from_numpy(vertices).to(device)
+        points, mesh = projected_bodies(seed, size, device, subdivisions=1, batch=2)
         want = draw_on_screen(points, mesh, size)
-        labels = wp.full((2, *size), 77, dtype=wp.uint8, device=wp_device)
-        depth = wp.full((2, *size), -5.0, dtype=wp.float32, device=wp_device)
+        labels, depth = torch.full_like(want.labels, 77), torch.full_like(want.depth, -5.0)
         images = ImageArrays()
-        images.labels, images.depth = labels, depth
-        rasterize.launch_rasterize(
-            arrays_of(points, mesh),
-            images,
-            zbuffer=zbuffer,
-            background=False,
-        )
-        assert torch.equal(wp.to_torch(labels), want.labels)
-        expected = torch.where(want.labels > 0, want.depth, torch.full_like(want.depth, -5.0))
-        assert torch.equal(wp.to_torch(depth), expected)
+        images.labels, images.depth = wp.from_torch(labels), wp.from_torch(depth)
+        rasterize.launch_rasterize(arrays_of(points, mesh), images, zbuffer=zbuffer, background=False)
+        assert torch.equal(labels, want.labels)
+        assert torch.equal(depth, torch.where(want.labels > 0, want.depth, -5.0))
         assert (zbuffer.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
 
 
@@ -191,8 +161,6 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
     shown = rng.integers(0, labels_end, (2, *size)).astype(np.uint8)
     wanted = np.where(rng.random(shown.shape) < 0.05, rng.integers(0, labels_end, shown.shape), shown)
     wanted = np.where(rng.random(shown.shape) < 0.1, 255, wanted).astype(np.uint8)
-    weights = np.ones(256, dtype=np.float32)
-    weights[[0, 255]] = 0.0
 
     def on_device(image: np.ndarray) -> wp.array:
         held = torch.empty(image.size + offset, dtype=torch.uint8, device=device)[offset:].view(image.shape)
@@ -203,16 +171,12 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
     losses = wp.full(lanes, np.nan, dtype=wp.float32, device=device)
     rasterize.launch_compare_labels(on_device(shown), on_device(wanted), extents=extents, losses=losses)
     wrong = (shown != wanted) & (wanted != 255)
-    costs = (weights[shown] + weights[wanted]) * wrong
+    costs = ((shown > 0).astype(int) + (wanted > 0)) * wrong
     np.testing.assert_allclose(losses.numpy().sum((1, 2)), costs.sum((1, 2)), rtol=1e-5)
     for b in range(2):
         for label in range(1, labels_end):
-            missing = wrong[b] & (wanted[b] == label)
-            kinds = {
-                MISSING: missing,
-                SURPLUS: wrong[b] & (shown[b] == label),
-                HIDDEN: missing & (shown[b] != 0),
-            }
+            missing, surplus = (wrong[b] & (image[b] == label) for image in (wanted, shown))
+            kinds = {MISSING: missing, SURPLUS: surplus, HIDDEN: missing & (shown[b] != 0)}
             for kind, pixels in kinds.items():
                 have = extents.numpy()[b, int(kind), label]
                 rows, columns = (np.flatnonzero(pixels.any(axis)) // 4 for axis in (1, 0))
@@ -225,8 +189,7 @@ def test_labels_are_compared_at_any_width_and_address(device, size, offset):
 @pytest.mark.parametrize("how", ["lanes", "threads", "launches"])
 def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
     size = (40, 57)
-    vertices, mesh = projected_bodies(6, size, device, subdivisions=1, batch=5)
-    leaf = torch.from_numpy(vertices).to(device).requires_grad_()
+    leaf, mesh = projected_bodies(6, size, device, subdivisions=1, batch=5)
     target = noisy_picture(draw_on_screen(leaf, mesh, size).labels, 20, 2)
 
     def results() -> list[torch.Tensor]:
@@ -263,8 +226,7 @@ def test_how_work_is_shared_changes_nothing(device, monkeypatch, how):
 def test_hidden_pixels_serve_again(device):
     """A second z pass with the same scratch adds the same once more."""
     size = (40, 56)
-    vertices, mesh = projected_bodies(3, size, device, subdivisions=1, batch=2)
-    points = torch.from_numpy(vertices).to(device)
+    points, mesh = projected_bodies(3, size, device, subdivisions=1, batch=2)
     image = draw_on_screen(points, mesh, size)
     images = ImageArrays()
     images.labels, images.face_index = wp.from_torch(image.labels), wp.from_torch(image.face_index)
@@ -275,14 +237,8 @@ def test_hidden_pixels_serve_again(device):
     sums = []
     for label in (4, 7, 4, 7):
         gradient.label = label
-        push_z.launch_push_depths(
-            arrays_of(points, mesh),
-            images,
-            depth_weight=1.0,
-            gradient=gradient,
-            hidden=hidden,
-            grad=wp.from_torch(grads),
-        )
+        found = {"gradient": gradient, "hidden": hidden, "grad": wp.from_torch(grads)}
+        push_z.launch_push_depths(arrays_of(points, mesh), images, depth_weight=1.0, **found)
         assert (hidden.keys.numpy() == np.uint64(rasterize.EMPTY_KEY)).all()
         sums.append(grads.clone())
     assert sums[0].abs().max() > 0
@@ -295,60 +251,40 @@ def test_shared_edges_are_drawn_once(device, middle):
     """A fan of triangles tiles a square exactly: no pixel is missed, and the fill rule gives each to one face."""
     size = (16, 16)
     # On pixel corners, or on centres, with edges of all eight directions through others. So are the rim's vertices.
-    centre = [middle, middle, 1.0]
     rim = [[x + 0.5, y + 0.5, 1.0] for x, y in [(0, 0), (7, 0), (15, 0), (15, 7), (15, 15), (7, 15), (0, 15), (0, 7)]]
-    vertices = np.array([[centre, *rim]], dtype=np.float32)
-    faces = np.array([[0, 1 + k, 1 + (k + 1) % 8] for k in range(8)])
-    drawn = np.zeros(size, dtype=int)
-    for k in range(8):
-        mesh = PartMesh.from_faces(faces[k : k + 1], np.array([1]), device=device)
-        drawn += draw_on_screen(torch.from_numpy(vertices).to(device), mesh, size).labels[0].cpu().numpy()
+    fan = [faces([[middle, middle, 1.0], rim[k - 1], rim[k]], [1], device) for k in range(8)]
+    drawn = sum(draw_on_screen(*each, size).labels[0].int() for each in fan).cpu().numpy()
     assert (drawn[1:15, 1:15] == 1).all()
     assert drawn.max() == 1
 
 
 def test_equal_depths_go_to_the_lower_face(device):
-    triangle = [[1.0, 1.0, 2.0], [14.0, 2.0, 2.0], [5.0, 13.0, 2.0]]
-    vertices = torch.tensor([triangle + triangle], device=device)
-    mesh = PartMesh.from_faces(np.array([[0, 1, 2], [3, 4, 5]]), np.array([2, 1]), device=device)
-    image = draw_on_screen(vertices, mesh, (16, 16))
+    image = draw_on_screen(*faces([[[1, 1, 2], [14, 2, 2], [5, 13, 2]]] * 2, [2, 1], device), (16, 16))
     assert set(image.labels.unique().tolist()) == {0, 2}
     assert image.depth[image.labels > 0].eq(2.0).all()
 
 
-def test_non_contiguous_and_empty_batches(device):
+def test_an_empty_batch_has_empty_pictures(device):
     vertices, mesh = projected_bodies(4, (20, 24), device)
-    contiguous = torch.from_numpy(vertices).to(device)
-    strided = contiguous.transpose(1, 2).contiguous().transpose(1, 2)
-    assert not strided.is_contiguous()
-    assert torch.equal(
-        draw_on_screen(strided, mesh, (20, 24)).labels, draw_on_screen(contiguous, mesh, (20, 24)).labels
-    )
-    expanded = contiguous.expand(3, -1, -1)
-    assert draw_on_screen(expanded, mesh, (20, 24)).labels.shape == (3, 20, 24)
-    leaf = contiguous[:0].requires_grad_()
-    loss, image = loss_on_screen(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
-    loss.sum().backward()
+    leaf = vertices.detach()[:0].requires_grad_()
+    _, image = push_on_screen(leaf, mesh, torch.zeros(0, 20, 24, dtype=torch.uint8, device=device))
     assert image.labels.shape == (0, 20, 24)
     assert leaf.grad.shape == (0, *vertices.shape[1:])
 
 
 def test_faces_at_the_camera_are_left_out(device):
-    points = torch.tensor([[[-1.0, -1.0, 0.0], [1.0, -1.0, 2.0], [0.0, 1.0, 2.0]]], device=device)
     camera = Perspective(torch.tensor([[20.0, 20.0]], device=device), torch.tensor([[10.0, 10.0]], device=device))
-    mesh = PartMesh.from_faces(np.array([[0, 1, 2]]), np.array([1]), device=device)
+    points, mesh = faces([[-1, -1, 0], [1, -1, 2], [0, 1, 2]], [1], device)
     assert draw_mesh(points, mesh, camera, (20, 20)).labels.eq(0).all()
 
 
 def test_parts_in_no_group_cost_nothing_but_still_hide(device):
     """A face relabelled to 255 draws as 255: no loss, no gradient, yet what lies behind it stays hidden."""
-    front = [[2.0, 2.0, 1.0], [12.0, 2.0, 1.0], [6.0, 12.0, 1.0]]
-    back = [[2.0, 2.0, 2.0], [14.0, 2.0, 2.0], [6.0, 14.0, 2.0]]
-    vertices = torch.tensor([front + back], device=device, requires_grad=True)
-    mesh = PartMesh.from_faces(np.arange(6).reshape(2, 3), np.array([1, 2]), device=device).relabel({1: 255, 2: 1})
+    front, back = [[2, 2, 1], [12, 2, 1], [6, 12, 1]], [[2, 2, 2], [14, 2, 2], [6, 14, 2]]
+    vertices, mesh = faces([front, back], [1, 2], device)
+    mesh = mesh.relabel({1: 255, 2: 1})
     assert mesh.num_labels == 1
-    loss, image = loss_on_screen(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
-    loss.sum().backward()
+    loss, image = push_on_screen(vertices, mesh, torch.zeros(1, 16, 16, dtype=torch.uint8, device=device))
     assert set(image.labels.unique().tolist()) == {0, 1, 255}
     assert loss.item() == (image.labels == 1).sum().item()
     assert (vertices.grad[0, :3] == 0).all()

@@ -46,6 +46,15 @@ def loss_on_screen(
     return mesh_label_loss(vertices, mesh, ScreenCamera(perspective, near), target, **options)
 
 
+def push_on_screen(
+    leaf: torch.Tensor, mesh: PartMesh, target: torch.Tensor, **options: Any
+) -> tuple[torch.Tensor, PartImage]:
+    """``loss_on_screen``, when the leaf's gradient is collected."""
+    loss, image = loss_on_screen(leaf, mesh, target, **options)
+    loss.sum().backward()
+    return loss.detach(), image
+
+
 CAMERAS = [False, True]  # perspective?
 GRADIENTS = ["edges", "coverage", "partdr"]
 GROUPS = np.array([1, 2, 3, 4, 2, 255])  # a label of two ellipsoids, and one that hides and means nothing
@@ -168,9 +177,10 @@ def turn_gradient(axes, grad_axes):
 
 
 def projected_bodies(seed, size, device, perspective=False, subdivisions=0, batch=1):
-    """The vertices of posed bodies on the screen, on the host, and their mesh on the device."""
-    vertices = pose(**body_parameters(seed, device, batch)).vertices(subdivisions).cpu()
-    return body_camera(size, perspective, batch).project(vertices).numpy(), ellipbody_mesh(subdivisions, device=device)
+    """The vertices of posed bodies on the screen, as a leaf, and their mesh."""
+    vertices = pose(**body_parameters(seed, device, batch)).vertices(subdivisions)
+    points = body_camera(size, perspective, batch, device).project(vertices)
+    return points.requires_grad_(), ellipbody_mesh(subdivisions, device=device)
 
 
 def mesh_scene(vertices, mesh, perspective=False):
@@ -276,9 +286,20 @@ def one_scene(centre, semi_axes, perspective, *, turn=(0.0, 0.0, 0.0), focal=20.
     return reference.EllipsoidScene(*map(float32, numbers), np.array([1, 2]), perspective, near)
 
 
+def faces(corners, labels, device="cpu"):
+    """Triangles on the screen that share no vertices, as a leaf (1, 3 F, 3), and their mesh."""
+    vertices = torch.tensor(np.reshape(corners, (1, -1, 3)), dtype=torch.float32, device=device, requires_grad=True)
+    return vertices, PartMesh.from_faces(np.arange(vertices.shape[1]).reshape(-1, 3), np.array(labels), device=device)
+
+
 def triangle(device="cpu"):
-    vertices = torch.tensor([[[1.0, 1.0, 1.0], [6.0, 1.0, 1.0], [3.0, 6.0, 1.0]]], device=device)
-    return vertices, PartMesh.from_faces(np.arange(3)[None], np.array([1]), device=device)
+    return faces([[1, 1, 1], [6, 1, 1], [3, 6, 1]], [1], device)
+
+
+def upright(centres, semi_axes, device="cpu"):
+    """Ellipsoids of one body whose axes are the camera's, as leaves."""
+    numbers = np.array(centres), np.stack([np.eye(3)] * len(centres)), np.array(semi_axes)
+    return Ellipsoids(*(torch.tensor(v, dtype=torch.float32, device=device)[None].requires_grad_() for v in numbers))
 
 
 def ball(batch=1, device="cpu"):
