@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scenes.pictures import Leaves, body_parameters
 
 from warp_partdr.body.ellipbody import EllipBody
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
-from warp_partdr.body.template import template
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.registration import register
@@ -34,14 +34,6 @@ NO_ROTATIONS = {
 
 def turns(*shape: int) -> torch.Tensor:
     return rotation_from_axis_angle(torch.randn(*shape, 3))
-
-
-def sizes(batch: int) -> tuple[torch.Tensor, torch.Tensor]:
-    mean = template()
-    return tuple(
-        torch.tensor(values, dtype=torch.float32).repeat(batch, 1)
-        for values in (mean.mean_lengths, mean.mean_thicknesses)
-    )
 
 
 def test_rounded_rotations_pass() -> None:
@@ -70,14 +62,7 @@ def test_what_is_none(name: str) -> None:
 @pytest.mark.parametrize("which", ["global_orient", "rotations"])
 @pytest.mark.parametrize("name", [*NO_ROTATIONS, "mirrored"])
 def test_pose(which: str, name: str, device: str) -> None:
-    arguments: dict[str, torch.Tensor] = {
-        "global_orient": turns(2),
-        "translation": torch.zeros(2, 3),
-        "rotations": turns(2, 20),
-        "lengths": sizes(2)[0],
-        "thicknesses": sizes(2)[1],
-    }
-    arguments = {key: value.to(device) for key, value in arguments.items()}
+    arguments = body_parameters(0, device, batch=2)
     pose(**arguments)
     arguments[which][1] = {**NO_ROTATIONS, "mirrored": MIRROR}[name].to(device)
     with pytest.raises(ValueError, match=rf"^{which}: matrix \[1(, 0)?\] .*; expected rotation matrices"):
@@ -117,35 +102,21 @@ def test_mirrored_axes_are_the_same_ellipsoid(gradient: Any, device: str) -> Non
     target = torch.ones(1, 24, 24, dtype=torch.uint8, device=device)
     found = []
     for each in (ellipsoids, mirrored):
-        leaves = [value.clone().requires_grad_() for value in vars(each).values()]
-        loss, image = ellipsoid_label_loss(Ellipsoids(*leaves), camera, target, gradient=gradient, samples_per_pixel=32)
-        loss.sum().backward()
-        found.append([loss.detach(), image.labels, image.depth, *(leaf.grad for leaf in leaves)])
+        leaves = Ellipsoids(*(value.clone().requires_grad_() for value in vars(each).values()))
+        loss, image = Leaves(leaves, camera).push_by_loss(target, gradient=gradient, samples_per_pixel=32)
+        found.append([loss, image.labels, image.depth, *(leaf.grad for leaf in vars(leaves).values())])
     found[1][4] = found[1][4] @ MIRROR.to(device)
     for here, there in zip(*found, strict=True):
         torch.testing.assert_close(here, there, rtol=1e-3, atol=1e-3)
-
-
-def body_arrays() -> dict[str, np.ndarray]:
-    lengths, thicknesses = sizes(1)
-    return {
-        "format": np.array("warp-partdr body 1"),
-        "global_orient": np.eye(3),
-        "translation": np.zeros(3),
-        "rotations": np.tile(np.eye(3), (20, 1, 1)),
-        "lengths": lengths[0].numpy(),
-        "thicknesses": thicknesses[0].numpy(),
-        "camera_scale": np.array(100.0),
-        "camera_translation": np.zeros(2),
-        "image_size": np.array([64, 64]),
-    }
 
 
 @pytest.mark.parametrize("which", ["global_orient", "rotations"])
 @pytest.mark.parametrize("name", [*NO_ROTATIONS, "mirrored"])
 def test_body_files(which: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
-    arrays = body_arrays()
+    arrays = {key: value[0].numpy() for key, value in body_parameters(0).items()}
+    arrays |= {"format": "warp-partdr body 1", "camera_scale": 100.0, "camera_translation": np.zeros(2)}
+    arrays["image_size"] = np.array([64, 64])
     np.savez(path, **arrays)
     load_body(path)
     arrays[which].reshape(-1, 3, 3)[-1] = {**NO_ROTATIONS, "mirrored": MIRROR}[name].numpy()

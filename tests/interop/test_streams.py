@@ -23,6 +23,14 @@ from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 
 WAIT = 1_000_000  # [cycles] of a GPU, about half a millisecond
+QUICK = FitOptions(stages=FitOptions().stages[:1])
+
+
+@pytest.fixture
+def cuda(device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    return device
 
 
 def test_a_capture_waits_for_launches_and_launches_for_it():
@@ -55,12 +63,10 @@ def test_a_capture_does_not_wait_for_itself():
 
 def test_fits_and_pictures_of_two_threads_are_those_of_one():
     keypoints, parts = seen_by(walker())
-    options = FitOptions()
-    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
     body = BodyParameters.mean(1)
 
     def fit(_):
-        return fit_body(keypoints, parts, options=options).parameters.rotations
+        return fit_body(keypoints, parts, options=QUICK).parameters.rotations
 
     def draw(_):
         return draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
@@ -72,10 +78,8 @@ def test_fits_and_pictures_of_two_threads_are_those_of_one():
         assert all(torch.equal(have, want_fit) for have in fits)
 
 
-def test_scratch_of_a_side_stream_is_torchs(device):
+def test_scratch_of_a_side_stream_is_torchs(cuda):
     """Warp's own memory comes back on the default stream, for which torch's side streams don't wait."""
-    if device == "cpu":
-        pytest.skip("the CPU has no streams")
     where, side = torch.device("cuda", torch.cuda.current_device()), torch.cuda.Stream()
     size = 1 << 24
     for stream, share in ((torch.cuda.default_stream(), 0), (side, size)):
@@ -86,7 +90,7 @@ def test_scratch_of_a_side_stream_is_torchs(device):
             assert torch.cuda.memory_allocated() - before == share
             del scratch
             assert torch.cuda.memory_allocated() == before
-    body = BodyParameters.mean(1, device=device)
+    body = BodyParameters.mean(1, device=cuda)
     want = draw_ellipsoids(body.posed(), body.camera(64), (64, 64)).labels
     torch.cuda.synchronize()
     with torch.cuda.stream(side):
@@ -95,37 +99,31 @@ def test_scratch_of_a_side_stream_is_torchs(device):
     assert torch.equal(have, want)
 
 
-def test_others_may_use_the_default_stream_during_a_capture(device):
-    if device == "cpu":
-        pytest.skip("the CPU has no streams")
-    keypoints, parts = seen_by(walker(device))
-    options = FitOptions()
-    options = FitOptions(stages=(*options.stages[:1], *options.stages[4:5]))
+def test_others_may_use_the_default_stream_during_a_capture(cuda):
+    keypoints, parts = seen_by(walker(cuda))
     done = threading.Event()
 
     def disturb():
         while not done.is_set():
-            torch.ones(8, device=device).sum().item()
+            torch.ones(8, device=cuda).sum().item()
 
     with ThreadPoolExecutor(1) as pool:
         other = pool.submit(disturb)
         try:
-            assert math.isfinite(sum(fit_body(keypoints, parts, options=options, device=device).energy.values()))
+            assert math.isfinite(sum(fit_body(keypoints, parts, options=QUICK, device=cuda).energy.values()))
         finally:
             done.set()
         other.result(timeout=HANG)
 
 
-def test_two_threads_capture_at_once_again_and_again(device):
+def test_two_threads_capture_at_once_again_and_again(cuda):
     """torch hands its few streams out again: captures must not meet on one, nor others' launches spoil them.
 
     What a thread launches waits there a while, so that on another one's stream it would be read too early.
     """
-    if device == "cpu":
-        pytest.skip("the CPU has no streams")
-    keypoints, parts = seen_by(walker(device))
-    seen, _ = observe(keypoints, parts, device=device)
-    energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=device)
+    keypoints, parts = seen_by(walker(cuda))
+    seen, _ = observe(keypoints, parts, device=cuda)
+    energy, start = Energy(seen, size=64), BodyParameters.mean(1, device=cuda)
     want = refine(start, energy, iterations=2).energy
 
     def found_late():
@@ -140,12 +138,9 @@ def test_two_threads_capture_at_once_again_and_again(device):
         assert all(map(all, pool.map(capture, range(2))))
 
 
-def test_two_threads_launch_each_on_its_own_stream(device):
-    if device == "cpu":
-        pytest.skip("the CPU has no streams")
-    body = BodyParameters.mean(1, device=device)
-    moved = replace(body, shift=body.shift + 0.2)
-    bodies = [body, moved]
+def test_two_threads_launch_each_on_its_own_stream(cuda):
+    body = BodyParameters.mean(1, device=cuda)
+    bodies = [body, replace(body, shift=body.shift + 0.2)]
     want = [draw_ellipsoids(b.posed(), b.camera(64), (64, 64)).labels for b in bodies]
     torch.cuda.synchronize()
 

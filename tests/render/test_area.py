@@ -1,4 +1,7 @@
-"""The "coverage" gradient against the derivative of covered area in float64, and that against differences of area."""
+"""The "coverage" gradient against the derivative of covered area in float64, and "edges", which samples it.
+
+The derivative is held to differences of area, and "edges" to its definition as well.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,14 @@ from scenes.pictures import (
     scene_of,
     smooth_maps,
     turn_gradient,
+    upright,
 )
 
 from warp_partdr.body.posing import pose
+from warp_partdr.cameras import WeakPerspective
 from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as reference
+from warp_partdr.reference.edges import edges_gradient
 from warp_partdr.render.ellipsoids import ellipsoid_label_loss
 
 
@@ -173,3 +179,73 @@ def test_the_reference_is_the_derivative_of_area(perspective):
                     there = coverage.moved(there, name, index, sign * way[index])
                 both.append(coverage.area_cost(there, costs, 64))
             assert both[0] - both[1] == pytest.approx((way * gradients[name]).sum(), rel=0.03, abs=0.05)
+
+
+# --- Edges -----------------------------------------------------------------------------------------------------------
+
+
+def shares_of_error(scene, leaves, image, costs):
+    """Of each gradient, as a share of what was added up for it."""
+    want, sizes = edges_gradient(scene, image.parts[0].cpu().numpy(), costs)
+    have = leaves.gradients()
+    have["turns"] = turn_gradient(scene.axes, have.pop("axes"))
+    return [np.linalg.norm(have[name] - want[name]) / np.linalg.norm(sizes[name]) for name in want]
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+@pytest.mark.parametrize("size", [(21, 34), (32, 24)])  # in bytes, and four pixels a word
+def test_gradient_of_maps_is_its_definition(device, size, perspective):
+    found = []
+    for seed in range(3):
+        scene = random_scene(seed, size, perspective, labels=GROUPS)
+        maps = smooth_maps(seed, 4, size)
+        leaves = Leaves.of(scene, device=device)
+        image = leaves.push_by_maps(maps, part_labels=GROUPS, gradient="edges")
+        found += shares_of_error(scene, leaves, image, coverage.dense_costs(maps))
+    # Where a front is steep next to its outline, float32 knows its slope to a few percent.
+    assert np.median(found) < 1e-3
+    assert max(found) < 3e-2
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_of_the_label_loss_is_its_definition(device, perspective):
+    size = (48, 40)
+    scene = body_scene(3, size, perspective, device)
+    target = noisy_target(reference.ray_cast(scene, size)[0], 20, 0)
+    leaves = Leaves.of(scene, device=device)
+    _, image = leaves.push_by_loss(target, gradient="edges")
+    assert max(shares_of_error(scene, leaves, image, coverage.target_costs(target, 20))) < 2e-3
+
+
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_gradient_approaches_that_of_area(device, perspective):
+    """A finer picture of the same scene with the same costs: its lines sample borders more densely."""
+    mean = []
+    for scale in (1, 4):
+        found = []
+        for seed in range(3):
+            scene = random_scene(seed, (40, 48), perspective, labels=TWO_ALIKE)
+            scene = replace(scene, camera=scene.camera * scale)
+            maps = smooth_maps(seed, 5, (40, 48)).repeat(scale, 1).repeat(scale, 2)
+            leaves = Leaves.of(scene, device=device)
+            leaves.push_by_maps(maps, part_labels=scene.labels, gradient="edges")
+            want = coverage.coverage_gradient(scene, coverage.dense_costs(maps), 16)
+            relative = gradient_errors(scene, leaves, want)
+            found.append([relative[name] for name in ("centres", "turns", "semi_axes")])
+        mean.append(np.mean(found, 0))
+    assert (mean[0] < 0.2).all()
+    assert (mean[1] < 0.5 * mean[0]).all()
+
+
+def test_a_part_between_pixel_centres_has_no_gradient(device):
+    """It shows nowhere; what walks outlines still sees it."""
+    camera = WeakPerspective(torch.ones(1, device=device), torch.full((1, 2), 4.0, device=device))
+    target = np.tile([0, 0, 0, 0, 1, 1, 1, 1], (8, 1))  # the right half wants it
+    found = {}
+    for gradient in ("edges", "coverage"):
+        thin = Leaves(upright([(0, 0, 0)], [(0.3, 3.0, 0.3)], device), camera)
+        _, image = thin.push_by_loss(target, gradient=gradient)
+        assert not image.labels.any()
+        found[gradient] = thin.ellipsoids.centres.grad[0, 0, 0].item()
+    assert found["edges"] == 0
+    assert found["coverage"] < 0
