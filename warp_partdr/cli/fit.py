@@ -21,21 +21,9 @@ if TYPE_CHECKING:
 
 NO_MODEL = "none"
 
-
-class StartName(StrEnum):
-    """Starts of ``fit.stages.STAGES``, which is not loaded for --help."""
-
-    network = "network"
-    search = "search"
-
-
-class QualityName(StrEnum):
-    """Qualities of ``fit.stages.STAGES``."""
-
-    fast = "fast"
-    balanced = "balanced"
-    accurate = "accurate"
-
+# Keys of ``fit.stages.STAGES``, which is not loaded for --help.
+StartName = StrEnum("StartName", ["network", "search"])
+QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
 FIT_HELP = f"""Fit a body of 20 ellipsoids to one person's keypoints and part labels; clothe it in a skinned mesh.
 
@@ -121,7 +109,7 @@ def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> 
     from ..fit.options import FitOptions
     from ..fit.settings import change_options
 
-    options = change_options(FitOptions.at(quality.value, start.value), values)
+    options = change_options(FitOptions.at(quality.value, start.value), values)  # type: ignore[arg-type]
     if options.network is not None and start is StartName.search:
         raise InputError(f"network: {options.network}, with --start search, which has none; expected one of the two")
     return options
@@ -160,21 +148,13 @@ def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> Non
         wp.load_module(module, device=device)
 
 
-def _where_from(report: dict[str, Any]) -> str:
-    count, seconds = report["hypotheses"], report["seconds_total"]
-    if report["start"] == "network" and count == 1:
-        return f"started from the label network's body, {seconds:.1f} s"
-    return f"{count} hypotheses, the {report['start']}'s won, {seconds:.1f} s"
-
-
 def _summarise(report: dict[str, Any], out: Path) -> None:
+    count, start = report["hypotheses"], report["start"]
+    alone = start == "network" and count == 1
+    begun = "started from the label network's body" if alone else f"{count} hypotheses, the {start}'s won"
     share = report["keypoints"]["mean_distance_share_of_person_height"]
-    lines = [
-        _where_from(report),
-        f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
-        + (f" ({100 * share:.1f} % of the person's height)" if share else ""),
-    ]
-    if "parts" in report:
-        lines.append(describe_scores(report))
-    typer.echo("; ".join(lines))
+    off = f"keypoints {report['keypoints']['mean_distance_px']:.1f} px off on average"
+    off += f" ({100 * share:.1f} % of the person's height)" if share else ""
+    scores = [describe_scores(report)] if "parts" in report else []
+    typer.echo("; ".join([f"{begun}, {report['seconds_total']:.1f} s", off, *scores]))
     typer.echo(f"{out / 'overlay.png'} shows the body, {out / 'body.json'} its measurements")

@@ -145,7 +145,7 @@ def clothe(
     options = RegistrationOptions(weights=weights, growth=grow)
     started = time.perf_counter()
     registered = register(posed, model, options=options, progress=progress)
-    seconds = time.perf_counter() - started
+    seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
     report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
     scores = f"{describe_scores(report)}; " if evidence is not None and evidence.picture is not None else ""

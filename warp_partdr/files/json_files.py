@@ -10,11 +10,7 @@ from ..errors import InputError
 
 
 def read_json(path: str | Path, expected: str) -> Any:
-    """Read a JSON file.
-
-    Args:
-        path: The file.
-        expected: What it should be, for messages.
+    """Read a JSON file; ``expected`` says in messages what it should be.
 
     Raises:
         InputError: If it can't be read, or as ``parse_json``.
@@ -29,12 +25,7 @@ def read_json(path: str | Path, expected: str) -> Any:
 
 
 def parse_json(text: str, where: str, expected: str) -> Any:
-    """Parse JSON text, refusing keys that stand twice.
-
-    Args:
-        text: JSON.
-        where: Whose it is, for messages.
-        expected: What it should be, for messages.
+    """Parse JSON text, refusing keys that stand twice; messages say whose it is and what is expected.
 
     Raises:
         InputError: If it is no JSON, is nested too deeply, or an object in it has a key twice.

@@ -17,7 +17,6 @@ from ..body.labels import BACKGROUND, LabelSet, label_set
 from ..body.posing import Posed
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, THICKNESS_NAMES
 from ..cameras import Camera, WeakPerspective
-from ..errors import check_whole
 from ..fit.result import FitResult
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
@@ -236,21 +235,19 @@ def loss_curve(history: FitResult | Refined | Sequence[float] | np.ndarray, *, l
     return figure
 
 
-def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270), size: int = 320) -> Figure:
+def turntable(body: Body, *, turns: Sequence[float] = (0, 90, 180, 270)) -> Figure:
     """A body from all sides.
 
     Args:
         body: A fit, parameters or a posed body.
         turns: About the vertical [degrees]; 0 is the camera's view.
-        size: Of a view [px].
 
     Raises:
-        ValueError: If there are no turns, or ``size`` is out of range.
+        ValueError: If there are no turns.
     """
     if not turns:
         raise ValueError("turns: none; expected one angle or more")
-    size = check_whole("size", size, 16, 4096)
-    views = np.stack(turntable_views(first_body(body), tuple((float(turn), 0.0) for turn in turns), size))
+    views = np.stack(turntable_views(first_body(body), tuple((float(turn), 0.0) for turn in turns)))
     rows, columns = (np.flatnonzero((views < 255).any(axes)) for axes in ((0, 2, 3), (0, 1, 3)))
     views = views[:, rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # all cut alike, to where a body is
     figure = empty_figure(4.0 * len(turns) * views.shape[2] / views.shape[1] + 0.5, 5.0)

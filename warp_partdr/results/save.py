@@ -105,9 +105,9 @@ def save_registered(
     *,
     photo: np.ndarray | None = None,
     evidence: Evidence | None = None,
-    seconds: float | None = None,
+    **about: Any,
 ) -> dict[str, Any]:
-    """Write the first body as ``DETAILED_FILES``.
+    """Write the first body as ``DETAILED_FILES``; returns the report.
 
     Args:
         registered: In the camera frame.
@@ -116,10 +116,7 @@ def save_registered(
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there was one.
         evidence: Of the person in that picture, for the report's scores where it has labels.
-        seconds: How long the registration took, for the report.
-
-    Returns:
-        The report.
+        **about: More for the report.
     """
     model = registered.model
     picture, _ = _over(partial(shade_detailed, registered.detailed, model), camera, size, photo, 0.9)
@@ -127,9 +124,7 @@ def save_registered(
         name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
     }
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
-    report: dict[str, Any] = {"model": model.name, "losses": losses}
-    if seconds is not None:
-        report["seconds"] = round(seconds, 3)
+    report: dict[str, Any] = {"model": model.name, "losses": losses, **about}
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
         vertices = registered.detailed.vertices[:1].detach()
