@@ -246,11 +246,7 @@ class Controls:
             self.film.running = True
 
     def finish_film(self) -> None:
-        """Write what was filmed.
-
-        Raises:
-            InputError: If it can't be written; the next time it is tried again.
-        """
+        """Write what was filmed; where that fails, it is tried again the next time."""
         self.film.running = False  # the message below isn't filmed
         self._scene.message = f"writing {self._folder / FILM} ..."
         self._redraw()

@@ -53,11 +53,7 @@ def check_format(path: Path) -> None:
 
 
 def write(pictures: Sequence[np.ndarray], path: Path) -> None:
-    """Write pictures as the file's name says.
-
-    Raises:
-        InputError: If the file can't be written.
-    """
+    """Write pictures as the file's name says; an InputError if it can't be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _WRITERS[path.suffix](list(pictures), path)
@@ -85,11 +81,7 @@ class Film:
         return len(self.pictures) < _MOST
 
     def write(self, folder: Path) -> int:
-        """End, write ``FILM`` into a folder, made if it isn't there, and forget the pictures; how many there were.
-
-        Raises:
-            InputError: If it can't be written; the pictures are kept.
-        """
+        """End, write ``FILM`` into a folder and forget the pictures, unless that fails; returns how many there were."""
         self.running = False
         if count := len(self.pictures):
             write(self.pictures, folder / FILM)

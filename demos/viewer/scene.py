@@ -45,10 +45,7 @@ _TITLES = {
 class Scene:
     """A plotter with everything in it; ``update`` looks at the state again.
 
-    ``smooth`` outlines (multisampling) without a GPU take four times as long.
-
-    Raises:
-        InputError: If VTK can't draw here.
+    ``smooth`` outlines (multisampling) without a GPU take four times as long. An InputError says that VTK can't draw.
     """
 
     def __init__(self, state: DemoState, *, off_screen: bool = True, smooth: bool = True) -> None:

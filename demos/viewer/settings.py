@@ -24,11 +24,7 @@ QUALITIES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the refinement; ``files.sections`` reads them and checks their types.
-
-    Raises:
-        InputError: If a number is out of range.
-    """
+    """Settings of the refinement; ``files.sections`` reads them and checks their types."""
 
     supervision: Supervision = "parts"  # beside the keypoints: nothing, the whole silhouette, or the parts
     depth_gradient: bool = True  # whether PartDR's z gradient counts where there is one; see ``offers_depth``

@@ -34,8 +34,7 @@ _OUTLINE_LEVEL = 2  # of the mesh whose vertices stand for the outline of exact 
 class DemoState:
     """A body (B = 1) on its way from a start to a target, and the energy before each step so far, ``history``.
 
-    Raises:
-        InputError: If the settings need labels that the target has not.
+    An InputError, where settings need labels that a target has not, changes nothing.
     """
 
     def __init__(self, start: BodyParameters, target: Target, settings: Settings | None = None) -> None:
@@ -47,11 +46,7 @@ class DemoState:
         self.restart()
 
     def configure(self, **changes: Any) -> None:
-        """Change some of the ``Settings`` and go back to the start, so that runs can be compared; else do nothing.
-
-        Raises:
-            InputError: If a value is none of its choices, or needs labels that the target has not; nothing changes.
-        """
+        """Change some of the ``Settings`` and go back to the start, so that runs can be compared; else do nothing."""
         settings = replace(self.settings, **changes)
         _check_labels(settings, self.target)
         if settings != self.settings:
@@ -59,11 +54,7 @@ class DemoState:
             self.restart()
 
     def set_target(self, target: Target) -> None:
-        """Take another target, from the same start.
-
-        Raises:
-            InputError: If the settings need labels that it has not; nothing changes.
-        """
+        """Take another target, from the same start."""
         _check_labels(self.settings, target)
         self.target = target
         self.restart()

@@ -67,11 +67,7 @@ class Target:
 
 
 def body_of(name: str, seed: int = 0) -> BodyParameters:
-    """A body by name: one of ``PRESETS``, or "random", which the seed draws.
-
-    Raises:
-        InputError: If there is no such body.
-    """
+    """A body by name: one of ``PRESETS``, or "random", which the seed draws; else an InputError."""
     if name != RANDOM and name not in _PRESETS:
         raise InputError(f"body: {name!r}; expected one of {', '.join((*PRESETS, RANDOM))}")
     body = BodyParameters.mean(1)
@@ -97,11 +93,7 @@ def network_body(target: Target) -> BodyParameters:
 
 
 def read_body(path: str | Path) -> BodyParameters:
-    """The body of a ``body.npz``; the longer side of its picture becomes the side of the crop.
-
-    Raises:
-        InputError: If the file can't be read.
-    """
+    """The body of a ``body.npz``; the longer side of its picture becomes the side of the crop."""
     stored = load_body(path)
     height, width = stored.image_size.tolist()
     half = max(height, width) / 2
@@ -128,11 +120,7 @@ def body_target(body: BodyParameters) -> Target:
 
 
 def person_target(person: PersonInputs) -> Target:
-    """A user's person; without part labels, only keypoints can be followed.
-
-    Raises:
-        InputError: If keypoints and labels don't fit each other.
-    """
+    """A user's person; without part labels, only keypoints can be followed."""
     observation, crop = observe(person.keypoints, person.parts, others=person.others)
     shown = None
     if person.photo is not None:

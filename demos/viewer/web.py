@@ -82,10 +82,8 @@ def check_backend() -> None:
 async def serve(window: Window, host: str, port: int, ready: Callable[[int], None]) -> None:
     """Show an off-screen window as a page, and play, until cancelled; all who open it see and move the same body.
 
-    ``ready`` is called with the port when the page can be opened; port 0 takes a free one.
-
-    Raises:
-        InputError: If it can't listen there.
+    ``ready`` is called with the port when the page can be opened; port 0 takes a free one. An InputError says why it
+    can't listen there.
     """
     for name in _LOGS:
         logging.getLogger(name).addFilter(_is_of_open_page)

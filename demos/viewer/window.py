@@ -30,11 +30,7 @@ _TURNS = ("RightButtonPressEvent", "MiddleButtonPressEvent", "MouseWheelForwardE
 
 
 class Window:
-    """Sliders, buttons and keys around a scene; ``off_screen`` for a browser, tests and ``profile``.
-
-    Raises:
-        InputError: If VTK can't draw here.
-    """
+    """Sliders, buttons and keys around a scene; ``off_screen`` for a browser, tests and ``profile``."""
 
     def __init__(self, state: DemoState, folder: Path, *, off_screen: bool = False, seed: int = 0) -> None:
         self.state, self.folder = state, folder
@@ -153,11 +149,7 @@ class Window:
         return False
 
     def show(self) -> None:
-        """Open the window, until it is closed.
-
-        Raises:
-            InputError: If there is no display for it.
-        """
+        """Open the window, until it is closed; an InputError if there is no display for it."""
         # What VTK falls back to without a word where it can't reach the display.
         if (kind := self.scene.plotter.render_window.GetClassName()) in _UNSEEN:
             raise InputError(
@@ -167,11 +159,7 @@ class Window:
         self.scene.plotter.show(title="partdr demo")
 
     def finish(self) -> str:
-        """Write what was filmed when the window is gone; what to tell of it, or nothing.
-
-        Raises:
-            InputError: If it can't be written.
-        """
+        """Write what was filmed when the window is gone; what to tell of it, or nothing."""
         count = self.controls.film.write(self.folder)
         return f"{self.folder / FILM}: {count} pictures" if count else ""
 

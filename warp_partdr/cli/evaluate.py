@@ -33,8 +33,10 @@ evaluate = typer.Typer(
 class RunOptions:
     """Options of every data set."""
 
-    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N")] = None
-    jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
+    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N", min=1)] = None
+    jobs: Annotated[
+        int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N", min=1)
+    ] = 1
     methods: Annotated[
         list[str] | None,
         Option(
@@ -129,7 +131,7 @@ def partbench(
         Option("--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"),
     ] = None,
     jobs: Annotated[
-        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N")
+        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N", min=1)
     ] = None,
     device: DeviceOption = "cpu",
     out: Annotated[
@@ -140,7 +142,6 @@ def partbench(
 
     Ten minutes on two cores; --quick one.
     """
-    _check_counts(jobs=jobs)
     from ..evaluation.partbench.methods import METHODS, QUICK
     from ..evaluation.partbench.report import compare_methods, write_report
     from ..evaluation.partbench.samples import partbench_samples
@@ -172,7 +173,6 @@ evaluate.command("partbench")(partbench)
 
 
 def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
-    _check_counts(limit=options.limit, jobs=options.jobs)
     people = list(islice(samples, options.limit))
     if not people:
         raise InputError("the data set: nobody in it; expected at least one person")
@@ -198,12 +198,6 @@ def _label_set(name: str | None) -> LabelSet | None:
     from ..body.labels import label_set
 
     return None if name is None else label_set(name)
-
-
-def _check_counts(**options: int | None) -> None:
-    for name, number in options.items():
-        if number is not None and number < 1:
-            raise InputError(f"--{name}: {number}; expected 1 or more")
 
 
 def _choose(methods: Mapping[str, Method], names: Collection[str]) -> dict[str, Method]:

@@ -35,11 +35,7 @@ class SettingOptions:
     overrides: SetOption = None
 
     def read(self) -> dict[str, Any]:
-        """Nested tables of what was given.
-
-        Raises:
-            InputError: If the file is no TOML, or an override is no ``key=value``.
-        """
+        """Nested tables of what was given."""
         values = {} if self.config is None else read_toml(self.config, str(self.config), "a .toml file")
         for override in self.overrides or ():
             set_value(values, override)
@@ -47,11 +43,7 @@ class SettingOptions:
 
 
 def take_whole(values: dict[str, Any], name: str) -> int:
-    """Take a whole number out of settings, 0 where it is missing.
-
-    Raises:
-        InputError: If it is no whole number of 0 or more.
-    """
+    """Take a whole number of 0 or more out of settings, 0 where it is missing."""
     value = values.pop(name, 0)
     if type(value) is not int or value < 0:
         raise InputError(f"{name}: {shown(value)}; expected 0 or more")
@@ -73,11 +65,7 @@ class PersonFiles:
     person: Annotated[int | None, Option(help="Whom to take, 0 = first; default: the largest.", metavar="N")] = None
 
     def read(self, photo: Path | None) -> PersonInputs:
-        """The person, and the picture if there is one.
-
-        Raises:
-            InputError: If a file can't be read, or they don't fit each other.
-        """
+        """The person, and the picture if there is one; an InputError if the files don't fit each other."""
         if self.keypoints is None:
             raise InputError("--keypoints: missing; expected the person's 2D keypoints, FILE.json")
         picture = None if photo is None else read_photo(photo)

@@ -16,12 +16,7 @@ Section = TypeVar("Section")
 
 
 def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, Any]:
-    """Read the tables of a TOML file.
-
-    Args:
-        path: The file.
-        name: Its name in messages.
-        expected: A word on what it may be, for messages.
+    """Read the tables of a TOML file; messages have its name and what is expected.
 
     Raises:
         InputError: If it can't be read, or is no TOML.
@@ -35,14 +30,9 @@ def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, A
 
 
 def set_value(values: dict[str, Any], override: str) -> str:
-    """Set one value in nested tables, in place; tables that are missing are made.
+    """Set one value in nested tables, in place, and return its key; tables that are missing are made.
 
-    Args:
-        values: The tables.
-        override: ``key=value``, the value as in TOML, a text without quotes too; ``table.key`` reaches into a table.
-
-    Returns:
-        The key.
+    The value of ``key=value`` is as in TOML, a text without quotes too; ``table.key`` reaches into a table.
 
     Raises:
         InputError: If it is no ``key=value``, or reaches into what is no table.

@@ -24,11 +24,7 @@ GLTF_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])  # camera frame (y down, z away) t
 
 
 def ellipbody_scene(posed: Posed) -> trimesh.Scene:
-    """The first body as 20 named, coloured meshes, standing on y = 0 as glTF has it: y up, seen from the camera's side.
-
-    Args:
-        posed: Bodies in the camera frame [m].
-    """
+    """The first body as 20 named, coloured meshes [m], standing on y = 0: y up, seen from the camera's side."""
     import trimesh
 
     sphere, faces = icosphere(_SUBDIVISIONS)

@@ -30,12 +30,7 @@ DPI = 100
 
 
 def part_patches(groups: LabelSet, labels: Image | None = None) -> list[Patch]:
-    """Handles of a legend: each group's colour and name.
-
-    Args:
-        groups: The label set.
-        labels: Group ids; only those that are in it are named, ignored pixels too. None: all groups.
-    """
+    """Handles of a legend: colour and name of each group or, given ``labels``, of what is in it, ignored pixels too."""
     from matplotlib.patches import Patch
 
     colours = group_colours(groups.part_groups) / 255

@@ -43,11 +43,7 @@ IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
 
 
 def group_colours(part_groups: np.ndarray) -> np.ndarray:
-    """RGB of each group id 0 to 255: the mean colour of the group's parts, gray for 255, shape (256, 3), uint8.
-
-    Args:
-        part_groups: Group id of each part label, shape (21,), as ``LabelSet.part_groups``.
-    """
+    """RGB of group ids, shape (256, 3), uint8, from ``LabelSet.part_groups``: the parts' mean colour, gray for 255."""
     table = np.zeros((256, 3), dtype=np.uint8)
     for group in np.unique(part_groups[1:]):
         table[group] = PART_COLOURS[1:][part_groups[1:] == group].mean(0)

@@ -93,10 +93,7 @@ def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:
 def turntable_views(posed: Posed, angles: tuple[tuple[float, float], ...], size: int = 320) -> list[np.ndarray]:
     """The first body from other sides on white, RGB (size, size, 3) each.
 
-    Args:
-        posed: Bodies in the camera frame.
-        angles: (turn about the vertical, tilt about the horizontal) of the body [degrees]; (0, 0) is the photo's view.
-        size: [px].
+    Its turn about the vertical and tilt about the horizontal are ``angles`` [degrees]; (0, 0) is the photo's view.
     """
     body = Posed(*(tensor[:1].detach().cpu() for tensor in vars(posed).values()))
     middle = (body.joints.amax(1) + body.joints.amin(1)) / 2
@@ -113,12 +110,9 @@ def turntable_views(posed: Posed, angles: tuple[tuple[float, float], ...], size:
 
 
 def panels(target: np.ndarray, shown: np.ndarray, colours: np.ndarray) -> Image:
-    """Target, result and difference side by side, cut to where something is.
+    """Target, result and difference side by side, cut to where something is, in the colours (256, 3) of group ids.
 
-    Args:
-        target: Group ids, 255 = ignore, shape (H, W).
-        shown: Group ids of the fitted body, the same shape.
-        colours: RGB of each group id, shape (256, 3).
+    The group ids (H, W) of ``target`` are 255 where nothing is compared; ``shown`` are those of the fitted body.
     """
     from PIL import Image as PilImage
     from PIL import ImageDraw, ImageFont
