@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import pickle
 import warnings
 from contextlib import nullcontext
@@ -19,7 +18,7 @@ from scenes.files import Trap
 from warp_partdr import PART_NAMES, BodyParameters, InputError, load_body
 from warp_partdr.results.body_file import FORMAT, BodyFile
 
-FIELDS = ("global_orient", "translation", "rotations", "lengths", "thicknesses", "camera_scale", "camera_translation")
+*FIELDS, _ = BodyFile.__dataclass_fields__  # of floats
 
 
 def some_body() -> BodyFile:
@@ -40,14 +39,14 @@ def some_body() -> BodyFile:
 
 def arrays() -> dict[str, Any]:
     """What a good file holds."""
-    body = some_body()
-    return {"format": np.array(FORMAT), **{name: getattr(body, name) for name in (*FIELDS, "image_size")}}
+    return {"format": np.array(FORMAT), **vars(some_body())}
 
 
-def saved() -> bytearray:
-    file = io.BytesIO()
-    np.savez(file, **arrays())
-    return bytearray(file.getvalue())
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bodies") / "body.npz"
+    np.savez(path, **arrays())
+    return path
 
 
 def test_comes_back_to_the_bit(tmp_path: Path) -> None:
@@ -56,9 +55,7 @@ def test_comes_back_to_the_bit(tmp_path: Path) -> None:
     again = load_body(tmp_path / "body.npz")
     for name in FIELDS:
         before, after = getattr(body, name), getattr(again, name)
-        assert after.dtype == np.float32, name
-        assert after.shape == before.shape, name
-        assert after.tobytes() == before.tobytes(), name
+        assert (after.dtype, after.shape, after.tobytes()) == (np.float32, before.shape, before.tobytes()), name
     assert again.image_size.tolist() == [480, 640]
     with np.load(tmp_path / "body.npz") as archive:
         assert archive["part_names"].tolist() == list(PART_NAMES)
@@ -133,29 +130,25 @@ def test_other_files_are_refused(content: bytes | None, tmp_path: Path) -> None:
         load_body(tmp_path / "array.npy")
 
 
-def test_truncated_files_are_refused(tmp_path: Path) -> None:
-    data, path = saved(), tmp_path / "body.npz"
+def test_truncated_files_are_refused(saved: Path, tmp_path: Path) -> None:
+    data, path = saved.read_bytes(), tmp_path / "body.npz"
     for length in range(0, len(data), 29):
         path.write_bytes(data[:length])
         with pytest.raises(InputError):
             load_body(path)
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("bodies")
-
-
 @given(changes=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=20))
-def test_damaged_files_give_a_body_or_an_error(changes: list[tuple[int, int]], scratch: Path) -> None:
-    data = saved()
+def test_damaged_files_give_a_body_or_an_error(changes: list[tuple[int, int]], saved: Path) -> None:
+    data = bytearray(saved.read_bytes())
     for position, value in changes:
         data[position % len(data)] = value
-    (scratch / "body.npz").write_bytes(data)
+    damaged = saved.with_name("damaged.npz")
+    damaged.write_bytes(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            body = load_body(scratch / "body.npz")
+            body = load_body(damaged)
         except InputError:
             return
     assert all(np.isfinite(getattr(body, name)).all() for name in FIELDS)
