@@ -54,17 +54,11 @@ PICTURE = (300, 220)  # (H, W) of one view
 
 @dataclass(frozen=True)
 class Person:
-    """A true person and its EllipBody.
+    """A true person and its EllipBody."""
 
-    Attributes:
-        shape: True shape values, shape (1, S).
-        truth: The true body.
-        posed: Its EllipBody.
-    """
-
-    shape: torch.Tensor
-    truth: Detailed
-    posed: Posed
+    shape: torch.Tensor  # true shape values, shape (1, S)
+    truth: Detailed  # the true body
+    posed: Posed  # its EllipBody
 
 
 def measure_shape(model: DetailedModel, shape: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -117,23 +111,19 @@ def inside(vertices: torch.Tensor, posed: Posed) -> torch.Tensor:
     return (1 - e) * e / (unit / posed.semi_axes[:, None]).norm(dim=-1).clamp(min=1e-9) > DEPTH
 
 
-def share_inside(vertices: torch.Tensor, posed: Posed) -> float:
-    """Share of vertices within any ellipsoid."""
-    return float(inside(vertices, posed).any(-1).float().mean())
-
-
 def score(
     model: DetailedModel, skin: torch.Tensor, person: Person, posed: Posed, registered: Registered
 ) -> dict[str, float]:
-    """Errors [mm] and share of vertices inside."""
+    """Errors [mm], and shares of the skin's vertices that are inside."""
     joints = model.landmarks(registered.detailed, JOINT_NAMES) - model.landmarks(person.truth, JOINT_NAMES)
     errors = (registered.detailed.vertices - person.truth.vertices).norm(dim=-1)
+    bodies = {"inside": registered.detailed, "truth_inside": person.truth}
+    deep = {name: inside(body.vertices[:, skin], posed).any(-1) for name, body in bodies.items()}
     return {
         "vertices_mm": 1000 * float(errors.mean()),
         "worst_vertex_mm": 1000 * float(errors.max()),
         "joints_mm": 1000 * float(joints.norm(dim=-1).mean()),
-        "inside": share_inside(registered.detailed.vertices[:, skin], posed),
-        "truth_inside": share_inside(person.truth.vertices[:, skin], posed),
+        **{name: float(each.float().mean()) for name, each in deep.items()},
     }
 
 

@@ -18,21 +18,17 @@ import torch
 from warp_partdr.body.rotations import rotation_between
 from warp_partdr.body.template import PART_NAMES
 
-# Anny bone -> part, by the bone's name without its side; the first matching prefix wins.
-_SIDED_BONES: tuple[tuple[str, str], ...] = (
-    ("pelvis", "hip"),
-    ("upperleg", "upper_leg"),
-    ("lowerleg", "lower_leg"),
-    ("foot", "foot"),
-    ("toe", "foot"),
-    ("clavicle", "shoulder"),
-    ("shoulder", "shoulder"),
-    ("upperarm", "upper_arm"),
-    ("lowerarm", "forearm"),
-    ("wrist", "hand"),
-    ("metacarpal", "hand"),
-    ("finger", "hand"),
-)
+# Anny bones -> part, by the bones' names without their side; the first part with a matching prefix wins.
+_SIDED_BONES: dict[str, tuple[str, ...]] = {
+    "hip": ("pelvis",),
+    "upper_leg": ("upperleg",),
+    "lower_leg": ("lowerleg",),
+    "foot": ("foot", "toe"),
+    "shoulder": ("clavicle", "shoulder"),
+    "upper_arm": ("upperarm",),
+    "forearm": ("lowerarm",),
+    "hand": ("wrist", "metacarpal", "finger"),
+}
 _MIDDLE_BONES: dict[str, str] = {
     **dict.fromkeys(("spine05", "spine04", "spine03"), "abdomen"),
     **dict.fromkeys(("spine02", "spine01"), "chest"),
@@ -67,27 +63,19 @@ def part_of_bone(bone: str) -> str | None:
     name, dot, side = bone.partition(".")
     if not dot:
         return _MIDDLE_BONES.get(name)
-    part = next(part for prefix, part in _SIDED_BONES if name.startswith(prefix))
+    part = next(part for part, prefixes in _SIDED_BONES.items() if name.startswith(prefixes))
     return f"{'left' if side == 'L' else 'right'}_{part}"
 
 
 @dataclass(frozen=True)
 class Person:
-    """One posed Anny person in the body frame.
+    """One posed Anny person in the body frame [m]."""
 
-    Attributes:
-        vertices: Positions [m], shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        face_parts: Part index of each face, 0 to 19, shape (F,).
-        bones: Head of each Anny bone [m], by name.
-        coco: COCO-17 and foot keypoints of Anny's regressor [m], by name.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    face_parts: np.ndarray
-    bones: dict[str, np.ndarray]
-    coco: dict[str, np.ndarray]
+    vertices: np.ndarray  # shape (V, 3)
+    faces: np.ndarray  # vertex indices, shape (F, 3)
+    face_parts: np.ndarray  # part index of each face, 0 to 19, shape (F,)
+    bones: dict[str, np.ndarray]  # head of each Anny bone, by name
+    coco: dict[str, np.ndarray]  # COCO-17 and foot keypoints of Anny's regressor, by name
 
     def joints(self) -> dict[str, np.ndarray]:
         """EllipBody's joints [m] that are Anny bones: hips, knees, ankles, shoulders, elbows, wrists."""
@@ -163,9 +151,7 @@ class PersonFactory:
     def _face_parts(self, rest_vertices: np.ndarray) -> np.ndarray:
         """Part of each face, shape (F,): the majority of its vertices' dominant bones (a draw: the first vertex)."""
         weights = self.model.vertex_bone_weights.numpy()
-        dominant = np.take_along_axis(
-            self.model.vertex_bone_indices.numpy(), weights.argmax(1, keepdims=True), axis=1
-        ).ravel()
+        dominant = np.take_along_axis(self.model.vertex_bone_indices.numpy(), weights.argmax(1)[:, None], 1)[:, 0]
         parts = np.array([PART_NAMES.index(p) if (p := part_of_bone(b)) else -1 for b in self.bones])[dominant]
         of_root = parts < 0
         parts[of_root] = np.where(rest_vertices[of_root, 0] > 0, 0, 1)

@@ -187,15 +187,16 @@ def main(out: Path) -> None:
     head = np.unique(rest.faces[rest.face_parts == PART_NAMES.index("head")])
     lsp["head_top"] = points[head[rest.vertices[head, 1].argmax()]]
 
-    joints = {"lsp14": lsp, "coco17": coco}
-
     feet = np.array([(coco[f"{side}_heel"] + coco[f"{side}_big_toe"]) / 2 for side in ("left", "right")])
     photograph(rest, person, mesh, points, feet).save(out / "photo.png", optimize=True)
 
     labels, _, _ = draw(points, mesh)
     Image.fromarray(LABELS.to_ids(LABELS.from_parts(labels)).astype(np.uint8)).save(out / "parts.png", optimize=True)
 
-    named = {form: {name: each[name] for name in skeleton(form).landmarks} for form, each in joints.items()}
+    named = {
+        form: {name: each[name] for name in skeleton(form).landmarks}
+        for form, each in (("lsp14", lsp), ("coco17", coco))
+    }
     keypoints = scaled_camera().project(torch.from_numpy(np.array([*named["coco17"].values()]))[None])[0, :, :2]
     rows = [[*point, 1.0] for point in keypoints.numpy().round(2).tolist()]
     write_json(out / "keypoints.json", {"format": "coco17", "keypoints": rows})
@@ -215,28 +216,6 @@ def main(out: Path) -> None:
         "anny": {"version": version("anny"), "phenotype": PHENOTYPE},
     }
     write_json(out / "truth.json", truth)
-    (out / "README.md").write_text(README)
-
-
-README = """# The packaged example
-
-An Anny person walking, with one forearm before the torso, seen by a perspective camera. Made by
-`scripts/make_example.py`; nothing in it is anyone's photo.
-
-| file | content |
-|---|---|
-| `photo.png` | the shaded picture, 384 x 512 |
-| `parts.png` | 14 body parts, label set `cdcl14`, 0 = background; exact, without the noise of a network |
-| `keypoints.json` | COCO-17 keypoints [px], confidence 1, also where they are hidden |
-| `truth.json` | camera, and true 3D joints [m] in the camera frame (see below) |
-
-Of the joints, LSP-14 are the heads of Anny's bones, with the neck between the shoulders and head_top at the crown;
-COCO-17 are those of Anny's keypoint regressor, whose projections `keypoints.json` holds. A part is where its bones
-dominate the skinning.
-
-Licence: CC0-1.0 (public domain), as Anny's assets, which it was rendered from
-(https://github.com/naver/anny, code Apache-2.0).
-"""
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import queue
 import shutil
 import subprocess
 import sys
@@ -21,7 +20,6 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -59,23 +57,14 @@ def pytest_sessionfinish(session):
 
 @dataclass(frozen=True)
 class Mutant:
-    """Fault: one line of one file, replaced, and the tests that must notice.
+    """Fault: one line of one file, replaced, and the tests that must notice."""
 
-    Attributes:
-        file: Where, from the project's folder.
-        find: Part of one line, there exactly once.
-        replace: What stands there instead.
-        tests: Which must notice, as pytest names them (``tests/test_x.py::test_y``).
-        why: What is wrong then.
-        survives: Why no test can tell, if none can.
-    """
-
-    file: str
-    find: str
-    replace: str
-    tests: tuple[str, ...]
-    why: str
-    survives: str = ""
+    file: str  # from the project's folder
+    find: str  # part of one line, there exactly once
+    replace: str  # what stands there instead
+    tests: tuple[str, ...]  # as pytest names them (``tests/test_x.py::test_y``)
+    why: str  # what is wrong then
+    survives: str = ""  # why no test can tell, if none can
 
     def apply(self, folder: Path) -> str:
         """The mutated text of the file.
@@ -171,15 +160,6 @@ def try_mutant(mutant: Mutant, folder: Path) -> tuple[str, str]:
         path.write_text(original, encoding="utf-8")
 
 
-def try_next(folders: queue.SimpleQueue[Path], mutant: Mutant) -> tuple[str, str]:
-    """Try a mutant in a copy that is free."""
-    folder = folders.get()
-    try:
-        return try_mutant(mutant, folder)
-    finally:
-        folders.put(folder)
-
-
 def main() -> int:
     """Try the mutants; return 1 if one survives unexplained or the list is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -195,19 +175,26 @@ def main() -> int:
         parser.error(f"--only: {options.only!r}; no such mutant")
     console = Console(highlight=False, markup=False)
 
-    folders: queue.SimpleQueue[Path] = queue.SimpleQueue()
-    for number in range(options.jobs):
-        copy_project(WORK / f"copy{number}")
-        folders.put(WORK / f"copy{number}")
+    folders = [WORK / f"copy{number}" for number in range(options.jobs)]
+    for folder in folders:
+        copy_project(folder)
     # Without a fault, all the tests pass; it also warms Warp's cache.
     tests = dict.fromkeys(test for mutant in mutants for test in mutant.tests)
-    kind, said = run_tests(WORK / "copy0", list(tests), {mutant.file for mutant in mutants})
+    kind, said = run_tests(folders[0], list(tests), {mutant.file for mutant in mutants})
     if kind != "survived":
         console.print(f"without a fault: {said}")
         return 1
     kinds, bad = [], []
+
+    def try_next(mutant: Mutant) -> tuple[str, str]:
+        folder = folders.pop()  # one that is free
+        try:
+            return try_mutant(mutant, folder)
+        finally:
+            folders.append(folder)
+
     with ThreadPoolExecutor(options.jobs) as pool:
-        outcomes = zip(mutants, pool.map(partial(try_next, folders), mutants), strict=True)
+        outcomes = zip(mutants, pool.map(try_next, mutants), strict=True)
         for mutant, (kind, said) in track(outcomes, "mutants", len(mutants), console=console):
             console.print(f"{kind:8} {mutant.file}: {mutant.why}")
             kinds.append(kind)

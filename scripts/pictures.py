@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import warp as wp
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 import warp_partdr as partdr
 from warp_partdr.results.palette import PART_COLOURS, group_colours
@@ -55,15 +55,12 @@ DEMO_STEPS = 25  # of each setting
 def difference(first: Path, second: Path) -> float:
     """Share of pixels that differ, over all frames; 1 if sizes or numbers of frames do."""
     with Image.open(first) as one, Image.open(second) as other:
-        frames = getattr(one, "n_frames", 1)
-        if one.size != other.size or frames != getattr(other, "n_frames", 1):
-            return 1.0
-        shares = []
-        for frame in range(frames):
-            one.seek(frame)
-            other.seek(frame)
-            shares.append(float((np.asarray(one.convert("RGB")) != np.asarray(other.convert("RGB"))).any(-1).mean()))
-    return sum(shares) / frames
+        old, new = (
+            [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(each)] for each in (one, other)
+        )
+    if [frame.shape for frame in old] != [frame.shape for frame in new]:
+        return 1.0
+    return float(np.mean([(was != now).any(-1).mean() for was, now in zip(old, new, strict=True)]))
 
 
 def make(names: tuple[str, ...], arguments: tuple[str, ...], out: Path) -> bool:

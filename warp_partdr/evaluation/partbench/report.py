@@ -6,6 +6,7 @@ import base64
 import html
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -42,20 +43,13 @@ _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12
 
 def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
-    for level in LEVELS:
-        for pair in ORDER:
-            scores = [
-                {
-                    each.sample: each
-                    for each in report.scores
-                    if (each.source, each.method) == (source_name(level), name)
-                }
-                for name in pair
-            ]
-            people = sorted(scores[0].keys() & scores[1].keys())
-            if people:
-                matched = [[each[person] for each in scores] for person in people]
-                yield f"{level}: {pair[0]} minus {pair[1]}: {_compare(matched)}"
+    scores = {(each.source, each.method, each.sample): each for each in report.scores}
+    people = sorted({each.sample for each in report.scores})
+    for level, pair in product(LEVELS, ORDER):
+        keys = ([(source_name(level), method, person) for method in pair] for person in people)
+        matched = [[scores[key] for key in both] for both in keys if scores.keys() >= set(both)]
+        if matched:
+            yield f"{level}: {pair[0]} minus {pair[1]}: {_compare(matched)}"
 
 
 def _compare(pairs: list[list[Score]]) -> str:
@@ -80,12 +74,12 @@ def write_report(
     *,
     device: str = "cpu",
 ) -> None:
-    """Write tables, findings and the worst fits, which are fitted once more to be drawn.
+    """Write tables, findings and the worst fits, which are fitted once more to be drawn, as HTML.
 
     Args:
-        path: Of the HTML file.
-        report: Of ``evaluate`` on the samples by the methods.
-        samples: Who was fitted.
+        path: Of the file.
+        report: Of ``evaluate`` on ``samples`` by ``methods``.
+        samples: People fitted.
         methods: By name.
         measured_with: Machine, versions and so on.
         device: "cpu" or a CUDA device.
@@ -116,11 +110,9 @@ def write_report(
 
 def worst(report: Report, method: str) -> list[Score]:
     """The fits of a method with the largest PA-MPJPE, worst first, each person once."""
-    ordered = sorted((score for score in report.scores if score.method == method), key=lambda score: -score.pa_mpjpe)
-    people: dict[str, Score] = {}
-    for score in ordered:
-        people.setdefault(score.sample, score)
-    return list(people.values())[:WORST]
+    ordered = sorted((score for score in report.scores if score.method == method), key=lambda score: score.pa_mpjpe)
+    people = {score.sample: score for score in ordered}  # of several, the last
+    return sorted(people.values(), key=lambda score: -score.pa_mpjpe)[:WORST]
 
 
 def draw_case(sample: Sample, result: FitResult) -> Image.Image:
