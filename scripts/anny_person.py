@@ -11,7 +11,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import anny
 import numpy as np
 import torch
 
@@ -95,6 +94,8 @@ class PersonFactory:
     """Poses Anny people. The model is built once."""
 
     def __init__(self) -> None:
+        import anny  # an extra, which a ``Person`` alone does not need
+
         self.model = anny.Anny().to(dtype=torch.float32)
         self.keypoints = anny.KeypointsRegressor.coco(self.model)
         self.bones: list[str] = list(self.model.bone_labels)

@@ -193,10 +193,8 @@ def main(out: Path) -> None:
     labels, _, _ = draw(points, mesh)
     Image.fromarray(LABELS.to_ids(LABELS.from_parts(labels)).astype(np.uint8)).save(out / "parts.png", optimize=True)
 
-    named = {
-        form: {name: each[name] for name in skeleton(form).landmarks}
-        for form, each in (("lsp14", lsp), ("coco17", coco))
-    }
+    joints = {"lsp14": lsp, "coco17": coco}
+    named = {form: {name: each[name] for name in skeleton(form).landmarks} for form, each in joints.items()}
     keypoints = scaled_camera().project(torch.from_numpy(np.array([*named["coco17"].values()]))[None])[0, :, :2]
     rows = [[*point, 1.0] for point in keypoints.numpy().round(2).tolist()]
     write_json(out / "keypoints.json", {"format": "coco17", "keypoints": rows})

@@ -55,9 +55,8 @@ DEMO_STEPS = 25  # of each setting
 def difference(first: Path, second: Path) -> float:
     """Share of pixels that differ, over all frames; 1 if sizes or numbers of frames do."""
     with Image.open(first) as one, Image.open(second) as other:
-        old, new = (
-            [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(each)] for each in (one, other)
-        )
+        pictures = [ImageSequence.Iterator(each) for each in (one, other)]
+        old, new = ([np.asarray(frame.convert("RGB")) for frame in frames] for frames in pictures)
     if [frame.shape for frame in old] != [frame.shape for frame in new]:
         return 1.0
     return float(np.mean([(was != now).any(-1).mean() for was, now in zip(old, new, strict=True)]))
