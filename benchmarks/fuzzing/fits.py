@@ -98,7 +98,7 @@ def try_register(case: Case) -> Any:
     posed = BodyParameters.mean(1, device=case.device).posed()
     if case.spoils():
         posed = replace(posed, **{each.name: case.maybe(getattr(posed, each.name)) for each in fields(posed)})
-    options = RegistrationOptions(iterations=case.number(2, 0), learning_rate=case.number(0.01))
+    options = RegistrationOptions(iterations=case.number(2, 0))
     found = register(posed, anny_model(case.device), options=options)
     return found.shape, found.rotations, found.translation, found.detailed, found.losses
 

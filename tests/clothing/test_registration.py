@@ -142,7 +142,7 @@ def terms_of(device: str, weights: RegistrationWeights) -> dict[str, torch.Tenso
     turns = 0.1 * torch.randn(2, 5, 3, generator=generator).to(device)
     pose_, translation = pose_from_ellipbody(model, posed, shape)
     detailed = model.pose(shape, pose_, translation + 0.04)
-    loss = _Loss(model, posed, RegistrationOptions(weights=weights))
+    loss = _Loss(model, posed, weights)
     loss.search(detailed.vertices)
     return loss(detailed, shape, turns)
 

@@ -182,6 +182,8 @@ def test_the_wrong_one_is_mended_whichever_it_is(start: str) -> None:
         np.testing.assert_array_equal(mended.parameters.rotations, clean.parameters.rotations)
         np.testing.assert_array_equal(mended.evidence.keypoints.points, keypoints.points)
         assert mended.start == clean.start
+        shown = [np.asarray(draw_overlay(result, parts.groups.shape)) for result in (clean, mended)]
+        np.testing.assert_array_equal(*shown)  # keypoints as they are believed to be: sides have colours
 
 
 # --- Blobs -----------------------------------------------------------------------------------------------------------
@@ -308,11 +310,3 @@ def test_evidence_without_labels_has_no_target() -> None:
     for ask in (lambda: seen.target((4, 4)), lambda: seen.labels):
         with pytest.raises(ValueError, match=r"evidence: without part labels; expected some"):
             ask()
-
-
-def test_overlay_of_keypoints_taken_for_the_other_side_is_the_same_picture() -> None:
-    """The keypoints are drawn as they were believed to be: sides have colours."""
-    keypoints, parts = example()
-    clean, mended = fit_body(keypoints, parts), fit_body(mirrored_keypoints(keypoints), parts)
-    first, second = (np.asarray(draw_overlay(result, parts.groups.shape)) for result in (clean, mended))
-    np.testing.assert_array_equal(first, second)

@@ -8,7 +8,7 @@ from scenes.bodies import ellipbodies
 from warp_partdr.body.posing import Posed
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.registration import REACH, RegistrationOptions, RegistrationWeights, _Loss
+from warp_partdr.clothing.registration import REACH, SCALE, RegistrationWeights, _Loss
 from warp_partdr.clothing.surfaces import surface_samples
 from warp_partdr.reference.ellipbody import PosedEllipsoid
 from warp_partdr.reference.registration import (
@@ -33,12 +33,12 @@ def ellipsoids_of(posed: Posed, body: int) -> list[PosedEllipsoid]:
 
 def test_registration_terms_are_the_books(device):
     """Of a body 4 cm beside its EllipBody."""
-    options = RegistrationOptions(RegistrationWeights(icp=1.0, penetration=10.0))
+    weights = RegistrationWeights(icp=1.0, penetration=10.0)
     model, posed, body = anny(torch.device(device)), ellipbodies(device), 1
     shape = torch.zeros(2, model.num_shapes, device=device)
     rotations, translation = pose_from_ellipbody(model, posed, shape)
     detailed = model.pose(shape, rotations, translation + 0.04)
-    loss = _Loss(model, posed, options)
+    loss = _Loss(model, posed, weights)
     loss.sample_weights[:, torch.arange(loss.samples.shape[1]) % 9 > 0] = 0  # the book is slow
     for moved in (0.01, 0.0):  # the second time refits the mesh
         loss.search(detailed.vertices + moved)
@@ -50,7 +50,7 @@ def test_registration_terms_are_the_books(device):
     skin = numpy(loss.areas), loss.parts.cpu().numpy()
     surface = DetailedSurface(numpy(detailed.vertices[body]), *skin, model.faces.cpu().numpy(), face_parts)
     samples, areas = numpy(loss.samples[body]), numpy(loss.sample_weights[body])
-    ellipsoids, scale, reach = ellipsoids_of(posed, body), options.scale, REACH
+    ellipsoids, scale, reach = ellipsoids_of(posed, body), SCALE, REACH
     want = {
         "icp_to_mesh": 1e4 * icp_to_mesh(surface, samples, areas, scale, reach),
         "icp_to_ellipsoids": 1e4 * icp_to_ellipsoids(surface, ellipsoids, scale),

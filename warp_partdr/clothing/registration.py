@@ -31,9 +31,10 @@ _NATURAL = 2.0
 # The same after an edit, as a logarithm: what is special about the person is known then.
 _KNOWN = 0.02
 _MOST_GROWTH = 1.0  # of a measure's logarithm
-_RATES = (1.0, 0.2, 0.05)  # of shape values, turns [rad] and position [m], as parts of the learning rate
+_RATES = (0.1, 0.1 * 0.2, 0.1 * 0.05)  # of Adam, for shape values, turns [rad] and position [m]
 _SEARCH_EVERY = 5  # steps after which closest points are looked for again
 REACH = 0.15  # [m]: distance beyond which there is no closest point
+SCALE = 0.03  # [m]: distance from which on closest points count less and less (Geman and McClure)
 _LENGTH_PRIOR, _LENGTH_STEPS = 1e-5, 4  # weight of the shape values' squares [m²], and Gauss and Newton's steps
 _CENTIMETRES = 1e4  # square metres to square centimetres
 
@@ -81,16 +82,12 @@ class RegistrationOptions:
     Attributes:
         weights: Of the loss.
         iterations: Steps of Adam.
-        learning_rate: In shape values; turns move 0.2 [rad] and position 0.05 [m] of that. It falls to 0 as a cosine.
-        scale: Distance from which on closest points count less and less (Geman and McClure) [m].
         growth: Let parts grow beyond what the model's shape values reach. By default after an edit, that is with a
             ``start``: people are in the model's reach, and what is not is mostly a fit's error.
     """
 
     weights: RegistrationWeights = field(default_factory=RegistrationWeights)
     iterations: int = 80
-    learning_rate: float = 0.1
-    scale: float = 0.03
     growth: bool | None = None
 
 
@@ -153,7 +150,7 @@ def register(
     check_type("start", start, Registered | None, "of register")
     check_type("options", options, RegistrationOptions | None, "such as RegistrationOptions()")
     options = options or RegistrationOptions()
-    iterations = check_steps(options.iterations, options.learning_rate)
+    iterations = check_steps(options.iterations, _RATES[0])
     like = model.rest_vertices
     check_tensor("joints", posed.joints, (None, 21, 3), dtypes=(torch.float32,))
     if like.dtype != torch.float32 or posed.joints.device != like.device:
@@ -170,12 +167,11 @@ def register(
     pose, translation = pose_from_ellipbody(model, posed, shape)
     free = sorted({0, *model.part_joints})
     turns = like.new_zeros(len(shape), len(free), 3)
-    loss = _Loss(model, posed, options)
+    loss = _Loss(model, posed, options.weights)
     measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)
 
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
-    rates = [{"params": [p], "lr": share * options.learning_rate} for p, share in zip(unknowns, _RATES, strict=True)]
-    adam = torch.optim.Adam(rates)
+    adam = torch.optim.Adam([{"params": [tensor], "lr": rate} for tensor, rate in zip(unknowns, _RATES, strict=True)])
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(iterations, 1))
 
     def posed_model() -> tuple[torch.Tensor, Detailed]:
@@ -233,8 +229,8 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
 class _Loss:
     """L_ICP + L_PEN and the priors, each of shape (B,), for bodies near their EllipBodies."""
 
-    def __init__(self, model: DetailedModel, posed: Posed, options: RegistrationOptions) -> None:
-        self.posed, self.options = posed, options
+    def __init__(self, model: DetailedModel, posed: Posed, weights: RegistrationWeights) -> None:
+        self.posed, self.weights = posed, weights
         rows = [model.landmark_names.index(name) for name in MATCHED_JOINTS]
         self.joint_weights = model.landmark_weights[rows]
         self.joints = posed.joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
@@ -251,12 +247,12 @@ class _Loss:
         edges = triangles[..., 1:, :] - triangles[..., :1, :]
         normals = torch.nn.functional.normalize(torch.linalg.cross(edges[..., 0, :], edges[..., 1, :]), dim=-1)
         squares = ((triangles * places[..., None]).sum(-2) - self.samples).square().sum(-1)
-        share = 1 / (1 + squares / self.options.scale**2)
+        share = 1 / (1 + squares / SCALE**2)
         self.corners, self.places, self.normals = corners, places, normals
         self.icp_weights = self.sample_weights * found * share.square()
 
     def __call__(self, detailed: Detailed, shape: torch.Tensor, turns: torch.Tensor) -> dict[str, torch.Tensor]:
-        weights = self.options.weights
+        weights = self.weights
         points = torch.cat([detailed.vertices, detailed.joints], dim=1)
         joints = (self.joint_weights @ points - self.joints).square().sum(-1).mean(-1)
         batch = torch.arange(len(shape), device=shape.device)[:, None, None]
@@ -264,9 +260,7 @@ class _Loss:
         squares = ((nearest - self.samples) * self.normals).sum(-1).square()
         to_mesh = (self.icp_weights * squares).sum(-1)
         icp = _CENTIMETRES * weights.icp
-        to_ellipsoids, penetration = vertex_costs(
-            detailed.vertices, self.parts, self.areas, self.posed, self.options.scale
-        )
+        to_ellipsoids, penetration = vertex_costs(detailed.vertices, self.parts, self.areas, self.posed, SCALE)
         return {
             "joints": _CENTIMETRES * weights.joints * joints,
             "icp_to_mesh": icp * to_mesh,
