@@ -116,25 +116,23 @@ def mpjpe(points: Array, target: Array, *, centre_on: Sequence[int] = (), valid:
     return _mean_distance(points, target, weights)
 
 
-def align_similarity(points: Array, target: Array, *, valid: Array | None = None) -> torch.Tensor:
-    """``points`` after the similarity (proper rotation, scale, translation) that brings them nearest to ``target``.
+def pa_mpjpe(points: Array, target: Array, *, valid: Array | None = None) -> torch.Tensor:
+    """Mean distance of joints after the similarity (proper rotation, scale, translation) that brings them nearest.
 
     A mirror image stays one. Points that do not say how to turn (all on a line, or in one place) take one of the turns
     that are equally good.
 
     Args:
-        points: Shape (..., J, 3).
-        target: The same shape.
-        valid: Which joints decide, shape (..., J), bool; the others may be NaN, and are moved as 0.
+        points: Joints, shape (..., J, 3).
+        target: The true ones, the same shape.
+        valid: Which joints decide and count, shape (..., J), bool; the others may be NaN.
+
+    Returns:
+        Distances [as given], shape (...).
 
     Raises:
         ValueError: If shapes differ or a joint that counts is NaN or infinite.
     """
-    return _aligned(*_checked(points, target, valid))
-
-
-def pa_mpjpe(points: Array, target: Array, *, valid: Array | None = None) -> torch.Tensor:
-    """Mean distance of joints after ``align_similarity`` [as given], shape (...); arguments and errors are its own."""
     points, target, weights = _checked(points, target, valid)
     return _mean_distance(_aligned(points, target, weights), target, weights)
 

@@ -12,7 +12,7 @@ from fuzzing.case import Case
 from warp_partdr import label_set
 from warp_partdr.body.labels import regroup
 from warp_partdr.body.template import PART_NAMES
-from warp_partdr.metrics import accuracy, align_similarity, confusion, f1_scores, mpjpe, pa_mpjpe, pve
+from warp_partdr.metrics import accuracy, confusion, f1_scores, mpjpe, pa_mpjpe, pve
 
 
 def try_metrics(case: Case) -> Any:
@@ -22,7 +22,7 @@ def try_metrics(case: Case) -> Any:
     if kind == "centred":
         return mpjpe(points, target, centre_on=case.either((0, 1), (), (0,), (0, 9)))
     if kind == "aligned":
-        return pa_mpjpe(points, target), align_similarity(points, target)
+        return pa_mpjpe(points, target)
     if kind == "valid":
         valid = torch.ones(*batch, 6, dtype=torch.bool, device=case.device)
         return mpjpe(points, target, valid=case.maybe(valid))

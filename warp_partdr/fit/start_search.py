@@ -22,6 +22,7 @@ from ..refinement.energy import Energy
 
 AMBIGUOUS = 0.2  # share of a bone's length that must be hidden in depth for its two ways to differ
 SCALE_QUANTILE = 0.85  # of |bone in the picture| / length: most bones look too short, noise makes a few look too long
+_APART = 0.02  # [m] mean distance of joints
 
 _LIMBS = tuple(
     (f"{side}_{start}", f"{side}_{end}")
@@ -166,8 +167,8 @@ def _turn_trunk(target: np.ndarray, known: np.ndarray, rest: dict[str, np.ndarra
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
 
-def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apart: float = 0.02) -> torch.Tensor:
-    """Indices of the ``count`` best bodies, best first; two whose joints are less than ``apart`` [m] apart are one."""
+def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int) -> torch.Tensor:
+    """Indices of the ``count`` best bodies, best first; two whose joints are less than 2 cm apart are one."""
     order = energies.argsort()
     joints = bodies.select(order).posed().joints.detach()
     distances = (joints[:, None] - joints[None]).norm(dim=-1).mean(-1).cpu().numpy()
@@ -175,6 +176,6 @@ def distinct(bodies: BodyParameters, energies: torch.Tensor, count: int, *, apar
     for i in range(len(order)):
         if len(kept) == count:
             break
-        if all(distances[i, j] >= apart for j in kept):
+        if all(distances[i, j] >= _APART for j in kept):
             kept.append(i)
     return order[torch.tensor(kept, device=order.device)]

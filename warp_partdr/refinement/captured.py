@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -80,12 +81,10 @@ class CapturedRefinement:
         for other in energies:
             _check_alike(energy, other)
 
-        def buffer(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-            return torch.zeros(*shape, dtype=dtype, device=self._device)
-
         # What the host reads or writes, in torch's memory.
+        buffer = partial(torch.zeros, device=self._device)
         rows = batch_size, sum(_WIDTHS)
-        self._parameters, self._gradient, self._best = buffer(*rows), buffer(*rows), buffer(*rows)
+        self._parameters, self._gradient, self._best = buffer(rows), buffer(rows), buffer(rows)
         self._best_energy, self._best_terms = buffer(batch_size), buffer(batch_size, NUM_TERMS)
         self._history = buffer(iterations + 1, batch_size)
         # At rate 0, after the last step, the energy is looked at once more.
@@ -151,8 +150,8 @@ class CapturedRefinement:
     def _make_problem(self, where: str, energies: Sequence[Energy], free: Collection[str]) -> Problem:
         """Set up the problem's constants, those of the N observations among them."""
         energy, problem = self._energy, Problem()
-        points = torch.zeros(len(energies), len(LANDMARK_NAMES), 2, device=self._device)
         votes = torch.zeros(len(energies), len(LANDMARK_NAMES), device=self._device)
+        points = torch.zeros(*votes.shape, 2, device=self._device)
         for row, each in enumerate(energies):
             index = [LANDMARK_NAMES.index(name) for name in each.observation.landmarks]
             points[row, index], votes[row, index] = each.observation.points, each.votes
