@@ -169,10 +169,9 @@ class LabelSet:
         return table[np.asarray(parts, dtype=np.uint8)]
 
     def to_group_maps(self, probabilities: np.ndarray) -> np.ndarray:
-        """Sum the probability maps of ``channel_ids``, shape (K, H, W), into those of background and groups.
+        """Sum the maps of ``channel_ids``, (K, H, W), into those of background and groups, (G + 1, H, W), float32.
 
-        Returns:
-            Float32, shape (G + 1, H, W). What is missing to a sum of 1 is ignored.
+        What is missing to a sum of 1 is ignored.
 
         Raises:
             ValueError: If K is not the number of the set's ids.

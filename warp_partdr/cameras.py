@@ -252,12 +252,9 @@ Camera = WeakPerspective | Perspective
 
 
 def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> torch.Tensor:
-    """Intrinsics of a camera, one for all B bodies or one a body; raise unless it is one, where they are.
+    """Intrinsics of a camera, one for all B bodies or one a body; raise unless it is one, on the device of ``like``.
 
-    Args:
-        camera: What the caller passed; another one that has ``intrinsics`` and ``project`` will do.
-        batch: B.
-        like: Name and tensor whose device it must be on.
+    Another object that has ``intrinsics`` and ``project`` will do.
     """
     if not hasattr(camera, "intrinsics"):
         check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")

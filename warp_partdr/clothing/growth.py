@@ -48,14 +48,7 @@ class Growth:
     """
 
     def __init__(self, model: DetailedModel, parts: torch.Tensor, areas: torch.Tensor, shape: torch.Tensor) -> None:
-        """Prepare for shapes near one.
-
-        Args:
-            model: The model.
-            parts: Part 0 to 19 of each vertex, shape (V,).
-            areas: Share of the skin of each vertex, shape (V,).
-            shape: Shape values of B bodies, whose axes at rest are taken, shape (B, S).
-        """
+        """Prepare for shapes near one (B, S); ``vertex_parts`` gives parts and areas."""
         self.model = model
         like = areas
         self.indices = torch.tensor(SIZE_COLUMNS, device=like.device)

@@ -141,14 +141,7 @@ def smpl_model(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> DetailedModel:
-    """Check a file's arrays and make a model of them.
-
-    Args:
-        arrays: Those of ``ARRAYS``.
-        where: The file, for messages.
-        num_shapes: Number of the file's first shape values to use; 10, or all if there are fewer.
-        device: Of the model.
-        dtype: Of the model.
+    """Make a model of a file's ``ARRAYS``; messages begin with ``where``. Arguments are those of ``load_model``.
 
     Raises:
         ValueError: As ``check_smpl``, or if the file has fewer shape values than asked for.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """Aspect of the input: the share that a fit models, the one that it leaves out, if any, and the reason."""
 
     what: str
@@ -52,9 +50,8 @@ def explain(
         skipped = [stage.name for stage in options.stages if stage.name not in left]
         return [*choices, Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn")]
     drawn = [stage for stage in stages if stage.size > 0]
-    height, width = parts.groups.shape
-    side = REFERENCE_SIZE / crop.zoom
-    covered = _overlap(crop.left, side, width) * _overlap(crop.top, side, height) / (width * height)
+    side, size, start = REFERENCE_SIZE / crop.zoom, np.array(parts.groups.shape), np.array([crop.top, crop.left])
+    covered = np.prod(np.clip(start + side, 0, size) - np.clip(start, 0, size)) / size.prod()
     sizes = _list(sorted({stage.size for stage in drawn}))
     return [
         *choices,
@@ -79,7 +76,7 @@ def print_choices(choices: list[Choice], console: Console) -> None:
     for heading in ("what", "modelled", "left out", "why"):
         table.add_column(heading)
     for choice in choices:
-        table.add_row(choice.what, choice.modelled or "-", choice.left_out or "-", choice.why)
+        table.add_row(*(value or "-" for value in choice))
     console.print(table)
 
 
@@ -174,11 +171,6 @@ def _path(parts: PartLabels, options: FitOptions) -> Choice:
         return Choice("an iteration", "one graph of kernels, captured once", "autograd, Python", why)
     why = "against probabilities" if parts.maps is not None else "of a mesh"
     return Choice("an iteration", "kernels called through torch.autograd", "", f"gradients {why} go through torch")
-
-
-def _overlap(start: float, length: float, size: int) -> float:
-    """Length of [start, start + length] in [0, size]."""
-    return max(min(start + length, size) - max(start, 0.0), 0.0)
 
 
 def _list(names: Sequence[object] | np.ndarray) -> str:

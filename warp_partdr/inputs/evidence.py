@@ -57,11 +57,7 @@ class Evidence:
         return crop_keypoints(self.keypoints, _box_of(self.window), self.window.size)
 
     def target(self, size: tuple[int, int], box: Box | None = None) -> np.ndarray:
-        """Group ids of the person, others' being 255, shape ``size``, uint8.
-
-        Args:
-            size: (H, W) of the result [px].
-            box: What of the picture [px], what lies beyond being 255; None: all.
+        """Group ids of the person in a box of the picture (None: all), resampled to (H, W); others' and beyond: 255.
 
         Raises:
             ValueError: If there are no labels.
@@ -89,16 +85,10 @@ class Evidence:
 def weigh_evidence(
     keypoints: Keypoints2D, parts: PartLabels | None = None, others: Sequence[Keypoints2D] = ()
 ) -> list[Evidence]:
-    """Leave other people out of one person's labels, and find contradictions to the keypoints.
+    """Leave ``others`` out of one person's labels, and find contradictions to the keypoints.
 
-    Args:
-        keypoints: The person's, in the picture.
-        parts: The picture's part labels; None if there are none.
-        others: Other people's keypoints.
-
-    Returns:
-        One reading; two where keypoints and labels disagree on left and right, for either may be wrong: first by the
-        keypoints, then by the labels.
+    Gives one reading; two where keypoints and labels disagree on left and right, for either may be wrong: first by the
+    keypoints, then by the labels.
 
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.

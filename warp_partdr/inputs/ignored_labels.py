@@ -25,18 +25,11 @@ _MARGIN = 0.01  # of the person's height: about how far keypoints are off
 
 
 def ignore_stray_labels(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> tuple[np.ndarray, set[str]]:
-    """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255, ignore.
+    """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255; names their groups, too.
 
     A whole connected blob is turned, up to the part's flesh. A label whose part has no confident keypoints stays, and
-    so does one that is mostly elsewhere than its keypoints.
-
-    Args:
-        groups: Group ids with only this person's in them (``select_person``), shape (H, W), uint8.
-        keypoints: The person's.
-        labels: What the group ids mean.
-
-    Returns:
-        The group ids, and the names of the groups that had stray pixels.
+    so does one that is mostly elsewhere than its keypoints. ``groups``, shape (H, W), here and below, hold this
+    person's ids alone (``select_person``).
     """
     cleaned, names = groups.copy(), set()
     stride = coarse(groups)
@@ -62,7 +55,6 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     picture none does. What is then ignored is as wide as the limb of a mean adult of the person's height, and a little
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
-    ``groups``, shape (H, W), hold this person's ids alone (``select_person``).
     """
     mean, height = template(), person_height(keypoints)
     near = np.zeros(groups.shape, dtype=bool)

@@ -50,14 +50,9 @@ class PersonInputs:
 
 
 def check_inside(keypoints: Keypoints2D, size: tuple[int, int] | None) -> None:
-    """Raise unless the keypoints may be of a picture of this size; some may lie beyond its border.
+    """Raise InputError if no confident keypoint is in a picture of size (H, W), or one is very far from it.
 
-    Args:
-        keypoints: The person's.
-        size: (H, W) [px]; None if there is no picture.
-
-    Raises:
-        InputError: If no confident keypoint is in the picture, or one is very far from it.
+    None if there is no picture: then they may be anywhere that a picture can be.
     """
     width, height = size[::-1] if size else (_LARGEST, _LARGEST)
     shown = f"the picture's {width}x{height} pixels" if size else f"{_LARGEST:g} pixels"
@@ -77,12 +72,7 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
     """Keep one person's labels; everybody else's, and stray blobs, become 255, ignore: shape (H, W), uint8.
 
     The person's are the labelled pixels along the bones between the confident keypoints, and all that hangs together
-    with them not too far from the bones.
-
-    Args:
-        groups: Group ids, shape (H, W), uint8.
-        keypoints: The person's.
-        others: Other people's keypoints, if known: pixels nearer to their bones are theirs.
+    with them not too far from the bones. Pixels nearer to the bones of ``others`` are theirs.
 
     Raises:
         InputError: If no labelled pixel lies along the person's bones.
@@ -127,13 +117,7 @@ def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float)
 
 
 def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
-    """Within ``reach`` [px] of a line segment, lower distances to those to the segment, or set a mask.
-
-    Args:
-        image: Distances [px] or a mask, shape (H, W), float32 or bool; changed in place.
-        segment: Its two ends, (x, y, x, y) [px].
-        reach: Greatest distance.
-    """
+    """Lower distances (H, W) [px] to those to a segment (x, y, x, y), up to ``reach``, or set a mask, in place."""
     x0, y0, x1, y1 = map(float, segment)
     rows, columns = image.shape
     top, bottom = _clip(min(y0, y1) - reach, rows), _clip(max(y0, y1) + reach + 1, rows)
@@ -207,10 +191,7 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:
     """Box in whole pixels around a person's labels and confident keypoints; may reach beyond the picture.
 
-    Args:
-        keypoints: The person's.
-        groups: Group ids with only this person's in them (``select_person``), shape (H, W).
-        margin: Added on each side, as a share of the longer side.
+    ``groups`` hold this person's ids alone (``select_person``); ``margin`` on each side is a share of the longer side.
     """
     points = keypoints.points[keypoints.confident].astype(np.float64)
     rows, columns = np.nonzero((groups != BACKGROUND) & (groups != IGNORE))

@@ -28,14 +28,10 @@ def _subtrees() -> list[int]:
 
 def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
     """Array of Warp structs, from their members."""
-    return wp.array(_rows(kind, **columns), dtype=kind, device=device)
-
-
-def _rows(kind: Any, **columns: Any) -> np.ndarray:
     rows: Any = np.zeros(len(next(iter(columns.values()))), dtype=kind.numpy_dtype())
     for name, column in columns.items():
         rows[name] = column
-    return rows
+    return wp.array(rows, dtype=kind, device=device)
 
 
 @lru_cache(maxsize=8)
@@ -57,28 +53,21 @@ def landmark_arrays(device: str, names: Collection[str], points: wp.array, votes
     first, second = normalised.swapaxes(0, 1)
     table = Landmarks()
     table.landmarks = _structs(Landmark, device, parts=parts, shares=weights, first=first, second=second)
-    shares, first_share = _landmark_shares(names)
-    table.shares = wp.array(shares, dtype=LandmarkShare, device=device)
-    table.first_share = wp.array(first_share, dtype=int, device=device)
-    table.points = points
-    table.votes = votes
-    return table
-
-
-def _landmark_shares(names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of ``LandmarkShare`` of ``names`` sorted by part, and the index of each part's first, shape (P + 1,)."""
-    parts, normalised, weights = landmark_points(LANDMARK_NAMES)
     index, end = np.nonzero((weights > 0) & np.isin(LANDMARK_NAMES, list(names))[:, None])
     order = np.argsort(parts[index, end], kind="stable")
     index, end = index[order], end[order]
-    rows = _rows(
+    table.shares = _structs(
         LandmarkShare,
+        device,
         landmark=index,
         weight=weights[index, end],
         normalised=normalised[index, end],
         counts=np.equal(end, 0),
     )
-    return rows, np.searchsorted(parts[index, end], np.arange(NUM_PARTS + 1)).astype(np.int32)
+    first_share = np.searchsorted(parts[index, end], np.arange(NUM_PARTS + 1))
+    table.first_share = wp.array(first_share, dtype=int, device=device)
+    table.points, table.votes = points, votes
+    return table
 
 
 def rule_arrays(
