@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from warp_partdr.body.labels import IGNORE, LABEL_SETS, LabelSet, label_set, regroup
 from warp_partdr.body.landmarks import mirror_name
@@ -121,24 +119,6 @@ def test_the_table_of_the_docs() -> None:
 def test_cdcl_has_the_ids_of_the_shared_photos(shared: Path) -> None:
     theirs = json.loads((shared / "data/people/labels.json").read_text())
     assert LABEL_SETS["cdcl14"].class_names == {int(source): name for source, name in theirs.items()}
-
-
-@given(
-    image=st.lists(st.integers(-5, 300), min_size=1, max_size=20),
-    dtype=st.sampled_from([np.int64, np.int32, np.uint16]),
-    name=st.sampled_from(["lip20", "cdcl14", "full1"]),
-)
-def test_only_known_ids_pass(image: list[int], dtype: type, name: str) -> None:
-    labels = LABEL_SETS[name]
-    array = np.array(image).astype(dtype)
-    known = {*labels.ids, IGNORE}
-    if set(array.tolist()) <= known:
-        groups = labels.to_groups(array)
-        assert groups.dtype == np.uint8
-        assert groups.shape == array.shape
-    else:
-        with pytest.raises(ValueError, match=f"not in {name}; expected"):
-            labels.to_groups(array)
 
 
 def test_images_of_other_types() -> None:

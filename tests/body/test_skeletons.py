@@ -44,6 +44,7 @@ def test_the_models_joints_are_landmarks(at: dict[str, np.ndarray], rest: dict[s
 
 
 def test_landmarks_are_where_a_body_has_them(at: dict[str, np.ndarray]) -> None:
+    assert 1.4 < at["head_top"][1] - at["left_toe"][1] < 1.9
     head = (at["head"] + at["head_top"]) / 2
     assert at["nose"][2] > at["left_eye"][2] > at["left_ear"][2]
     assert at["nose"][2] > head[2] + 0.08

@@ -15,10 +15,8 @@ from hypothesis import strategies as st
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
-from warp_partdr.inputs.keypoints import person_height
 
 NAN, INF = math.nan, math.inf
-PHOTOS = ("000000032081", "000000203864", "000000468632")
 
 
 def rows(count: int, width: int = 3) -> list[list[float]]:
@@ -209,11 +207,3 @@ def test_any_json_is_read_or_refused(data: Any) -> None:
     except InputError:
         return
     assert all(np.isfinite(person.points).all() for person in people)
-
-
-@pytest.mark.parametrize("name", PHOTOS)
-def test_keypoints_of_the_shared_photos(name: str, shared: Path) -> None:
-    (keypoints,) = read_keypoints(shared / f"data/people/{name}.keypoints.json")
-    assert keypoints.skeleton == "blazepose33"
-    assert keypoints.visible.all()
-    assert 250 < person_height(keypoints) < 400

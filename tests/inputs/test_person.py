@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -139,6 +138,9 @@ def test_select_person_without_labels_on_the_bones() -> None:
 def test_select_person_on_the_shared_photos(name: str, shared: Path) -> None:
     folder = shared / "data/people"
     (keypoints,) = read_keypoints(folder / f"{name}.keypoints.json")
+    assert keypoints.skeleton == "blazepose33"
+    assert keypoints.visible.all()
+    assert 250 < person_height(keypoints) < 400
     parts = read_parts(folder / f"{name}.parts.png", label_set("cdcl14"))
     check_sizes(photo=read_photo(folder / f"{name}.jpg").shape[:2], parts=parts.groups.shape)
     selected = select_person(parts.groups, keypoints)
@@ -165,20 +167,6 @@ def test_connected_pixels(seed: int, density: float) -> None:
             break
         reached = grown
     np.testing.assert_array_equal(connected(mask, seeds), reached)
-
-
-def test_person_crop_covers_labels_and_keypoints() -> None:
-    me = standing(100)
-    groups = paint(me, (230, 200))
-    groups[:, 190:] = IGNORE  # Somebody else.
-    x0, y0, x1, y1 = person_crop(me, groups, margin=0.1)
-    rows_, columns = np.nonzero(groups % IGNORE)
-    extent = rows_.max() + 1 - rows_.min()
-    assert y0 == pytest.approx(rows_.min() - 0.1 * extent, abs=1)
-    assert y1 == pytest.approx(rows_.max() + 1 + 0.1 * extent, abs=1)
-    assert x0 == pytest.approx(columns.min() - 0.1 * extent, abs=1)
-    assert x1 == pytest.approx(columns.max() + 1 + 0.1 * extent, abs=1)
-    assert person_crop(me, np.zeros((230, 200), dtype=np.uint8), margin=0.0)[1] == math.floor(me.points[:, 1].min())
 
 
 def test_crop_beyond_the_picture_is_ignored() -> None:
@@ -209,11 +197,12 @@ def test_keypoints_and_labels_crop_alike() -> None:
     assert person_height(cropped) == pytest.approx(2 * person_height(me), rel=1e-5)
 
 
-def test_a_box_without_a_margin_holds_the_labels_and_no_more():
+def test_the_box_holds_the_labels_and_the_margin_and_no_more():
     groups = np.zeros((30, 40), np.uint8)
     groups[5:21, 7:12], groups[2, 3] = 1, 255
     points = np.full((17, 2), 10.5, np.float32)
     keypoints = Keypoints2D("coco17", points, np.ones(17, np.float32))
     assert person_crop(keypoints, groups, margin=0.0) == (7, 5, 12, 21)
+    assert person_crop(keypoints, groups, margin=0.1) == (5, 3, 14, 23)  # 1.6 more on each side
     points[0] = [2.25, 24.5]
     assert person_crop(keypoints, groups, margin=0.0) == (2, 5, 12, 25)
