@@ -107,24 +107,19 @@ def test_each_kernel_is_timed(device: str, counting: tuple[wp.array, Callable[[]
     assert all(len(timing.seconds) >= 3 for _, timing in timed)
 
 
-def test_beginnings_of_a_run(counting: tuple[wp.array, Callable[[], None]]) -> None:
-    """They begin anew, and end after the last kernel asked for."""
+def test_beginnings_and_pieces_of_a_run(counting: tuple[wp.array, Callable[[], None]], device: str) -> None:
+    """Beginnings start anew and end after the last kernel asked for; each piece does its part."""
     value, run = counting
+    run()
+    pieces = _capture_pieces(run, device)
+    assert len(pieces) == 3
     for count, want in enumerate((1.0, 2.0, 3.0), start=1):
         value.fill_(9.0)
         _run_first(run, count)
         assert value.numpy()[0] == want
-
-
-def test_pieces_of_a_run(counting: tuple[wp.array, Callable[[], None]], device: str) -> None:
-    """Each does its part, and all together the whole."""
-    value, run = counting
-    run()
-    graphs = _capture_pieces(run, device)
-    assert len(graphs) == 3
     value.fill_(9.0)
-    for graph, want in zip(graphs, (1.0, 2.0, 3.0), strict=True):
-        wp.capture_launch(graph)
+    for piece, want in zip(pieces, (1.0, 2.0, 3.0), strict=True):
+        wp.capture_launch(piece)
         assert value.numpy()[0] == want
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 from rich.console import Console
 
 from warp_partdr.bench.renderers import COVERAGE, EXACT, PARTDR
-from warp_partdr.bench.report import TABLE_WIDTH, save_figures
+from warp_partdr.bench.report import TABLE_WIDTH
 from warp_partdr.bench.tradeoff.chart import draw_tradeoff_chart
 from warp_partdr.bench.tradeoff.fits import refine_all, score_bodies
 from warp_partdr.bench.tradeoff.gradient import gradient_error, true_gradient
@@ -31,7 +31,7 @@ from warp_partdr.bench.tradeoff.plan import (
     TradeoffPlan,
     plan_tradeoff,
 )
-from warp_partdr.bench.tradeoff.report import FLOAT32, FLOAT64, TradeoffReport, front, mesh_gains
+from warp_partdr.bench.tradeoff.report import FLOAT32, FLOAT64, TradeoffReport, front
 from warp_partdr.bench.tradeoff.tables import NOTES, print_tradeoff
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.cli import bench
@@ -178,26 +178,6 @@ def test_report_has_every_setting(report: TradeoffReport) -> None:
     assert 0 <= moved[COVERAGE, FLOAT64] < 5
 
 
-@pytest.mark.slow
-def test_tables_and_json(report: TradeoffReport, tmp_path: Path) -> None:
-    said = printed(report)
-    wanted = (*NAMES, report.machine["machine"], NOTES[0][:60], "float64", "labels alone", "[ms]", "[mm]")
-    assert [each for each in wanted if each not in said] == []
-    assert "…" not in said  # no column is cut
-    assert len(mesh_gains(report)) == 12  # of either truth, three steps, two ways to count
-    save_figures(report.as_dict(), tmp_path / "a.json")
-    data = json.loads((tmp_path / "a.json").read_text())
-    assert data["machine"] == report.machine
-    assert len(data["fits"]) == len(report.fits)
-    assert data["times"][0]["seconds"] > 0
-
-
-def printed(report: TradeoffReport) -> str:
-    out = StringIO()
-    print_tradeoff(report, Console(file=out, width=TABLE_WIDTH))
-    return out.getvalue()
-
-
 def test_chart_of_nothing() -> None:
     draw_tradeoff_chart(TradeoffReport("cpu", {"warp": "1"})).savefig(file := BytesIO())
     assert np.asarray(Image.open(file)).min() < 255
@@ -208,7 +188,8 @@ def test_dearer_and_worse_is_not_marked(report: TradeoffReport) -> None:
     chosen = report.settings().index(Setting(PARTDR, 32))
     times = [{**row, "seconds": 100.0} if index == chosen else row for index, row in enumerate(report.times)]
     slow = replace(report, times=times)
-    lines = [line.split() for line in printed(slow).splitlines()]
+    print_tradeoff(slow, Console(file=(out := StringIO()), width=TABLE_WIDTH))
+    lines = [line.split() for line in out.getvalue().splitlines()]
     row = next(line for line in lines if line[:3] == ["exact,", "PartDR", "32"])
     assert row[3] == "1e+05"
     scores = {setting: report.fit(ELLIPBODY, setting)["part_f1"].mean() for setting in report.settings()}
@@ -217,7 +198,7 @@ def test_dearer_and_worse_is_not_marked(report: TradeoffReport) -> None:
 
 
 @pytest.mark.slow
-def test_command_leaves_json_and_picture(
+def test_command_leaves_tables_json_and_picture(
     report: TradeoffReport,
     device: str,
     tmp_path: Path,
@@ -226,13 +207,22 @@ def test_command_leaves_json_and_picture(
 ) -> None:
     monkeypatch.setattr("warp_partdr.bench.tradeoff.measure.run_tradeoff", lambda plan, progress: report)
     bench.bench_tradeoff(device=device, quick=True, out=tmp_path / "new")
-    names = [f"bench-tradeoff-{device}.{kind}" for kind in ("json", "png")]
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names
-    with Image.open(tmp_path / "new" / names[1]) as picture:
-        assert picture.width > 1200
-        grey = np.asarray(picture.convert("RGB")).astype(float).mean(2)
+    table, picture = (tmp_path / "new" / f"bench-tradeoff-{device}.{kind}" for kind in ("json", "png"))
+    assert sorted((tmp_path / "new").iterdir()) == [table, picture]
+    with Image.open(picture) as drawn:
+        assert drawn.width > 1200
+        grey = np.asarray(drawn.convert("RGB")).astype(float).mean(2)
     assert (grey < 100).sum() > 2000  # lines and letters are there without colour, too
-    assert "an iteration" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    wanted = (*NAMES, report.machine["machine"], NOTES[0][:60], "an iteration")
+    wanted += ("float64", "labels alone", "[ms]", "[mm]")
+    assert [each for each in wanted if each not in said] == []
+    assert "…" not in said  # no column is cut
+    data = json.loads(table.read_text())
+    assert data["machine"] == report.machine
+    assert len(data["fits"]) == len(report.fits)
+    assert data["times"][0]["seconds"] > 0
+    assert len(data["found"]) == 12  # of either truth, three steps, two ways to count
 
 
 def test_quick_plan_is_smaller() -> None:

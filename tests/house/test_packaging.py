@@ -62,15 +62,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     return zipfile.ZipFile(path)
 
 
-def test_every_python_folder_is_listed_as_a_package() -> None:
+def test_every_python_folder_is_a_package_and_listed() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    there = {path.rpartition("/")[0].replace("/", ".") for path in _source_files() if path.endswith(".py")}
-    assert sorted(listed) == sorted(there), "tool.setuptools.packages must list every folder with Python files"
-
-
-def test_every_package_folder_has_an_init() -> None:
     files = _source_files()
     folders = {path.rpartition("/")[0] for path in files if path.endswith(".py")}
+    assert sorted(listed) == sorted(folder.replace("/", ".") for folder in folders), "pyproject.toml: packages"
     assert [folder for folder in sorted(folders) if f"{folder}/__init__.py" not in files] == []
 
 

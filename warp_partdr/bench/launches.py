@@ -6,10 +6,11 @@ Warp has no hook for launches, so ``wp.launch`` is replaced while the function r
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ import warp as wp
 
 from .timing import Timing, capture, graph_sample, repeat, time_in_turn
 
+_Sample = Callable[[], list[float]]
 _RUNS_IN_GRAPH = 10  # one replay of one small kernel is shorter than CUDA's clock is exact
 
 
@@ -46,16 +48,13 @@ def count_bytes(launches: Iterable[Launched]) -> int:
 def observe_launches(run: Callable[[], object]) -> list[Launched]:
     """Run once, and list what was launched."""
     seen: list[Launched] = []
-    real = wp.launch
-    signature = inspect.signature(real)
 
-    def launch(*args: Any, **options: Any) -> Any:
-        bound = signature.bind(*args, **options).arguments
-        spans = [span for value in (*bound.get("inputs", ()), *bound.get("outputs", ())) for span in _spans(value)]
-        seen.append(Launched(bound["kernel"].key, np.array(spans, dtype=np.int64).reshape(-1, 2)))
-        return real(*args, **options)
+    def note(launch: Mapping[str, Any]) -> None:
+        arrays = (*launch.get("inputs", ()), *launch.get("outputs", ()))
+        spans = [span for value in arrays for span in _spans(value)]
+        seen.append(Launched(launch["kernel"].key, np.array(spans, dtype=np.int64).reshape(-1, 2)))
 
-    with _launching_with(launch):
+    with _after_each_launch(note):
         run()
     return seen
 
@@ -84,16 +83,14 @@ def _time_pieces(run: Callable[[], None], count: int, device: str, budget: float
 def _capture_pieces(run: Callable[[], None], device: str) -> list[wp.Graph]:
     """A graph of each kernel, and of what comes between it and the one before."""
     graphs: list[wp.Graph] = []
-    real = wp.launch
 
-    def launch(*args: Any, **options: Any) -> None:
-        real(*args, **options)
+    def cut(_: Mapping[str, Any]) -> None:
         graphs.append(wp.capture_end(device))
         wp.capture_begin(device)
 
     wp.capture_begin(device)
     try:
-        with _launching_with(launch):
+        with _after_each_launch(cut):
             run()
     finally:
         wp.capture_end(device)
@@ -103,27 +100,19 @@ def _capture_pieces(run: Callable[[], None], device: str) -> list[wp.Graph]:
 def _time_beginnings(run: Callable[[], None], count: int, device: str, budget: float) -> list[Timing]:
     """For CUDA, where the host takes longer to start a kernel than a kernel may take: graphs that end after each.
 
-    They are replayed in turn with those that end before it.
+    They are replayed in turn with those that end before it; what counts is the difference.
     """
-    timings = []
-    before: Callable[[], list[float]] | None = None
-    for index in range(count):
-        graph = capture(partial(_run_first, run, index + 1), device, _RUNS_IN_GRAPH)
-        after = graph_sample(graph, device)
-        timings.append(_time_between(before, after, budget))
-        before = after
-    return timings
+    samples = [
+        graph_sample(capture(partial(_run_first, run, index + 1), device, _RUNS_IN_GRAPH), device)
+        for index in range(count)
+    ]
 
-
-def _time_between(before: Callable[[], list[float]] | None, after: Callable[[], list[float]], budget: float) -> Timing:
-    """Differences of neighbouring samples, per run."""
-
-    def sample() -> list[float]:
+    def differences(before: _Sample, after: _Sample) -> list[float]:
         longer = after()
-        shorter = [0.0] * len(longer) if before is None else before()
+        shorter = before() or [0.0] * len(longer)  # before the first there is nothing
         return [(long - short) / _RUNS_IN_GRAPH for long, short in zip(longer, shorter, strict=True)]
 
-    return repeat(sample, budget)
+    return [repeat(partial(differences, *pair), budget) for pair in pairwise([list, *samples])]
 
 
 class _Enough(Exception):  # noqa: N818  not an error
@@ -132,26 +121,27 @@ class _Enough(Exception):  # noqa: N818  not an error
 
 def _run_first(run: Callable[[], None], count: int) -> None:
     """Run until ``count`` kernels are launched."""
-    real = wp.launch
-    left = count
+    left = iter(range(count - 1))
 
-    def launch(*args: Any, **options: Any) -> None:
-        nonlocal left
-        real(*args, **options)
-        left -= 1
-        if left == 0:
+    def stop(_: Mapping[str, Any]) -> None:
+        if next(left, None) is None:
             raise _Enough
 
-    with _launching_with(launch):
-        try:
-            run()
-        except _Enough:
-            return
+    with suppress(_Enough), _after_each_launch(stop):
+        run()
 
 
 @contextmanager
-def _launching_with(launch: Callable[..., Any]) -> Iterator[None]:
+def _after_each_launch(act: Callable[[Mapping[str, Any]], None]) -> Iterator[None]:
+    """Call ``act`` with the arguments of each launch, by name."""
     real = wp.launch
+    signature = inspect.signature(real)
+
+    def launch(*args: Any, **options: Any) -> Any:
+        result = real(*args, **options)
+        act(signature.bind(*args, **options).arguments)
+        return result
+
     wp.launch = launch
     try:
         yield
