@@ -67,19 +67,16 @@ class LabelSet:
     def __post_init__(self) -> None:
         if not self.groups:
             raise ValueError(f"{self.name}: groups: none; expected at least one")
-        if unknown := [part for part in self.left_out if part not in PART_NAMES]:
-            raise ValueError(f"{self.name}: left_out: no part {unknown[0]!r}; expected {', '.join(PART_NAMES)}")
-        owner: dict[str, str] = dict.fromkeys(self.left_out, "left_out")
-        for group, parts in self.groups.items():
+        owner: dict[str, str] = {}
+        for group, parts in (("left_out", self.left_out), *self.groups.items()):
+            where = f"{self.name}: {group}" if group == "left_out" else f"{self.name}: group {group!r}"
             if group in ("background", "ignore"):
                 raise ValueError(f"{self.name}: groups: {group!r}; expected a name other than background and ignore")
-            if not parts:
-                raise ValueError(f"{self.name}: group {group!r} has no parts; expected some of {', '.join(PART_NAMES)}")
+            if not parts and group != "left_out":
+                raise ValueError(f"{where} has no parts; expected some of {', '.join(PART_NAMES)}")
             for part in parts:
                 if part not in PART_NAMES:
-                    raise ValueError(
-                        f"{self.name}: group {group!r}: no part {part!r}; expected {', '.join(PART_NAMES)}"
-                    )
+                    raise ValueError(f"{where}: no part {part!r}; expected {', '.join(PART_NAMES)}")
                 if part in owner:
                     raise ValueError(f"{self.name}: {part} is in {owner[part]!r} and {group!r}; expected one group")
                 owner[part] = group

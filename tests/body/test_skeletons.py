@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from warp_partdr.body.landmarks import LANDMARKS, landmark_points, landmark_positions, mirror_name
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, template
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, template
+from warp_partdr.synthetic.poses import mean_body
 
 NAMES = list(SKELETONS)
 
@@ -15,19 +17,8 @@ NAMES = list(SKELETONS)
 @pytest.fixture(scope="module")
 def rest() -> dict[str, np.ndarray]:
     """Centres, axes, semi-axes and joints of the mean body in the rest pose, root at the origin."""
-    mean = template()
-    lengths = mean.mean_lengths[[length for length, _, _ in SHAPE_INDICES]]
-    thicknesses = np.array([[mean.mean_thicknesses[k] for k in pair] for _, *pair in SHAPE_INDICES])
-    starts, ends = np.zeros((2, NUM_PARTS, 3))
-    for part, parent in enumerate(PARENTS):
-        starts[part] = ends[parent] if parent >= 0 else 0.0
-        ends[part] = starts[part] + lengths[part] * mean.rest_directions[part]
-    return {
-        "centres": (starts + ends) / 2,
-        "axes": mean.rest_axes,
-        "semi_axes": np.column_stack([lengths, thicknesses]) / 2,
-        "joints": np.concatenate([np.zeros((1, 3)), ends]),
-    }
+    posed = mean_body(torch.eye(3, dtype=torch.float64).expand(1, NUM_PARTS, 3, 3))
+    return {name: getattr(posed, name)[0].numpy() for name in ("centres", "axes", "semi_axes", "joints")}
 
 
 @pytest.fixture(scope="module")

@@ -32,8 +32,7 @@ def label_picture(value: int = 0) -> np.ndarray:
 
 
 def save_palette(path: Path, picture: np.ndarray) -> None:
-    image = Image.fromarray(picture, mode="L").convert("L")
-    image = image.convert("P")
+    image = Image.new("P", picture.shape[::-1])
     image.putdata(picture.ravel().tolist())
     image.putpalette(PALETTE)
     image.save(path)
