@@ -1,5 +1,6 @@
 """What training and refinement minimise, against the formula book (eq. 3 to 6 and 19)."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,7 +46,8 @@ def maps_of(labels: np.ndarray, count: int) -> np.ndarray:
 @pytest.mark.parametrize("path", ["torch", "kernels"])
 def test_energy_is_the_books(device, path):
     body = walker(device)
-    seen = unsure_observation(body, labels=LABELS)
+    sizes = {"lengths": 0.9 * body.lengths[0], "thicknesses": 1.1 * body.thicknesses[0]}  # expected of the person
+    seen = replace(unsure_observation(body, labels=LABELS), **sizes)
     seen.labels[:9, :30] = IGNORE
     weights = {"seg": 1e-2, "proj": 1.0, "l": 1e-3, "t": 2e-3}
     energy = Energy(seen, size=SIZE, weights=Weights(1.0, 1e-2, 1e-3, 2e-3))
@@ -62,8 +64,8 @@ def test_energy_is_the_books(device, path):
         l_seg = segmentation_loss(maps, maps_of(target, 14), target != IGNORE) * (REFERENCE_SIZE / SIZE) ** 2
         wanted = (numpy(seen.points) + 1) * REFERENCE_SIZE / 2
         l_proj = projection_loss(numpy(points[b]), wanted, numpy(energy.votes))
-        l_l = size_loss(numpy(bodies.lengths[b]), numpy(energy.usual_lengths))
-        l_t = size_loss(numpy(bodies.thicknesses[b]), numpy(energy.usual_thicknesses))
+        l_l = size_loss(numpy(bodies.lengths[b]), numpy(seen.lengths))
+        l_t = size_loss(numpy(bodies.thicknesses[b]), numpy(seen.thicknesses))
         of_each = [weights[name] * term for name, term in zip(weights, (l_seg, l_proj, l_l, l_t), strict=True)]
         np.testing.assert_allclose(numpy(found[:, b]), np.array(of_each)[[1, 0, 2, 3]], rtol=1e-4)
         assert min(of_each) > 0.1
