@@ -106,32 +106,25 @@ def test_vertex_costs_against_torch(device: str) -> None:
 
 
 def far_apart(device: str) -> Posed:
-    """Spheroids of many sizes, 10 m from each other; the second one is half within the first."""
+    """Spheroids of many sizes, 10 m from each other."""
     numbers = torch.arange(NUM_PARTS, device=device, dtype=torch.float32)
     centres = torch.stack([10 * numbers, 0 * numbers, 0 * numbers], dim=1)
     semi_axes = torch.stack([0.1 + 0.02 * numbers, 0.3 - 0.01 * numbers, 0.3 - 0.01 * numbers], dim=1)
-    semi_axes[:2] = 0.2
-    centres[1] = centres[0] + torch.tensor([0.0, 0.2, 0.0], device=device)
     axes = torch.eye(3, device=device).expand(1, NUM_PARTS, 3, 3)
     joints = torch.zeros(1, len(JOINT_NAMES), 3, device=device)
     return Posed(joints, axes, centres[None], axes, semi_axes[None])
 
 
-def test_samples_share_the_area_that_shows(device: str) -> None:
+def test_samples_share_the_area(device: str) -> None:
     posed = far_apart(device)
-    samples, weights = (tensor[0].cpu().double().numpy() for tensor in surface_samples(posed))
-    samples, weights = samples.reshape(NUM_PARTS, -1, 3), weights.reshape(NUM_PARTS, -1)
+    weights = surface_samples(posed)[1][0].cpu().double().numpy().reshape(NUM_PARTS, -1)
     assert weights.sum() == pytest.approx(1)
-    for own, other in ((0, 1), (1, 0)):
-        covered = np.linalg.norm(samples[own] - posed.centres[0, other].cpu().numpy(), axis=1) < 0.2
-        assert 0.2 < covered.mean() < 0.6
-        np.testing.assert_array_equal(weights[own] == 0, covered)
-    assert (weights[2:] > 0).all()
+    assert (weights > 0).all()
     # The zone |x| < BAND a of a spheroid: 2 pi b times the integral of sqrt(a² (1 - u²) + b² u²).
     u = np.linspace(-BAND, BAND, 1001)
-    a, b = posed.semi_axes[0, 2:, :2].cpu().double().numpy().T[..., None]
+    a, b = posed.semi_axes[0, :, :2].cpu().double().numpy().T[..., None]
     zones = (b * np.sqrt(a**2 * (1 - u**2) + b**2 * u**2)).mean(1)
-    np.testing.assert_allclose(weights[2:].sum(1) / weights[2:].sum(), zones / zones.sum(), rtol=0.02)
+    np.testing.assert_allclose(weights.sum(1), zones / zones.sum(), rtol=0.02)
 
 
 def terms_of(device: str, weights: RegistrationWeights) -> dict[str, torch.Tensor]:
