@@ -96,41 +96,36 @@ def check_smpl(arrays: Mapping[str, np.ndarray], where: str) -> str:
     Raises:
         ValueError: If an array is missing, or has a wrong shape, dtype or value; it begins with ``where``.
     """
-    sizes: dict[str, int] = {}
-    for name, (dimensions, kind) in ARRAYS.items():
+    for name, (_, kind) in ARRAYS.items():
         if name not in arrays:
             raise ValueError(f"{where}: no array {name!r}; expected {', '.join(ARRAYS)}")
-        array = arrays[name]
-        if array.dtype.kind not in kind:
+        if arrays[name].dtype.kind not in kind:
             numbers = "floating numbers" if kind == "f" else "integers"
-            raise ValueError(f"{where}: {name}: {array.dtype}; expected {numbers}")
-        if array.ndim == len(dimensions):
-            for size, dimension in zip(array.shape, dimensions, strict=True):
-                if isinstance(dimension, str):
-                    sizes.setdefault(dimension, size)
-        if "J" in sizes:
-            sizes["9 (J - 1)"] = 9 * (sizes["J"] - 1)
+            raise ValueError(f"{where}: {name}: {arrays[name].dtype}; expected {numbers}")
+    shapes = {name: np.atleast_1d(arrays[name]).shape for name in ARRAYS}
+    joints = shapes["kintree_table"][-1]
+    sizes = {"V": shapes["v_template"][0], "F": shapes["f"][0], "S": shapes["shapedirs"][-1]}
+    sizes |= {"J": joints, "9 (J - 1)": 9 * (joints - 1)}
     for name, (dimensions, kind) in ARRAYS.items():
         array = arrays[name]
-        expected = tuple(sizes.get(size, -1) if isinstance(size, str) else size for size in dimensions)
+        expected = tuple(sizes[size] if isinstance(size, str) else size for size in dimensions)
         if array.shape != expected or 0 in expected:
             raise ValueError(f"{where}: {name}: shape {array.shape}; expected ({_shape(dimensions, sizes)}), none 0")
         if kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{where}: {name}: holds NaN or infinity; expected finite numbers")
-    faces, (parents, joints) = arrays["f"], arrays["kintree_table"]
+    faces, (parents, children) = arrays["f"], arrays["kintree_table"]
     if faces.min() < 0 or faces.max() >= sizes["V"]:
         raise ValueError(f"{where}: f: vertex {faces.min()} to {faces.max()}; expected 0 to {sizes['V'] - 1}")
-    count = len(parents)
-    if (joints != np.arange(count)).any() or (parents[1:] >= joints[1:]).any() or (parents[1:] < 0).any():
-        raise ValueError(f"{where}: kintree_table: expected joints 0 to {count - 1} in order, each after its parent")
+    if (children != np.arange(joints)).any() or (parents[1:] >= children[1:]).any() or (parents[1:] < 0).any():
+        raise ValueError(f"{where}: kintree_table: expected joints 0 to {joints - 1} in order, each after its parent")
     sums = arrays["weights"].astype(np.float64).sum(1)
     if np.abs(sums - 1).max() > _WEIGHT_TOLERANCE:
         raise ValueError(f"{where}: weights: rows sum to {sums.min():.3g} to {sums.max():.3g}; expected 1")
     known = {len(names): model for model, names in _MODELS.items()}
-    if count not in known:
+    if joints not in known:
         described = ", ".join(f"{size} ({model})" for size, model in known.items())
-        raise ValueError(f"{where}: kintree_table: {count} joints; expected {described}")
-    return known[count]
+        raise ValueError(f"{where}: kintree_table: {joints} joints; expected {described}")
+    return known[joints]
 
 
 def smpl_model(
