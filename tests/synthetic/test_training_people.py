@@ -23,7 +23,7 @@ COUNT, SIZE, POOL = 48, 96, 256
 
 
 def maker(device: str, **options: object) -> PeopleMaker:
-    arguments: dict[str, object] = {"size": SIZE, "seed": 0, "pool": POOL, **options}
+    arguments: dict[str, object] = {"size": SIZE, "seed": 0, "pool": POOL, "held_out": False, **options}
     return PeopleMaker(bank(), device=device, **arguments)  # type: ignore[arg-type]
 
 

@@ -42,14 +42,9 @@ class NetworkFiles(Generic[Network, Config]):
         *,
         half: bool = False,
     ) -> None:
-        """Write a network.
+        """Write a network's ``state_dict`` with its sizes and the record of its training (JSON) to a safetensors file.
 
-        Args:
-            path: A ``.safetensors`` file.
-            weights: Its ``state_dict``.
-            config: Its sizes.
-            about: Record of its training, JSON.
-            half: Store weights in float16: half the size. Statistics of batch normalisation stay as they are.
+        With ``half``, weights are stored in float16; statistics of batch normalisation stay as they are.
         """
         from safetensors.torch import save_file
 

@@ -108,10 +108,8 @@ class LabelNoise:
     def groups(self, parts: torch.Tensor, label_sets: torch.Tensor, strength: torch.Tensor) -> torch.Tensor:
         """Group ids as segmentation networks give them, but for what ``draw_occluders`` adds, shape (B, S, S), uint8.
 
-        Args:
-            parts: True part labels 0 to 20, beyond the picture's border, too, shape (B, S, S), uint8.
-            label_sets: Index into ``TRAINING_LABEL_SETS``, shape (B,).
-            strength: Shape (B,).
+        Of true part labels 0 to 20, beyond the picture's border, too, and of each sample's label set (its index) and
+        strength.
         """
         table = self._labels_taken_for(parts, strength, self._clothed[label_sets])
         table = self.tables(label_sets).gather(1, table)

@@ -97,14 +97,9 @@ def noisy_keypoints(
 def noisy_labels(
     groups: np.ndarray, labels: LabelSet, person_height: float, level: Level, rng: np.random.Generator
 ) -> np.ndarray:
-    """Group ids as a segmentation network gives them, shape (H, W), uint8.
+    """Group ids (H, W), uint8, as a segmentation network gives them, of a person so tall in the picture [px].
 
-    Args:
-        groups: True group ids, shape (H, W), uint8.
-        labels: Their label set, with left and right limbs of three parts.
-        person_height: Stature in the picture [px].
-        level: Amount of noise.
-        rng: Source of chance.
+    The label set must have left and right limbs of three parts.
     """
     if level.strength:
         groups = _wander(_confuse(groups, labels, level.strength, rng), level.strength, rng)

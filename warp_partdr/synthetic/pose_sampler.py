@@ -32,11 +32,7 @@ class PoseBank:
 
     @classmethod
     def read(cls, source: Path | str, *, held_out: bool = False) -> PoseBank:
-        """Poses of motion capture.
-
-        Args:
-            source: A folder of clips (see ``mocap_files.py``), or a file of ``pack_poses``.
-            held_out: Those that are kept from training, instead of those to train on.
+        """Poses of a folder of clips (see ``mocap_files.py``) or a file of ``pack_poses``, to train on or ``held_out``.
 
         Raises:
             InputError: If there is no such file, or it holds none of these poses.
@@ -90,14 +86,8 @@ def _unpack(path: Path | str) -> dict[str, np.ndarray]:
 class PoseSampler:
     """Poses within the joint limits in which no limb is inside another part, either side's as often.
 
-    A quarter each is captured, drawn from the prior, mixed of four captured ones and procedural. A pool is filled now
-    and then, in which each pose is used once, so that most draws wait for nothing.
-
-    Args:
-        bank: Motion capture.
-        device: Where poses are made.
-        seed: Of the random numbers.
-        pool: Number of poses that are made at once.
+    A quarter each is captured (``bank``), drawn from the prior, mixed of four captured ones and procedural. A ``pool``
+    of so many is filled now and then, in which each pose is used once, so that most draws wait for nothing.
     """
 
     def __init__(self, bank: PoseBank, *, device: torch.device | str = "cpu", seed: int = 0, pool: int = 8192) -> None:

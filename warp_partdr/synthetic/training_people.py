@@ -102,28 +102,14 @@ def held_out_cells() -> np.ndarray:
 
 
 class PeopleMaker:
-    """Makes people, the same for a seed and a device.
+    """Makes people, the same for a seed and a device, in crops of ``size`` pixels a side.
 
-    Bodies are of cells that are not held out, or, with ``held_out``, of the others; the poses are to fit.
-
-    Args:
-        poses: Motion capture, of the same side of the split.
-        size: S, the pixels of a crop's side.
-        device: Where everything happens.
-        seed: Of the random numbers.
-        held_out: People to test on instead of people to train on.
-        pool: Number of poses that are made at once.
+    Bodies are of cells to train on or, with ``held_out``, of the others; ``poses`` are to be of the same side of the
+    split, and ``pool`` of them are made at once.
     """
 
     def __init__(
-        self,
-        poses: PoseBank,
-        *,
-        size: int = 128,
-        device: torch.device | str = "cpu",
-        seed: int = 0,
-        held_out: bool = False,
-        pool: int = 8192,
+        self, poses: PoseBank, *, size: int, device: torch.device | str, seed: int, held_out: bool, pool: int = 8192
     ) -> None:
         self.size, self.device = size, torch.device(device)
         self.model, self.mesh = anny(self.device), people.anny_mesh(self.device)

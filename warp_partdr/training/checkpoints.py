@@ -112,14 +112,11 @@ def load_checkpoint(place: Path) -> Checkpoint:
 
 
 def split_tensors(tree: Any, name: str) -> tuple[dict[str, torch.Tensor], Any]:
-    """Split nested dicts of tensors and JSON into what a safetensors file holds, and JSON.
-
-    Args:
-        tree: Dicts with names as keys, lists, tuples and dataclasses of tensors and JSON.
-        name: Of the tree; names of tensors begin so.
+    """Split dicts with names as keys, lists, tuples and dataclasses of tensors and JSON into the two.
 
     Returns:
-        Tensors on the CPU, copies; and the JSON with each tensor's name, dataclasses as dicts and tuples as lists.
+        Copies of the tensors on the CPU, whose names begin with ``name``; and JSON with each tensor's name, dataclasses
+        as dicts and tuples as lists.
     """
     if isinstance(tree, torch.Tensor):
         return {name: tree.detach().cpu().clone(memory_format=torch.contiguous_format)}, {_TENSOR: name}

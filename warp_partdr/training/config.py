@@ -110,14 +110,7 @@ class TrainingConfig:
         return values
 
     def changes(self, before: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-        """Differences from an earlier config, as lines.
-
-        Args:
-            before: Its ``to_json``.
-
-        Returns:
-            What a run must keep when it is resumed, and what may change.
-        """
+        """Lines of differences from a run's ``to_json``: what resuming it must keep, and what it may change."""
         lines: tuple[list[str], list[str]] = [], []
         for name, value in self.to_json().items():
             if before.get(name) != value:
@@ -136,11 +129,9 @@ def packaged_configs() -> list[str]:
 
 
 def read_config(source: str | Path, overrides: Sequence[str] = ()) -> TrainingConfig:
-    """A config from a TOML file or by a packaged name.
+    """A config from a ``.toml`` file, or one of ``packaged_configs()``.
 
-    Args:
-        source: A ``.toml`` file, or one of ``packaged_configs()``.
-        overrides: ``key=value``, the value as in TOML, a text without quotes too; ``data.key`` reaches into a table.
+    An override is ``key=value``, the value as in TOML, a text without quotes too; ``data.key`` reaches into a table.
 
     Raises:
         InputError: If there is no such file, it is no TOML, or a key is unknown or has a wrong value.

@@ -71,20 +71,13 @@ class Task(Protocol):
         """A contact sheet of some of these samples."""
 
     def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
-        """Write a trained network (safetensors), with its sizes, for those who use it.
+        """Write a trained network (safetensors), with its sizes, for those who use it; ``half`` in float16.
 
-        Args:
-            path: The file.
-            weights: ``state_dict`` of such a model as ``model`` returns.
-            about: Of its training, JSON.
-            half: In float16.
+        ``weights`` are the ``state_dict`` of such a model as ``model`` returns, ``about`` is JSON of its training.
         """
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
-        """Weights of a trained network of ``config.model``'s sizes, for ``model``.
-
-        Args:
-            source: A file that ``save`` wrote, or "packaged".
+        """Weights of a trained network of ``config.model``'s sizes, from a file that ``save`` wrote, or "packaged".
 
         Raises:
             InputError: If there is none, or its sizes are others.
