@@ -101,6 +101,7 @@ def test_shapes_and_gradients_and_bodies_in_float32(device, examples, half):
     torch.stack(list(terms.values())).sum().backward()
     assert [name for name, parameter in net.named_parameters() if parameter.grad is None] == []
     assert all(torch.isfinite(parameter.grad).all() for parameter in net.parameters())
+    assert all(parameter.grad.any() for parameter in net.regressor.parameters())
 
 
 def test_floats_are_pictures_too(examples, prediction):

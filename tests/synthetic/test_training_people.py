@@ -49,9 +49,7 @@ def test_cells_are_a_grid_and_the_outermost_reach_on() -> None:
     steps = low + (high - low) * (np.arange(4)[:, None] + 0.5) / 4
     corners = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 6)
     assert np.array_equal(cell_of(corners), np.arange(NUM_CELLS))
-
-
-def test_cells_that_are_held_out_are_those_that_the_packaged_network_has_not_seen() -> None:
+    # Those held out are what the packaged network has not seen.
     cells = held_out_cells()
     assert (len(cells), cells.sum(), cells @ np.arange(1, len(cells) + 1)) == (191, 384160, 49238332)
 
@@ -80,6 +78,7 @@ def test_people_are_complete_and_finite(device: str) -> None:
     confidence = made.keypoints[..., 2]
     assert ((confidence >= 0) & (confidence <= 1)).all()
     assert (made.keypoints[confidence == 0] == 0).all()
+    assert maker(device)(0).groups.shape == (0, SIZE, SIZE)
 
 
 def test_truth_poses_ellipbody_along_annys_bones(device: str) -> None:
@@ -176,7 +175,3 @@ def test_precision_of_training_stays_out_and_comes_back(device: str) -> None:
     finally:
         torch.set_float32_matmul_precision(before)
     torch.testing.assert_close(made.joints, exact.joints, atol=1e-6, rtol=0)
-
-
-def test_no_people_are_nobody(device: str) -> None:
-    assert maker(device)(0).groups.shape == (0, SIZE, SIZE)
