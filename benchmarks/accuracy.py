@@ -29,7 +29,7 @@ import numpy as np
 from warp_partdr.bench.machine import about, in_words
 from warp_partdr.bench.report import make_table, save_figures, wide_console
 from warp_partdr.body.labels import label_set
-from warp_partdr.body.skeletons import MPJPE_SKELETON, skeleton
+from warp_partdr.body.skeletons import MPJPE_JOINTS, MPJPE_SKELETON
 from warp_partdr.cli.progress import FitProgress
 from warp_partdr.evaluation.datasets import read_folder
 from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
@@ -41,7 +41,6 @@ from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.inputs.sample import Sample
 
 LABELS = label_set("cdcl14")
-JOINTS = skeleton(MPJPE_SKELETON).landmarks
 
 # What a fit gets to see, and how it goes. Joints are compared without the outline stage, which costs some accuracy.
 SUPERVISIONS: dict[str, Method] = {
@@ -60,8 +59,8 @@ def read_example() -> list[Sample]:
     folder = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
     parts = read_parts(folder / "parts.png", LABELS)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["joints"][MPJPE_SKELETON]
-    if tuple(truth["names"]) != JOINTS:
-        raise SystemExit(f"{folder / 'truth.json'}: joints {truth['names']}; expected {', '.join(JOINTS)}")
+    if tuple(truth["names"]) != MPJPE_JOINTS:
+        raise SystemExit(f"{folder / 'truth.json'}: joints {truth['names']}; expected {', '.join(MPJPE_JOINTS)}")
     return [
         Sample(
             source="example",

@@ -106,8 +106,10 @@ SKELETONS: dict[str, Skeleton] = {
     )
 }
 
-# The joints that MPJPE and PA-MPJPE are computed over.
+# The joints that MPJPE and PA-MPJPE are computed over, and the two whose middle they are measured from.
 MPJPE_SKELETON = "lsp14"
+MPJPE_JOINTS = SKELETONS[MPJPE_SKELETON].landmarks
+MPJPE_HIPS = [MPJPE_JOINTS.index(name) for name in ("left_hip", "right_hip")]
 
 
 def skeleton(name: str) -> Skeleton:

@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 from scenes.training import make_task
 
 from warp_partdr.body.labels import label_set
-from warp_partdr.body.skeletons import skeleton
+from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS, skeleton
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.inputs.part_labels import PartLabels
@@ -27,8 +27,8 @@ from warp_partdr.synthetic.shaded import shaded_people
 from warp_partdr.training.augment import Augmentation
 from warp_partdr.training.config import make_config, read_config
 from warp_partdr.training.loop import run_training
-from warp_partdr.training.picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
-from warp_partdr.training.picture_losses import HIPS, body_terms, head_terms, seg_term
+from warp_partdr.training.picture_data import ExampleDataset, Examples, Feed, Source, make_example
+from warp_partdr.training.picture_losses import body_terms, head_terms, seg_term
 
 SIZE = 64
 TINY = {
@@ -174,10 +174,10 @@ def test_soft_argmax():
 def test_joints_count_where_they_and_the_hips_are_known(examples, prediction):
     """In a batch of which one has no 3D, one no hip, and one is as predicted; test_losses.py has the formula."""
     joints, has_joints = examples.joints.clone(), examples.has_joints.clone()
-    joints[0] = posed_landmarks(prediction.bodies.posed(), JOINTS)[0].detach() + 3.0
+    joints[0] = posed_landmarks(prediction.bodies.posed(), MPJPE_JOINTS)[0].detach() + 3.0
     has_joints[1] = 0
-    has_joints[2, HIPS[0]] = 0
-    has_joints[3, JOINTS.index("neck")] = 0
+    has_joints[2, MPJPE_HIPS[0]] = 0
+    has_joints[3, MPJPE_JOINTS.index("neck")] = 0
     changed = replace(examples, joints=joints, has_joints=has_joints)
     last = replace(prediction, bodies=prediction.bodies.select(slice(3, 4)))
     alone = body_terms(last, rows(changed, 3, 4))["joints"].item()
@@ -281,7 +281,7 @@ def test_mirrored_example_is_of_a_mirrored_person(people):
     torch.testing.assert_close(mirrored.keypoints[0, left], plain.keypoints[0, right] * torch.tensor([-1.0, 1.0, 1.0]))
     arm, other = (label_set("ellipbody20").group_names.index(f"{side}_forearm") + 1 for side in ("left", "right"))
     torch.testing.assert_close(mirrored.groups.flip(2) == arm, plain.groups == other)
-    left, right = (JOINTS.index(f"{side}_wrist") for side in ("left", "right"))
+    left, right = (MPJPE_JOINTS.index(f"{side}_wrist") for side in ("left", "right"))
     torch.testing.assert_close(mirrored.joints[0, left], plain.joints[0, right] * torch.tensor([-1.0, 1.0, 1.0]))
 
 

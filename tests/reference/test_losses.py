@@ -10,6 +10,7 @@ from scenes.bodies import moved_bodies, unsure_observation, walker
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import posed_landmarks
 from warp_partdr.reference.losses import (
@@ -27,8 +28,7 @@ from warp_partdr.refinement.captured import CapturedRefinement
 from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
-from warp_partdr.training.picture_data import JOINTS
-from warp_partdr.training.picture_losses import HIPS, body_terms
+from warp_partdr.training.picture_losses import body_terms
 from warp_partdr.training.task import weighted_losses
 
 SIZE, LABELS = 64, label_set("surreal14")
@@ -74,8 +74,8 @@ def test_energy_is_the_books(device, path):
 
 def test_training_terms_are_the_books(rng):
     bodies = moved_bodies(walker(), 2)
-    joints, has_joints = posed_landmarks(bodies.posed(), JOINTS).flip(0) + 0.1, torch.ones(2, len(JOINTS))
-    has_joints[1, JOINTS.index("neck")] = 0
+    joints, has_joints = posed_landmarks(bodies.posed(), MPJPE_JOINTS).flip(0) + 0.1, torch.ones(2, len(MPJPE_JOINTS))
+    has_joints[1, MPJPE_JOINTS.index("neck")] = 0
     keypoints = torch.from_numpy(rng.random((2, len(LANDMARKS), 3))).float()
     terms = body_terms(
         SimpleNamespace(bodies=bodies), SimpleNamespace(joints=joints, has_joints=has_joints, keypoints=keypoints)
@@ -83,9 +83,10 @@ def test_training_terms_are_the_books(rng):
     l_3d = l_proj = 0.0
     points = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(bodies.posed(), LANDMARKS))[..., :2]
     for b in range(2):
-        have, wanted = (100 * numpy(each[b]) for each in (posed_landmarks(bodies.posed(), JOINTS), joints))
+        have, wanted = (100 * numpy(each[b]) for each in (posed_landmarks(bodies.posed(), MPJPE_JOINTS), joints))
         known = numpy(has_joints[b])
-        l_3d += joint_loss(have - have[HIPS].mean(0), wanted - wanted[HIPS].mean(0), known / known.sum()) / 2
+        have, wanted = (each - each[MPJPE_HIPS].mean(0) for each in (have, wanted))
+        l_3d += joint_loss(have, wanted, known / known.sum()) / 2
         pixels = (numpy(keypoints[b, :, :2]) + 1) * REFERENCE_SIZE / 2
         l_proj += projection_loss(numpy(points[b]), pixels, numpy(keypoints[b, :, 2])) / 2
     assert terms["joints"].item() == pytest.approx(l_3d, rel=1e-5)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_JOINTS
 from .keypoints import Keypoints2D
 from .part_labels import PartLabels
 
@@ -54,7 +54,7 @@ class Sample:
     target: np.ndarray | None = None
     mask: np.ndarray | None = None
     joints: np.ndarray | None = None
-    joint_names: tuple[str, ...] = skeleton(MPJPE_SKELETON).landmarks
+    joint_names: tuple[str, ...] = MPJPE_JOINTS
     vertices: np.ndarray | None = None
     smpl: SmplFit | None = None
     picture: Path | np.ndarray | None = None

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..body.rotations import rotation_from_axis_angle
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Camera, Crop, Perspective, WeakPerspective
 from ..clothing.anny import anny, anny_shape
@@ -99,7 +99,7 @@ def make_person(index: int) -> Person:
         keypoints=pixels[0].numpy(),
         hidden=people.behind_something(points[..., 2], people.pixel_indices(pixels, size), depth, cover)[0].numpy(),
         height=stature * float(camera.intrinsics[0, 0]) / distance,
-        joints=landmarks(skeleton(MPJPE_SKELETON).landmarks)[0].numpy(),
+        joints=landmarks(MPJPE_JOINTS)[0].numpy(),
         vertices=vertices + offset,
         camera=camera,
     )

@@ -12,7 +12,7 @@ import torch
 
 from ..body.labels import label_set
 from ..body.rotations import rotation_from_axis_angle
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import PART_NAMES
 from ..cameras import Perspective
 from ..clothing.anny import anny, anny_shape
@@ -96,7 +96,7 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
 
     names = skeleton(_KEYPOINTS).landmarks
     points = camera.project(model.landmarks(body, names) + away)[..., :2].cpu().numpy()
-    joints = (model.landmarks(body, skeleton(MPJPE_SKELETON).landmarks) + away).cpu().numpy()
+    joints = (model.landmarks(body, MPJPE_JOINTS) + away).cpu().numpy()
     parts = label_set("ellipbody20")
     sure = np.ones(len(names), dtype=np.float32)
     for k in range(count):

@@ -12,7 +12,7 @@ from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS, skeleton
 from ..cameras import Crop, WeakPerspective
 from ..inputs.observation import REFERENCE_SIZE, Observation
 from ..interop.movable import Movable
@@ -26,8 +26,6 @@ LABELS = label_set("ellipbody20")
 ELLIPBODY, ANNY = "EllipBody", "Anny"  # whose truth it is
 TRUTH_SIZE = 1536  # [px], three samples a side of a pixel of the largest pictures, 24 of the smallest
 KEYPOINTS = skeleton("coco17").landmarks
-JOINTS = skeleton(MPJPE_SKELETON).landmarks
-HIPS = [JOINTS.index(name) for name in ("left_hip", "right_hip")]
 KEYPOINT_NOISE = 0.015  # of the crop's half-side, about 1 % of a person's height
 # Of what a start is off by, for each radian that joints are: the crop's half-sides, and the logarithm of the scale.
 _SHIFT_PER_RADIAN, _SCALE_PER_RADIAN = 0.2, 0.2
@@ -47,7 +45,7 @@ class People(Movable):
     bodies: BodyParameters  # the true ones; of Annys, EllipBodies of mean thickness with joints nearest to theirs
     labels: torch.Tensor  # true part labels, shape (N, ``TRUTH_SIZE``, ``TRUTH_SIZE``), uint8
     points: torch.Tensor  # COCO's keypoints with noise, -1 to 1 in the crop, shape (N, 17, 2)
-    joints: torch.Tensor  # true ``JOINTS``, in the camera frame [m], shape (N, 14, 3)
+    joints: torch.Tensor  # true ``MPJPE_JOINTS``, in the camera frame [m], shape (N, 14, 3)
 
     def __len__(self) -> int:
         """N."""
@@ -98,7 +96,7 @@ def make_people(num_ellipbodies: int, num_annys: int) -> tuple[People, People]:
     own = replace(own, thicknesses=_spread(own.thicknesses, _GIRTH, generator))
     posed, some = own.posed(), slice(num_annys)
     seen = own.camera(2).project(LandmarkGather(KEYPOINTS, "cpu")(posed))[..., :2] - 1 + noise[:num_ellipbodies]
-    ellipbodies = People(ELLIPBODY, own, draw_truth(own), seen, LandmarkGather(JOINTS, "cpu")(posed))
+    ellipbodies = People(ELLIPBODY, own, draw_truth(own), seen, LandmarkGather(MPJPE_JOINTS, "cpu")(posed))
     parts = torch.cat([_draw_anny(*each) for each in zip(persons[some], crops[some], strict=True)])
     annys = bodies.select(torch.arange(num_annys))
     return ellipbodies, People(ANNY, annys, parts, (points + noise)[some], joints[some])
@@ -152,7 +150,7 @@ def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints
         shift=shift.repeat(turns, 1),
     )
     seen = Observation(KEYPOINTS, points.repeat(turns, 1, 1), points.new_ones(len(KEYPOINTS)), None, None)
-    energy, gather = Energy(seen, prior=prior), LandmarkGather(JOINTS, "cpu")
+    energy, gather = Energy(seen, prior=prior), LandmarkGather(MPJPE_JOINTS, "cpu")
     target = _centred(joints).repeat(turns, 1, 1)
 
     def lifted(bodies: BodyParameters) -> dict[str, torch.Tensor]:
@@ -166,11 +164,11 @@ def _lift(persons: list[Person], crops: list[Crop], points: torch.Tensor, joints
 
 def _weak_camera(person: Person, crop: Crop) -> WeakPerspective:
     """The crop's camera that sees the pelvis where the person's own does."""
-    camera, pelvis = person.camera.in_crop(crop), torch.from_numpy(person.joints[HIPS]).float().mean(0)[None]
+    camera, pelvis = person.camera.in_crop(crop), torch.from_numpy(person.joints[MPJPE_HIPS]).float().mean(0)[None]
     if isinstance(camera, WeakPerspective):
         return WeakPerspective(camera.scale, camera.project(pelvis[:, None])[:, 0, :2])
     return camera.to_weak(pelvis)
 
 
 def _centred(joints: torch.Tensor) -> torch.Tensor:
-    return joints - joints[:, HIPS].mean(1, keepdim=True)
+    return joints - joints[:, MPJPE_HIPS].mean(1, keepdim=True)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ..body.labels import label_set
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ..body.template import JOINT_NAMES, NUM_PARTS, template
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
@@ -37,8 +37,7 @@ _VALIDATION_SEED = 7  # the same people in every run
 _BATCH = 256  # of validation
 _SHOWN = 12  # people on the contact sheet
 _PARTS = "ellipbody20"
-_LSP = [JOINT_NAMES.index(name) for name in skeleton(MPJPE_SKELETON).landmarks]
-_HIPS = [skeleton(MPJPE_SKELETON).landmarks.index(f"{side}_hip") for side in ("left", "right")]
+_LSP = [JOINT_NAMES.index(name) for name in MPJPE_JOINTS]
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class LabelTask(Task):
         for people in self._held_out:
             predicted = self._predict(model, people)
             points = (predicted.posed().joints[:, _LSP], people.joints[:, _LSP])
-            joints.append(torch.stack([mpjpe(*points, centre_on=_HIPS), pa_mpjpe(*points)]))
+            joints.append(torch.stack([mpjpe(*points, centre_on=MPJPE_HIPS), pa_mpjpe(*points)]))
             counts.append(confusion(predicted.drawn(people.parts.shape[-1]), people.parts, NUM_PARTS + 1).sum(0))
         errors = torch.cat(joints, dim=1).mean(1) * 1000
         matrix = pooled(counts)

@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from ..body.labels import IGNORE, LabelSet, label_set
-from ..body.skeletons import MPJPE_SKELETON, skeleton
+from ..body.skeletons import MPJPE_JOINTS
 from ..body.template import NUM_PARTS
 from ..errors import InputError
 from ..evaluation.datasets import read_folder, read_human36m, read_lsp, read_pw3d
@@ -26,7 +26,6 @@ from ..network.landmarks import LANDMARKS, network_keypoints
 from ..synthetic.shaded import shaded_people
 from .augment import Augmentation, Similarity
 
-JOINTS = skeleton(MPJPE_SKELETON).landmarks  # that L_3D compares
 _AS_IT_IS = Similarity()
 _LSP_TRAINING = 1000  # pictures of 2000, the first ones
 _SMALLEST = 8.0  # [px], side of a crop; less shows nobody
@@ -82,7 +81,7 @@ class Examples:
     groups: torch.Tensor  # group ids, 255 where nothing is known, shape (B, S, S), uint8
     part_groups: torch.Tensor  # group id of each part label in a person's label set, on the host, shape (B, 21), uint8
     keypoints: torch.Tensor  # ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3)
-    joints: torch.Tensor  # ``JOINTS``, camera frame [m], of any origin, 0 where unknown, shape (B, 14, 3)
+    joints: torch.Tensor  # ``MPJPE_JOINTS``, camera frame [m], of any origin, 0 where unknown, shape (B, 14, 3)
     has_joints: torch.Tensor  # 1 where a joint is known, shape (B, 14)
 
     def to(self, device: torch.device | str) -> Examples:
@@ -126,7 +125,7 @@ def make_example(
     )
     keypoints = similarity.points(known.numpy(), LANDMARKS)
     keypoints[keypoints[:, 2] == 0] = 0
-    joints = similarity.joints(_joints(sample), JOINTS)
+    joints = similarity.joints(_joints(sample), MPJPE_JOINTS)
     has_joints = np.isfinite(joints).all(1)
     crop, part_groups = np.full((size, size), IGNORE, dtype=np.uint8), np.zeros(NUM_PARTS + 1, dtype=np.uint8)
     if sample.target is not None and sample.parts is not None:
@@ -157,9 +156,9 @@ def _square_box(sample: Sample) -> Box:
 
 
 def _joints(sample: Sample) -> np.ndarray:
-    """``JOINTS`` [m], NaN where unknown, shape (14, 3)."""
+    """``MPJPE_JOINTS`` [m], NaN where unknown, shape (14, 3)."""
     known = {} if sample.joints is None else dict(zip(sample.joint_names, sample.joints, strict=True))
-    return np.array([known.get(name, (np.nan,) * 3) for name in JOINTS], dtype=np.float64)
+    return np.array([known.get(name, (np.nan,) * 3) for name in MPJPE_JOINTS], dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from ..body.labels import IGNORE
+from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ..body.template import template
 from ..inputs.observation import REFERENCE_SIZE, resize_nearest
 from ..network.ellipbodynet import PicturePrediction
@@ -22,9 +23,8 @@ from ..network.landmarks import LANDMARKS
 from ..network.predicted import posed_landmarks
 from ..render.ellipsoids import ellipsoid_label_loss
 from ..render.options import Gradient
-from .picture_data import JOINTS, Examples
+from .picture_data import Examples
 
-HIPS = [JOINTS.index(f"{side}_hip") for side in ("left", "right")]  # whose middle joints are measured from
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre
 _SPOT = 1.0  # [cells], standard deviation of the heat maps to be learnt
 
@@ -33,8 +33,8 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     """L_3D ("joints"), L_proj ("proj"), L_l ("lengths") and L_t ("thicknesses")."""
     bodies = prediction.bodies
     posed = bodies.posed()
-    known = examples.has_joints * examples.has_joints[:, HIPS].prod(1, keepdim=True)
-    apart = rooted(posed_landmarks(posed, JOINTS)) - rooted(examples.joints)
+    known = examples.has_joints * examples.has_joints[:, MPJPE_HIPS].prod(1, keepdim=True)
+    apart = rooted(posed_landmarks(posed, MPJPE_JOINTS)) - rooted(examples.joints)
     seen = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(posed, LANDMARKS))[..., :2]
     expected = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
     constants = template()
@@ -94,8 +94,8 @@ def label_sets(examples: Examples) -> Iterator[tuple[tuple[int, ...], torch.Tens
 
 
 def rooted(joints: torch.Tensor) -> torch.Tensor:
-    """``JOINTS`` from the middle of the hips."""
-    return joints - joints[:, HIPS].mean(1, keepdim=True)
+    """``MPJPE_JOINTS`` from the middle of the hips."""
+    return joints - joints[:, MPJPE_HIPS].mean(1, keepdim=True)
 
 
 def _spots(places: torch.Tensor, cells: int) -> torch.Tensor:

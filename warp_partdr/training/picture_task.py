@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from ..body.labels import IGNORE
+from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ..errors import InputError
 from ..inputs.observation import REFERENCE_SIZE
 from ..metrics import confusion, mpjpe, pa_mpjpe, part_f1, pooled
@@ -24,8 +25,8 @@ from ..render.options import Gradient
 from ..results.palette import PART_COLOURS
 from .augment import Augmentation
 from .config import Phase, TrainingConfig
-from .picture_data import JOINTS, ExampleDataset, Examples, Feed, Source, make_example
-from .picture_losses import HIPS, body_terms, head_terms, label_sets, seg_term
+from .picture_data import ExampleDataset, Examples, Feed, Source, make_example
+from .picture_losses import body_terms, head_terms, label_sets, seg_term
 from .task import PACKAGED_NETWORK, Task, weighted_losses
 
 if TYPE_CHECKING:
@@ -113,11 +114,11 @@ class PictureTask(Task):
         for host in self._held_out:
             examples = host.to(device)
             prediction = model(examples.pictures)
-            whole = examples.has_joints[:, HIPS].all(1)
+            whole = examples.has_joints[:, MPJPE_HIPS].all(1)
             if whole.any():
-                bodies = posed_landmarks(prediction.bodies.posed(), JOINTS)[whole]
+                bodies = posed_landmarks(prediction.bodies.posed(), MPJPE_JOINTS)[whole]
                 points, valid = (bodies, examples.joints[whole]), examples.has_joints[whole] > 0
-                both = mpjpe(*points, centre_on=HIPS, valid=valid), pa_mpjpe(*points, valid=valid)
+                both = mpjpe(*points, centre_on=MPJPE_HIPS, valid=valid), pa_mpjpe(*points, valid=valid)
                 joints.append(torch.stack(both))
             apart = (prediction.keypoints - examples.keypoints)[..., :2].norm(dim=-1) * (REFERENCE_SIZE / 2)
             places.append(apart[examples.keypoints[..., 2] > 0])

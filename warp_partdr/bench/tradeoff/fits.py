@@ -14,6 +14,7 @@ import torch
 from ...body.parameters import BodyParameters
 from ...body.pose_prior import PosePrior
 from ...body.posing import LandmarkGather
+from ...body.skeletons import MPJPE_JOINTS
 from ...body.template import NUM_PARTS
 from ...metrics import accuracy, confusion, pa_mpjpe, part_f1
 from ...refinement.captured import CapturedRefinement
@@ -21,7 +22,7 @@ from ...refinement.energy import Weights
 from ...refinement.refine import refine
 from ...refinement.stepper import Refined
 from ...render.renderers import RendererMesh
-from ...synthetic.tradeoff_people import JOINTS, TRUTH_SIZE, People, draw_truth
+from ...synthetic.tradeoff_people import TRUTH_SIZE, People, draw_truth
 from ..timing import time_calls
 from .plan import RATE, Setting
 
@@ -37,7 +38,7 @@ def score_bodies(bodies: BodyParameters, people: People) -> dict[str, np.ndarray
         pixels with the right label; ``joint_error_mm``, the mean distance of 14 joints after the best similarity.
     """
     counts = _confusion(draw_truth(bodies, _SCORED), people)
-    joints = LandmarkGather(JOINTS, bodies.shift.device)(bodies.posed())
+    joints = LandmarkGather(MPJPE_JOINTS, bodies.shift.device)(bodies.posed())
     errors = 1000 * pa_mpjpe(joints, people.joints)
     return {"part_f1": part_f1(counts), "accuracy": accuracy(counts), "joint_error_mm": errors.cpu().numpy()}
 

@@ -15,6 +15,7 @@ import torch
 from ...body.parameters import BodyParameters
 from ...body.pose_prior import PosePrior
 from ...body.posing import LandmarkGather
+from ...body.skeletons import MPJPE_JOINTS
 from ...evaluation.evaluate import Method, evaluate
 from ...evaluation.partbench.samples import partbench_samples
 from ...fit.fitting import Progress
@@ -22,7 +23,7 @@ from ...fit.options import FitOptions
 from ...fit.stages import Quality
 from ...refinement.energy import Weights
 from ...refinement.stepper import Refinement
-from ...synthetic.tradeoff_people import JOINTS, People, make_people
+from ...synthetic.tradeoff_people import People, make_people
 from ..jobs import Job, run_jobs
 from ..machine import about
 from ..renderers import COVERAGE, LEVELS, MESH, PARTDR
@@ -108,7 +109,7 @@ def _precision_jobs(report: TradeoffReport, people: People) -> Iterator[Job]:
 
 def _compare_numbers(report: TradeoffReport, people: People, setting: Setting) -> None:
     """The same refinement with posing, losses and Adam in float32 and in float64; kernels draw in float32."""
-    start, gather = people.starts(DISTANCE), LandmarkGather(JOINTS, people.labels.device)
+    start, gather = people.starts(DISTANCE), LandmarkGather(MPJPE_JOINTS, people.labels.device)
     found: dict[str, BodyParameters] = {}
     seconds: dict[str, float] = {}
     for numbers, kind in ((FLOAT32, torch.float32), (FLOAT64, torch.float64)):

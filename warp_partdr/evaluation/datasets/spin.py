@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...body.labels import LabelSet
-from ...body.skeletons import MPJPE_SKELETON, skeleton
+from ...body.skeletons import MPJPE_JOINTS, skeleton
 from ...errors import InputError
 from ...files.array_files import read_npz
 from ...inputs.keypoint_files import read_keypoints
@@ -201,7 +201,7 @@ def _select(values: np.ndarray, landmarks: tuple[str, ...]) -> np.ndarray:
 
 
 def _joints(values: np.ndarray) -> np.ndarray:
-    selected = _select(values, skeleton(MPJPE_SKELETON).landmarks)
+    selected = _select(values, MPJPE_JOINTS)
     return np.where(selected[:, 3:] > 0, selected[:, :3], np.nan)
 
 
