@@ -15,6 +15,7 @@ def test_savings_are_timed(device, tmp_path, capsys, monkeypatch):
     assert all(row["nothing_s"] > 0 for row in rows if row["name"].startswith("parts"))
     assert all((row["whole_bytes"] is None) == (device == "cpu") for row in rows)
     monkeypatch.setattr(savings, "run_savings", lambda device, progress: rows)
+    monkeypatch.setenv("COLUMNS", "200")  # or headings wrap
     bench.bench_savings(device=device, out=tmp_path)
     said = capsys.readouterr().out
     assert "region of interest" in said
