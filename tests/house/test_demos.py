@@ -27,22 +27,23 @@ def check_pictures(folder, names):
         assert 0.005 < (picture < 250).any(-1).mean() < 1, name
 
 
-def test_render_gradient(tmp_path):
-    losses = render_gradient.main(tmp_path, size=96, iterations=25)
+@pytest.mark.parametrize(
+    ("demo", "iterations", "names"),
+    [
+        (render_gradient, 25, "body.png target.png gradient.png gradient_mesh.png descent.png"),
+        (own_loss, 40, "before.png after.png loss.png"),
+    ],
+)
+def test_descents(tmp_path, demo, iterations, names):
+    losses = demo.main(tmp_path, size=96, iterations=iterations)
     assert losses[-1] < 0.5 * losses[0]
-    check_pictures(tmp_path, ["body.png", "target.png", "gradient.png", "gradient_mesh.png", "descent.png"])
+    check_pictures(tmp_path, names.split())
 
 
 def test_fit_photo(tmp_path):
     result = fit_photo.main(tmp_path, quality="fast")
     assert result.history[-1][-1] < result.history[-1][0]
     check_pictures(tmp_path, ["overlay.png", "parts.png", "loss.png", "turntable.png", "keypoints_or_labels.png"])
-
-
-def test_own_loss(tmp_path):
-    losses = own_loss.main(tmp_path, size=96, iterations=40)
-    assert losses[-1] < 0.5 * losses[0]
-    check_pictures(tmp_path, ["before.png", "after.png", "loss.png"])
 
 
 def test_own_loss_is_the_iou():

@@ -11,6 +11,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
+from importlib.util import resolve_name
 from pathlib import Path
 
 import pytest
@@ -84,19 +85,12 @@ def imports() -> dict[str, set[str]]:
 def _targets(name: str, path: Path, node: ast.AST) -> Iterator[str]:
     if isinstance(node, ast.Import):
         yield from (alias.name.partition("warp_partdr.")[2] for alias in node.names if "warp_partdr." in alias.name)
-    if not isinstance(node, ast.ImportFrom):
-        return
-    if node.level:
-        package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-        base = [*package[: len(package) - node.level + 1], *([node.module] if node.module else [])]
-        source = ".".join(part for part in base if part)
-    elif (node.module or "").partition(".")[0] == "warp_partdr":
-        source = (node.module or "").partition(".")[2]
-    else:
-        return
-    for alias in node.names:
-        inner = f"{source}.{alias.name}".lstrip(".")
-        yield inner if inner in modules() else source
+    if isinstance(node, ast.ImportFrom):
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        source = resolve_name("." * node.level + (node.module or ""), f"warp_partdr.{package}".rstrip("."))
+        top, _, source = source.partition(".")
+        inner = [f"{source}.{alias.name}".lstrip(".") for alias in node.names if top == "warp_partdr"]
+        yield from (each if each in modules() else source for each in inner)
 
 
 def level(name: str) -> int:

@@ -35,9 +35,9 @@ _TIPS = ("left_hand", "right_hand", "left_foot", "right_foot")
 _NO_PARTS = [0] * _NUM_PARTS
 
 
-Call = Callable[[], object]
-_Option = tuple[str, Call]  # its name, and what is timed
-_Case = tuple[str, _Option, _Option, Call | None]  # saving, the whole, what is needed, and nothing that could be saved
+_Call = Callable[[], object]
+_Option = tuple[str, _Call]  # its name, and what is timed
+_Case = tuple[str, _Option, _Option, _Call | None]  # saving, the whole, what is needed, and nothing that could be saved
 
 
 def run_savings(device: str, *, budget: float = 1.0, progress: Progress | None = None) -> list[dict[str, Any]]:

@@ -68,7 +68,7 @@ class Method:
 METHODS: dict[str, Method] = {
     "keypoints only": Method(no_labels),
     "full silhouette": Method(silhouette),
-    "parts": Method(all_parts),
+    "parts": Method(),
 }
 
 
