@@ -13,8 +13,6 @@ import warp as wp
 
 from ..interop.streams import capture_graph
 
-Clock = Callable[[], float]
-
 _MIN_REPEATS = 3
 _MAX_REPEATS = 200
 _QUEUED = 10  # replays that wait on CUDA at once, so that the host is never what is timed
@@ -43,25 +41,24 @@ class Timing:
         return min(self.seconds)
 
 
-def repeat(sample: Callable[[], list[float]], budget: float, clock: Clock = time.perf_counter) -> Timing:
+def repeat(sample: Callable[[], list[float]], budget: float) -> Timing:
     """Collect durations until the budget is spent, after a first sample that does not count.
 
     Args:
         sample: Runs once or more and gives each run's duration [s].
         budget: [s]; there are at least 3 durations in any case, and about 200 at most.
-        clock: Current time [s].
     """
     sample()
     seconds: list[float] = []
-    end = clock() + budget
-    while len(seconds) < _MIN_REPEATS or (len(seconds) < _MAX_REPEATS and clock() < end):
+    end = time.perf_counter() + budget
+    while len(seconds) < _MIN_REPEATS or (len(seconds) < _MAX_REPEATS and time.perf_counter() < end):
         seconds += sample()
     return Timing(tuple(seconds))
 
 
-def time_calls(call: Callable[[], object], device: str, budget: float, clock: Clock = time.perf_counter) -> Timing:
+def time_calls(call: Callable[[], object], device: str, budget: float) -> Timing:
     """Wall time of a call from Python, until the device is done."""
-    return repeat(lambda: [wall_time(call, device, clock)], budget, clock)
+    return repeat(lambda: [wall_time(call, device)], budget)
 
 
 def time_in_turn(calls: Sequence[Callable[[], object]], device: str, budget: float) -> list[Timing]:
@@ -123,9 +120,9 @@ def graph_sample(graph: wp.Graph, device: str) -> Callable[[], list[float]]:
     return replay
 
 
-def wall_time(call: Callable[[], object], device: str, clock: Clock = time.perf_counter) -> float:
+def wall_time(call: Callable[[], object], device: str) -> float:
     """Of one call, until the device is done [s]."""
-    start = clock()
+    start = time.perf_counter()
     call()
     wp.synchronize_device(device)
-    return clock() - start
+    return time.perf_counter() - start
