@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scenes.bodies import PICTURE_SIZE, seen_by
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
@@ -17,8 +18,6 @@ from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Stage
-from warp_partdr.inputs.keypoints import Keypoints2D
-from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.refinement.stepper import Refined
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.results import plot
@@ -72,16 +71,9 @@ def has_colour(picture, colour):
 
 @pytest.fixture(scope="module")
 def fit():
-    """A quick fit of the mean body in a picture that is not square."""
-    labels = drawn()[0].numpy()
-    joints = body().posed().joints
-    points = camera().project(joints)[0, :, :2]
-    limbs = "shoulder elbow wrist hip knee ankle".split()
-    named = ["head"] * 5 + [f"{side}_{limb}" for limb in limbs for side in ("left", "right")]  # of a face: nothing
-    coco = points[[JOINT_NAMES.index(name) for name in named]].numpy()
-    person = Keypoints2D("coco17", coco, np.array([0] * 5 + [1] * 12, dtype=np.float32))
+    """A quick fit in a picture that is not square, and what it was fitted to."""
+    person, parts = seen_by(body().select(torch.tensor([0])))
     stages = (Stage("lift", 8, 4, 0.05), Stage("labels", 2, 6, 0.02, 48))
-    parts = PartLabels(label_set("ellipbody20"), labels)
     return fit_body(person, parts, options=FitOptions(stages=stages, start="search")), person, parts
 
 
@@ -100,11 +92,11 @@ def test_overlay_lies_where_the_body_is_seen(device):
 
 def test_overlay_of_a_fit_needs_no_camera(fit):
     result, person, _ = fit
-    photo = np.full((*SIZE, 3), 200, dtype=np.uint8)
+    photo = np.full((*PICTURE_SIZE, 3), 200, dtype=np.uint8)
     plain, dotted = (shown(plot.overlay(result, photo, keypoints=keypoints)) for keypoints in (None, person))
     u, v = person.points[-1].astype(int)
     assert (plain[v, u] != dotted[v, u]).any()
-    assert ((plain != photo).any(-1) == (result.draw(SIZE).labels[0].numpy() > 0)).mean() > 0.98
+    assert ((plain != photo).any(-1) == (result.draw(PICTURE_SIZE).labels[0].numpy() > 0)).mean() > 0.98
     with pytest.raises(ValueError, match=r"^camera"):
         plot.overlay(result.posed, photo)
 

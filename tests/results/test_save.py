@@ -20,7 +20,6 @@ from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.model import detailed_mesh
 from warp_partdr.clothing.registration import Registered, RegistrationOptions, register
-from warp_partdr.errors import InputError
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
@@ -238,20 +237,6 @@ def test_the_detailed_body_without_a_photo_or_over_a_large_one(
     assert abs(columns.min() - float(seen.min())) < 8
     assert abs(columns.max() - float(seen.max())) < 8
     assert "seconds" not in json.loads((tmp_path / "registration.json").read_text())
-
-
-def test_a_detailed_body_that_cannot_be_written_leaves_the_older_one(
-    registered: Registered, result: FitResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    (tmp_path / "detailed.glb").write_text("old")
-    monkeypatch.setattr(save, "save_detailed", refuse)
-    with pytest.raises(InputError, match="No space left on device"):
-        save.save_registered(registered, tmp_path, result.camera, (64, 48))
-    assert [path.name for path in tmp_path.iterdir()] == ["detailed.glb"]
-    assert (tmp_path / "detailed.glb").read_text() == "old"
 
 
 def test_the_detailed_body_is_scored_by_its_own_mesh(registered: Registered, result: FitResult, tmp_path: Path) -> None:

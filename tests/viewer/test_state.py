@@ -180,7 +180,6 @@ def test_a_photo_without_labels_says_what_works():
     ("changes", "said"),
     [
         ({"supervision": "colours"}, "supervision: 'colours'; expected 'keypoints' or 'silhouette' or 'parts'"),
-        ({"renderer": "E4"}, "renderer: 'E4'; expected 'exact' or 'E0'"),
         ({"size": 100}, "size: 100; expected 64 or 128 or 256 or 512"),
         ({"steps": 0}, "steps: 0; expected 1 or more"),
         ({"learning_rate": float("nan")}, "learning_rate: nan; expected"),
