@@ -113,33 +113,29 @@ def test_a_click_chooses_a_part(window):
 def test_buttons_do_what_they_say(window):
     state, camera = window.state, window.scene.plotter.renderers[0].camera
     before = camera.position
-    for text, hint, now in (
-        ("silhouette", "", lambda: state.settings.supervision == "silhouette"),
-        ("keypoints", "", lambda: state.settings.supervision == "keypoints"),
-        ("parts", "", lambda: state.settings.supervision == "parts"),
-        ("z gradient", "", lambda: not state.settings.depth_gradient),
-        ("E2", "", lambda: state.settings.renderer == "E2"),
-        ("coverage", "", lambda: state.settings.gradient == "coverage"),
-        ("128", "", lambda: state.settings.size == 128),
-        ("fast", "", lambda: (state.settings.gradient, state.settings.renderer) == ("edges", "exact")),
-        ("sitting", "start from", lambda: torch.equal(state.start.rotations, body_of("sitting").rotations)),
-        (
-            "crossed arms",
-            "target:",
-            lambda: torch.equal(state.target.truth.rotations, body_of("crossed arms").rotations),
-        ),
-        ("step", "", lambda: len(state.history) == 1),
-        ("restart", "", lambda: not state.history),
-        ("skeleton", "", lambda: window.scene.skeleton_only),
-        ("outline arrows", "", lambda: window.scene.outline_arrows),
-        ("camera", "", lambda: window.page().sliders[0].title == "scale [px/m]"),
-        (">", "", lambda: window.page().sliders[0].title.endswith(", x [deg]")),
-        ("next part", "", lambda: window.controls.part == "right_upper_arm"),
-        ("thicknesses", "", lambda: window.page().sliders[0].title.endswith("[cm]")),
-        ("play", "", lambda: window.controls.playing),
+    for text, now, *hint in (
+        ("silhouette", lambda: state.settings.supervision == "silhouette"),
+        ("keypoints", lambda: state.settings.supervision == "keypoints"),
+        ("parts", lambda: state.settings.supervision == "parts"),
+        ("z gradient", lambda: not state.settings.depth_gradient),
+        ("E2", lambda: state.settings.renderer == "E2"),
+        ("coverage", lambda: state.settings.gradient == "coverage"),
+        ("128", lambda: state.settings.size == 128),
+        ("fast", lambda: (state.settings.gradient, state.settings.renderer) == ("edges", "exact")),
+        ("sitting", lambda: torch.equal(state.start.rotations, body_of("sitting").rotations), "start from"),
+        ("sitting", lambda: torch.equal(state.target.truth.rotations, body_of("sitting").rotations), "target:"),
+        ("step", lambda: len(state.history) == 1),
+        ("restart", lambda: not state.history),
+        ("skeleton", lambda: window.scene.skeleton_only),
+        ("outline arrows", lambda: window.scene.outline_arrows),
+        ("camera", lambda: window.page().sliders[0].title == "scale [px/m]"),
+        (">", lambda: window.page().sliders[0].title.endswith(", x [deg]")),
+        ("next part", lambda: window.controls.part == "right_upper_arm"),
+        ("thicknesses", lambda: window.page().sliders[0].title.endswith("[cm]")),
+        ("play", lambda: window.controls.playing),
     ):
         assert not now(), text
-        click(window, text, hint)
+        click(window, text, *hint)
         assert now(), text
         assert window.scene.message == "", text
     assert camera.position == before  # a click on a button is no grip on the view

@@ -24,7 +24,8 @@ def wide_console() -> Console:
 
 
 def save_figures(figures: Mapping[str, Any], path: Path) -> None:
-    """Write JSON; arrays, shape (N,), with five digits."""
+    """Write JSON, in a folder made if it is not there; arrays, shape (N,), with five digits."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(figures, indent=1, default=_rounded) + "\n", encoding="utf-8")
 
 

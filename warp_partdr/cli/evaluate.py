@@ -33,10 +33,8 @@ evaluate = typer.Typer(
 class RunOptions:
     """Options of every data set."""
 
-    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N", min=1)] = None
-    jobs: Annotated[
-        int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N", min=1)
-    ] = 1
+    limit: Annotated[int | None, Option(help="Only the first N people.", metavar="N")] = None
+    jobs: Annotated[int, Option(help="Fits at a time, a process each; they make one another slower.", metavar="N")] = 1
     methods: Annotated[
         list[str] | None,
         Option(
@@ -131,7 +129,7 @@ def partbench(
         Option("--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"),
     ] = None,
     jobs: Annotated[
-        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N", min=1)
+        int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N")
     ] = None,
     device: DeviceOption = "cpu",
     out: Annotated[
@@ -142,6 +140,8 @@ def partbench(
 
     Ten minutes on two cores; --quick one.
     """
+    _check_counts(jobs=jobs)
+    from ..bench.report import save_figures
     from ..evaluation.partbench.methods import METHODS, QUICK
     from ..evaluation.partbench.report import compare_methods, write_report
     from ..evaluation.partbench.samples import partbench_samples
@@ -160,7 +160,7 @@ def partbench(
         typer.echo(finding)
     if out is not None:
         page, data = out / "partbench.html", out / "partbench.json"
-        _save(figures, data)
+        save_figures(figures, data)
         write_report(page, report, samples, methods, figures["about"], device=where)
         typer.echo(f"{page} shows the worst fits, {data} holds each fit's figures")
 
@@ -173,10 +173,12 @@ evaluate.command("partbench")(partbench)
 
 
 def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
+    _check_counts(limit=options.limit, jobs=options.jobs)
     people = list(islice(samples, options.limit))
     if not people:
         raise InputError("the data set: nobody in it; expected at least one person")
 
+    from ..bench.report import save_figures
     from ..evaluation.evaluate import METHODS
     from ..results.result_sets import check_folder
 
@@ -190,7 +192,7 @@ def _evaluate(samples: Iterable[Sample], options: RunOptions) -> None:
     if all(sample.joints is None and sample.target is None for sample in people):
         typer.echo("Neither labels nor 3D joints are known: only keypoints are compared.", err=True)
     if options.out is not None:
-        _save(figures, options.out)
+        save_figures(figures, options.out)
         typer.echo(f"{options.out} holds the same figures, and each fit's")
 
 
@@ -198,6 +200,12 @@ def _label_set(name: str | None) -> LabelSet | None:
     from ..body.labels import label_set
 
     return None if name is None else label_set(name)
+
+
+def _check_counts(**options: int | None) -> None:
+    for name, number in options.items():
+        if number is not None and number < 1:
+            raise InputError(f"--{name}: {number}; expected 1 or more")
 
 
 def _choose(methods: Mapping[str, Method], names: Collection[str]) -> dict[str, Method]:
@@ -235,10 +243,3 @@ def _fit(
         who = f"{failure.source}: {failure.sample}"
         typer.echo(f"not fitted: {who}, {failure.method}: {failure.reason}", err=True)
     return report, {"about": {**about(device), "jobs": jobs}, **report.to_json()}
-
-
-def _save(figures: Mapping[str, Any], path: Path) -> None:
-    from ..bench.report import save_figures
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_figures(figures, path)

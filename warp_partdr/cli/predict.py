@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from ..errors import InputError
 from .options import DeviceOption, LabelsOption
 
 PREDICT_HELP = """Say at once where bodies are: 2D keypoints and part labels in, pose and measurements out, without
@@ -32,13 +33,15 @@ def predict(
         Path | None,
         Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
     ] = None,
-    batch: Annotated[int, Option(help="People at a time.", metavar="N", min=1)] = 64,
+    batch: Annotated[int, Option(help="People at a time.", metavar="N")] = 64,
     device: DeviceOption = "auto",
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""
     from ..body.labels import label_set
     from ..evaluation.datasets import read_folder
 
+    if batch < 1:
+        raise InputError(f"--batch: {batch}; expected 1 or more")
     samples = list(read_folder(folder, None if labels is None else label_set(labels)))
 
     import torch
