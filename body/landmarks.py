@@ -86,6 +86,11 @@ def mirror_name(name: str) -> str:
     return "_".join(swap.get(word, word) for word in name.split("_"))
 
 
+def without_side(name: str) -> str:
+    """Name of a landmark, part or group without its side: left_eye -> eye."""
+    return name.removeprefix("left_").removeprefix("right_")
+
+
 def mirror_order(names: Sequence[str]) -> np.ndarray:
     """Position of each name's mirror image among them, shape (N,), int64."""
     return np.array([names.index(mirror_name(name)) for name in names])

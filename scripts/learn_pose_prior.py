@@ -19,6 +19,7 @@ from rich import print
 from rich.progress import track
 from rich.table import Table
 
+from warp_partdr.body.landmarks import without_side
 from warp_partdr.body.pose_prior import FREE_PARTS, PosePrior, mirror_features
 from warp_partdr.body.template import NUM_PARTS, PART_NAMES, template
 from warp_partdr.synthetic import mocap, mocap_files
@@ -131,7 +132,7 @@ def frame_weights(counts: np.ndarray, activities: np.ndarray) -> np.ndarray:
 
 def least_variances() -> np.ndarray:
     """Floor of each feature's variance, shape (57,)."""
-    deviations = [MIN_DEVIATION.get(_kind(PART_NAMES[part]), MIN_DEVIATION_ELSEWHERE) for part in FREE_PARTS]
+    deviations = [MIN_DEVIATION.get(without_side(PART_NAMES[part]), MIN_DEVIATION_ELSEWHERE) for part in FREE_PARTS]
     return np.append(np.repeat(deviations, 3), [MIN_DEVIATION_UP] * 3) ** 2
 
 
@@ -226,13 +227,13 @@ def joint_limits(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     lower, upper = np.percentile(vectors, LIMIT_PERCENTILES, axis=0)
     for part, name in enumerate(PART_NAMES):
-        margin = LIMIT_MARGIN.get(_kind(name), LIMIT_MARGIN_ELSEWHERE)
+        margin = LIMIT_MARGIN.get(without_side(name), LIMIT_MARGIN_ELSEWHERE)
         lower[part] -= margin
         upper[part] += margin
-        if _kind(name) == "lower_leg":
+        if without_side(name) == "lower_leg":
             # Knees bend about +x only: the shank goes backward.
             lower[part, 0] = -OVERSTRETCH
-        elif _kind(name) == "forearm":
+        elif without_side(name) == "forearm":
             # Elbows bring the hand forward: a left one turns about (0, -0.87, 0.5) in CMU's skeleton, a right one about
             # the mirror image.
             if name.startswith("left"):
@@ -341,10 +342,6 @@ def main() -> None:
     shown = random.choice(len(frames), size=2000, p=weights)
     with torch.no_grad():
         report(PosePrior(options.out), frames[shown], mocap_files.held_out_frames(options.mocap, 2000))
-
-
-def _kind(name: str) -> str:
-    return name.removeprefix("left_").removeprefix("right_")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from ..body.landmarks import without_side
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle, skew
 from ..body.template import JOINT_NAMES, PARENTS, PART_NAMES, template
@@ -46,7 +47,7 @@ def pose_from_ellipbody(
     for joint, parent in enumerate(model.parents):
         world.append(pelvis if parent < 0 else parts[carried[joint]] if joint in carried else world[parent])
     for (part, turn), above, joint in zip(parts.items(), PARENTS, model.part_joints, strict=True):
-        kind = part.removeprefix("left_").removeprefix("right_")
+        kind = without_side(part)
         between = _joint_between(model, joint, carried)
         if between is None:
             continue
@@ -78,7 +79,7 @@ def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     known = dict(zip(model.landmark_names, model.landmarks(rest, model.landmark_names).unbind(1), strict=True))
     turns: list[torch.Tensor] = []
     for part, (name, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
-        kind = name.removeprefix("left_").removeprefix("right_")
+        kind = without_side(name)
         if kind not in (*_AIMED, "hand"):
             turns.append(identity)
             continue

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
-from ..body.landmarks import mirror_name
+from ..body.landmarks import mirror_name, without_side
 from ..body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
 from .person import squared_distances
@@ -134,7 +134,7 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
 
 def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:
     """Segments near which a part may be; empty if its keypoints are missing."""
-    kind = part.removeprefix("left_").removeprefix("right_")
+    kind = without_side(part)
     side = part.removesuffix(kind)
     if kind in ("hip", "abdomen", "chest", "shoulder"):
         if points.keys() >= set(_CORNERS):

@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..body.landmarks import without_side
 from ..body.rotations import rotation_between, skew
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES, template
 from ..files.json_files import read_json
@@ -126,7 +127,7 @@ def _retarget(name: str, root: np.ndarray, bones: _Bones, trunk_pitch: dict[str,
     directions = np.full((len(root), NUM_PARTS, 3), np.nan)
     for part, (name_of_part, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
         above = root_world if parent < 0 else world[:, parent]
-        kind = name_of_part.removeprefix("left_").removeprefix("right_")
+        kind = without_side(name_of_part)
         if name_of_part not in bones or part in LOCKED_PARTS:
             world[:, part] = above
             continue
