@@ -13,7 +13,7 @@ Every data set has its own idea of where a hip is; which landmark a format's joi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,9 +91,10 @@ def without_side(name: str) -> str:
     return name.removeprefix("left_").removeprefix("right_")
 
 
-def mirror_order(names: Sequence[str]) -> np.ndarray:
-    """Position of each name's mirror image among them, shape (N,), int64."""
-    return np.array([names.index(mirror_name(name)) for name in names])
+def mirror_order(names: Sequence[str], kinds: Collection[str] | None = None) -> np.ndarray:
+    """Position of each name's mirror image among them, shape (N,), int64; names not of these ``kinds`` stay."""
+    images = [mirror_name(name) if kinds is None or without_side(name) in kinds else name for name in names]
+    return np.array([names.index(image) for image in images])
 
 
 class LandmarkPoints(NamedTuple):

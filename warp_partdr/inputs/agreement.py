@@ -56,7 +56,7 @@ def limb_bones(keypoints: Keypoints2D) -> Iterator[tuple[str, np.ndarray, np.nda
     """Part, start and end [px] of each limb's bone between two confident keypoints."""
     points = _confident_points(keypoints)
     for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
-        if name.partition("_")[2] not in _ENDS and (ends := _bone_ends(name, points)):
+        if without_side(name) not in _ENDS and (ends := _bone_ends(name, points)):
             yield name, *ends
 
 
@@ -85,7 +85,7 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
             continue
         shown = labels_along(groups, start, end, samples=_SAMPLES, margin=_JOINT)
         other = ~np.isin(shown, (own, mirrored, BACKGROUND, IGNORE))
-        limb = next(limb for limb, kinds in LIMBS.items() if name.partition("_")[2] in kinds)
+        limb = next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)
         counts[limb] += [(shown == own).sum(), (shown == mirrored).sum(), other.sum()]
     return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
-from ..body.landmarks import mirror_name
+from ..body.landmarks import mirror_name, mirror_order, without_side
 from ..cameras import Crop
 from ..errors import InputError, check_each, check_type
 from .agreement import LIMBS, compare_sides, disagreement
@@ -149,18 +149,18 @@ def _either_side(seen: Evidence, swapped: list[str], *, whole: bool) -> Iterator
     """
     assert seen.groups is not None
     picture = seen.labels
-    kinds = {kind for limb in swapped for kind in LIMBS[limb]}
+    kinds = None if whole else {kind for limb in swapped for kind in LIMBS[limb]}
+    joints = None if whole else {joint for limb in swapped for joint in _LIMB_JOINTS[limb]}
     where = "" if whole else f" of {_join(swapped)}"
-    table = _mirrored_groups(picture.label_set, None if whole else kinds)
+    table = _mirrored_groups(picture.label_set, kinds)
     maps = None if picture.maps is None else picture.maps[table[: len(picture.maps)]]
     exchanged = replace(picture, groups=table[picture.groups], maps=maps)
     told = f"labels: left and right{where} exchanged, say the keypoints; taken so"
     yield replace(seen, picture=exchanged, groups=table[seen.groups], warnings=(*seen.warnings, told))
     told = f"keypoints: left and right{where} exchanged, say the labels; taken so"
-    mirror = _mirrored_joints(seen.keypoints, None if whole else swapped)
-    keypoints = replace(
-        seen.keypoints, points=seen.keypoints.points[mirror], confidence=seen.keypoints.confidence[mirror]
-    )
+    mine = seen.keypoints
+    mirror = mirror_order(mine.format.landmarks, joints)
+    keypoints = replace(mine, points=mine.points[mirror], confidence=mine.confidence[mirror])
     yield replace(seen, keypoints=keypoints, warnings=(*seen.warnings, told))
 
 
@@ -169,7 +169,7 @@ def _mirrored_groups(labels: LabelSet, kinds: set[str] | None) -> np.ndarray:
     table = np.arange(256, dtype=np.uint8)
     names = labels.group_names
     for name, parts in labels.groups.items():
-        of_kind = kinds is None or {part.partition("_")[2] for part in parts} <= kinds
+        of_kind = kinds is None or set(map(without_side, parts)) <= kinds
         if of_kind and mirror_name(name) in names:
             table[names.index(name) + 1] = names.index(mirror_name(name)) + 1
     return table
@@ -179,16 +179,6 @@ _LIMB_JOINTS = {
     "arms": ("elbow", "wrist", "fingertip", "thumb", "index", "pinky"),
     "legs": ("knee", "ankle", "toe", "foot_index", "big_toe", "small_toe", "heel"),
 }
-
-
-def _mirrored_joints(keypoints: Keypoints2D, limbs: list[str] | None) -> np.ndarray:
-    """Mirror image of each keypoint, of some limbs alone, shape (J,), int64."""
-    mirror = keypoints.format.mirror
-    if limbs is None:
-        return mirror
-    joints = {joint for limb in limbs for joint in _LIMB_JOINTS[limb]}
-    moved = [name.partition("_")[2] in joints for name in keypoints.format.landmarks]
-    return np.where(moved, mirror, np.arange(len(mirror)))
 
 
 def _join(names: Sequence[str]) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
-from ..body.landmarks import mirror_name, mirror_order
+from ..body.landmarks import mirror_order
 from ..body.skeletons import skeleton
 from ..network.landmarks import LANDMARKS, network_keypoints
 from .noise import HIDDEN_CONFIDENCE, HIDDEN_NOISE, KEYPOINT_NOISE, SWAPPED_KEYPOINTS
@@ -38,7 +39,9 @@ class KeypointNoise:
         self._detectors = torch.stack([_seen_by(name) for name in _DETECTORS]).to(device)
         self._detector_weights = torch.tensor(list(_DETECTORS.values()), device=device)
         self._mirror = torch.from_numpy(mirror_order(LANDMARKS)).to(device)
-        self._swaps = torch.stack([_swapped_keypoints(joints) for joints in SWAPPED_KEYPOINTS]).to(device)
+        self._swaps = torch.from_numpy(np.stack([mirror_order(LANDMARKS, joints) for joints in SWAPPED_KEYPOINTS])).to(
+            device
+        )
         self._confidence_odds = torch.tensor([0.4, 0.15, 0.1, 0.35], device=device)
 
     def detected(self, count: int) -> torch.Tensor:
@@ -104,8 +107,3 @@ def _seen_by(detector: str) -> torch.Tensor:
     everything = {"every": LANDMARKS, "no face": tuple(name for name in LANDMARKS if name not in _FACE)}
     names = everything[detector] if detector in everything else skeleton(detector).landmarks
     return network_keypoints(names, torch.zeros(len(names), 2), torch.ones(len(names)))[:, 2] > 0
-
-
-def _swapped_keypoints(joints: tuple[str, ...]) -> torch.Tensor:
-    names = [mirror_name(name) if name.partition("_")[2] in joints else name for name in LANDMARKS]
-    return torch.tensor([LANDMARKS.index(name) for name in names])

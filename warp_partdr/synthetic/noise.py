@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, ImageFilter
 
 from ..body.labels import BACKGROUND, LabelSet
+from ..body.landmarks import mirror_order
 from ..inputs.person import lower_near
 
 KEYPOINT_NOISE = 0.01  # standard deviation of u and of v, of the person's height in the picture
@@ -85,9 +86,7 @@ def noisy_keypoints(
     noisy = np.column_stack([noisy, np.where(hidden, HIDDEN_CONFIDENCE, 1.0)])
     for joints in SWAPPED_KEYPOINTS:
         if rng.random() < level.swap / len(SWAPPED_KEYPOINTS):
-            left = [landmarks.index(f"left_{joint}") for joint in joints]
-            right = [landmarks.index(f"right_{joint}") for joint in joints]
-            noisy[left + right] = noisy[right + left]
+            noisy = noisy[mirror_order(landmarks, joints)]
     lost = rng.random(len(points)) < level.dropout * np.where(hidden, 2.0, 1.0)
     beyond = (noisy[:, :2] < _OUTSIDE) | (noisy[:, :2] > np.array(size[::-1]) - _OUTSIDE)
     noisy[lost | beyond.any(axis=1)] = 0.0
