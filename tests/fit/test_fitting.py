@@ -37,21 +37,16 @@ def test_fit_finds_a_body_from_perfect_labels():
 @pytest.mark.parametrize("case", ["cut off", "missing limbs", "keypoints alone", "ignored half"])
 def test_fit_takes_what_is_there(case):
     keypoints, parts = seen_by(walker())
+    confidence, groups = keypoints.confidence.copy(), parts.groups.copy()
     if case == "cut off":  # the legs are beyond the picture's border
-        visible = keypoints.points[:, 1] < 110
-        keypoints = replace(keypoints, confidence=visible.astype(np.float32))
-        parts = PartLabels(parts.label_set, parts.groups[:110])
+        confidence, groups = (keypoints.points[:, 1] < 110).astype(np.float32), groups[:110]
     elif case == "missing limbs":
-        confidence = keypoints.confidence.copy()
         confidence[7:11] = 0
-        keypoints = replace(keypoints, confidence=confidence)
-        parts = PartLabels(parts.label_set, np.where(parts.groups > 14, 0, parts.groups))
-    elif case == "keypoints alone":
-        parts = None
-    else:
-        groups = parts.groups.copy()
+        groups[groups > 14] = 0
+    elif case == "ignored half":
         groups[:, 80:] = 255
-        parts = PartLabels(parts.label_set, groups)
+    keypoints = replace(keypoints, confidence=confidence)
+    parts = None if case == "keypoints alone" else PartLabels(parts.label_set, groups)
     result = fit_body(keypoints, parts, options=QUICK_SEARCH)
     for tensor in result.parameters.tensors().values():
         assert torch.isfinite(tensor).all()

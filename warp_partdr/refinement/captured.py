@@ -298,13 +298,10 @@ def _term_weights(energy: Energy) -> Any:
 
 
 def _step_rule(rates: Sequence[float], free: Collection[str], device: torch.device) -> StepRule:
-    factors, lower, upper = (torch.empty(1, sum(_WIDTHS)) for _ in range(3))
-    for name, columns in _split(factors).items():
-        columns.fill_((SHAPE_RATE if name in SIZES else 1.0) if name in free else 0.0)
-    lower.fill_(-math.inf)
-    upper.fill_(math.inf)
-    for name in SIZES:
-        if name in free:
+    factors, lower, upper = (torch.full((1, sum(_WIDTHS)), value) for value in (0.0, -math.inf, math.inf))
+    for name in free:
+        _split(factors)[name].fill_(SHAPE_RATE if name in SIZES else 1.0)
+        if name in SIZES:
             for row, bound in zip((lower, upper), size_bounds(name, "cpu"), strict=True):
                 _split(row)[name].copy_(bound)
     schedule = [
