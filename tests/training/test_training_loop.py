@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -293,10 +294,7 @@ def test_nan_stops_and_leaves_the_batch_that_led_to_it(tmp_path, monkeypatch, de
     "error", [torch.OutOfMemoryError("CUDA"), RuntimeError("Failed to allocate 9 bytes on device")]
 )
 def test_out_of_memory_says_which_setting_to_lower(tmp_path, monkeypatch, error):
-    def loss(self, model, batch):
-        raise error
-
-    monkeypatch.setattr(TinyTask, "loss", loss)
+    monkeypatch.setattr(TinyTask, "loss", Mock(side_effect=error))
     with pytest.raises(InputError, match="batch_size: 8: out of memory; expected a smaller one"):
         run_training(config(tmp_path), device="cpu")
 

@@ -50,21 +50,13 @@ class KeypointNoise:
 
     def keypoints(
         self,
-        points: torch.Tensor,
-        hidden: torch.Tensor,
-        known: torch.Tensor,
-        stature: torch.Tensor,
-        strength: torch.Tensor,
+        points: torch.Tensor,  # (B, 24, 2), true places in the crop
+        hidden: torch.Tensor,  # (B, 24), those behind something
+        known: torch.Tensor,  # (B, 24), those that the detector can give at all
+        stature: torch.Tensor,  # (B,), in crop coordinates
+        strength: torch.Tensor,  # (B,)
     ) -> torch.Tensor:
-        """Keypoints as detectors give them, shape (B, 24, 3): crop coordinates and confidence, all 0 where missing.
-
-        Args:
-            points: True places in the crop, shape (B, 24, 2).
-            hidden: Those behind something, shape (B, 24), bool.
-            known: Those that the detector can give at all, shape (B, 24), bool.
-            stature: In crop coordinates, shape (B,).
-            strength: Shape (B,).
-        """
+        """Keypoints as detectors give them, shape (B, 24, 3): crop coordinates and confidence, all 0 where missing."""
         rng, (count, landmarks) = self.rng, hidden.shape
         strength = strength[:, None]
         spread = strength * KEYPOINT_NOISE * stature[:, None] * torch.where(hidden, HIDDEN_NOISE, 1.0)

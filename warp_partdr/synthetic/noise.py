@@ -61,26 +61,16 @@ LEVELS: dict[str, Level] = {
 
 
 def noisy_keypoints(
-    points: np.ndarray,
-    hidden: np.ndarray,
+    points: np.ndarray,  # (J, 2), true positions [px]
+    hidden: np.ndarray,  # (J,), those that are occluded
     landmarks: tuple[str, ...],
-    person_height: float,
-    size: tuple[int, ...],
+    person_height: float,  # [px], stature in the picture
+    size: tuple[int, ...],  # (H, W) of the picture; nothing beyond it is found
     *,
     level: Level,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Keypoints as a detector gives them, shape (J, 3): u, v [px] and confidence, all 0 where missing.
-
-    Args:
-        points: True positions [px], shape (J, 2).
-        hidden: Those that are occluded, shape (J,), bool.
-        landmarks: Their names.
-        person_height: Stature in the picture [px].
-        size: Of the picture, (H, W); nothing beyond it is found.
-        level: Amount of noise.
-        rng: Source of chance.
-    """
+    """Keypoints as a detector gives them, shape (J, 3): u, v [px] and confidence, all 0 where missing."""
     spread = level.strength * KEYPOINT_NOISE * person_height * np.where(hidden, HIDDEN_NOISE, 1.0)
     noisy = points + spread[:, None] * rng.standard_normal(points.shape)
     noisy = np.column_stack([noisy, np.where(hidden, HIDDEN_CONFIDENCE, 1.0)])

@@ -38,18 +38,13 @@ class Occluders:
 
 
 def draw_occluders(
-    rng: TorchRng, parts: torch.Tensor, tables: torch.Tensor, places: torch.Tensor, strength: torch.Tensor
+    rng: TorchRng,
+    parts: torch.Tensor,  # (B, S, S), true part labels, 255 beyond the border
+    tables: torch.Tensor,  # (B, 22), of ``LabelNoise.tables``: group id of each part label in the samples' label sets
+    places: torch.Tensor,  # (B, 6, 2), points of each person in the crop, for four holes and two things
+    strength: torch.Tensor,  # (B,)
 ) -> Occluders:
-    """Strangers, things before the person, and holes.
-
-    Args:
-        rng: Source of chance.
-        parts: True part labels, 255 beyond the border, shape (B, S, S), uint8; a sample's stranger is the one
-            before it.
-        tables: Group id of each part label in the samples' label sets, of ``LabelNoise.tables``, shape (B, 22).
-        places: Points of each person in the crop, for four holes and two things, shape (B, 6, 2).
-        strength: Shape (B,).
-    """
+    """Strangers, things before the person, and holes; a sample's stranger is the one before it."""
     count, size, _ = parts.shape
     there, column = _stranger(rng, parts)
     stranger = parts.roll(1, 0).gather(2, column[:, None].expand(-1, size, -1))

@@ -123,14 +123,10 @@ def pixel_indices(points: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
 
 
 def behind_something(
-    distances: torch.Tensor, pixels: torch.Tensor, depth: torch.Tensor, cover: torch.Tensor
+    distances: torch.Tensor,  # (B, L) [m], of the landmarks from the camera
+    pixels: torch.Tensor,  # (B, L), of ``pixel_indices``, in which they are seen
+    depth: torch.Tensor,  # (B, H, W) [m], of what is drawn, inf = background
+    cover: torch.Tensor,  # (B, L) or (L,), of ``cover_of``, of people of this size
 ) -> torch.Tensor:
-    """Landmarks that lie behind something other than their own surroundings, shape (B, L), bool.
-
-    Args:
-        distances: Of the landmarks from the camera [m], shape (B, L).
-        pixels: In which they are seen, by ``pixel_indices``, shape (B, L).
-        depth: Of what is drawn [m], inf = background, shape (B, H, W).
-        cover: By ``cover_of``, of people of this size, shape (B, L) or (L,).
-    """
+    """Landmarks that lie behind something other than their own surroundings, shape (B, L), bool."""
     return depth.flatten(1).gather(1, pixels) < distances - cover
