@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from scenes.pictures import (
-    GRADIENTS,
     Intrinsics,
     Leaves,
     ball,
@@ -21,6 +20,7 @@ from scenes.pictures import (
     one_scene,
     triangle,
 )
+from scenes.renderers import RENDERERS
 
 from warp_partdr.body.posing import pose
 from warp_partdr.cameras import Crop, Perspective, WeakPerspective
@@ -28,7 +28,6 @@ from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
 
-RENDERERS = [*GRADIENTS, "mesh"]
 SIZE = (24, 32)
 NAN, INF = math.nan, math.inf
 

@@ -39,13 +39,11 @@ from scenes.pictures import (
     relative_error,
     scene_of,
     smooth_maps,
-    triangle,
     upright,
 )
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.body.posing import pose
-from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.reference import coverage
 from warp_partdr.reference import ellipsoids as ellipsoid_reference
 from warp_partdr.reference import mesh as mesh_reference
@@ -80,22 +78,6 @@ def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
     assert all(torch.isfinite(each).all() for each in torch.autograd.grad(loss.sum(), list(leaves.values())))
     if shows is not None:  # at the camera itself, parts of a mesh may be in front where no whole ellipsoid is
         assert [bool((each.labels > 0).any()) for each in (image, picture)] == [shows, shows]
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-8, math.pi - 1e-6, math.pi, 2 * math.pi])
-def test_bodies_turned_by_nothing_and_by_half_a_turn(device, angle):
-    size = (40, 32)
-    parameters = body_parameters(0, device)
-    turns = torch.zeros(1, 20, 3, device=device)
-    turns[..., 0] = angle
-    turns.requires_grad_()
-    parameters["rotations"] = rotation_from_axis_angle(turns)
-    camera = body_camera(size, False, device=device)
-    for gradient in GRADIENTS:
-        loss, _ = ellipsoid_label_loss(pose(**parameters), camera, checked_target(size, 20, device), gradient=gradient)
-        (have,) = torch.autograd.grad(loss.sum(), turns, retain_graph=True)
-        assert torch.isfinite(have).all()
-        assert (have != 0).any()
 
 
 # --- Equal depths, empty and full targets, labels outside the set ---------------------------------------------------
@@ -146,7 +128,7 @@ def test_empty_and_full_targets(device, label):
 
 
 def test_a_label_that_no_part_has(device):
-    """Ellipsoids can't show it: each such pixel is missed, and what shows there is wrong. Meshes refuse it."""
+    """Ellipsoids can't show it: each such pixel is missed, and what shows there is wrong."""
     size = (16, 16)
     scene = one_scene((0, 0, 3), (0.5, 0.4, 0.3), False)
     target = torch.full((1, *size), 200, dtype=torch.uint8, device=device)
@@ -155,8 +137,6 @@ def test_a_label_that_no_part_has(device):
         loss, image = leaves.push_by_loss(target, gradient=gradient)
         assert loss.item() == 16 * 16 + (image.labels > 0).sum()
         assert all_finite(leaves)
-    with pytest.raises(ValueError, match="target: label 200"):
-        loss_on_screen(*triangle(device), target)
 
 
 # --- Sizes ----------------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from scenes.pictures import (
     draw_on_screen,
     loss_on_screen,
     mesh_picture,
-    mesh_scene,
     push_on_screen,
 )
 from scipy.spatial.transform import Rotation
@@ -206,27 +205,6 @@ def test_meshes_come_to_the_exact_gradient(device, kind, perspective, shift, lab
     first, middle, last = np.array(errors)
     assert first[0] > middle[0] > last[0]  # x, y
     assert (first > last).all()
-
-
-@pytest.mark.parametrize("how", ["label_loss", "maps"])
-def test_a_body_with_faces_seen_edge_on_follows_the_reference(device, how):
-    """From the front, 56 of the mean body's 400 faces have no area in the picture."""
-    size = (64, 64)
-    camera, mesh = camera_of(64, False, device), ellipbody_mesh(0, device=device)
-    leaf = camera.project(bodies("frontal", False, device).vertices(0)).detach().requires_grad_()
-    image = draw_on_screen(leaf, mesh, size, num_maps=20, depth_weight=0.0)
-    shown = image.labels[0].cpu().numpy()
-    target = np.roll(shown, (2, 5), (0, 1))
-    g = label_gradient(shown, target, 20)
-    if how == "label_loss":
-        push_on_screen(leaf, mesh, torch.from_numpy(target)[None].to(device), depth_weight=0.0)
-    else:
-        (image.maps[0] * torch.from_numpy(g).float().to(device)).sum().backward()
-    scene = mesh_scene(leaf[0], mesh)
-    assert sum(reference.cross(*scene.vertices[face]) == 0 for face in scene.faces) == 56
-    want = reference.gradient(scene, mesh_picture(image), g, depth_weight=0.0)
-    have = leaf.grad[0].cpu().numpy()
-    assert np.linalg.norm(have - want) < 1e-4 * np.linalg.norm(want)
 
 
 def test_a_box_seen_head_on_is_pulled_as_one_square(device):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -15,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
-from warp_partdr.cameras import Camera, Perspective, WeakPerspective
+from warp_partdr.cameras import Camera, Crop, Perspective, WeakPerspective
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.render.part_mesh import ellipbody_mesh
+from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
 from warp_partdr.render.renderers import RendererMesh
 from warp_partdr.render.subdivisions import coarsest_subdivisions, silhouette_error
 
@@ -36,22 +34,18 @@ def views(bodies: BodyParameters) -> dict[str, tuple[Posed | Ellipsoids, Camera]
     return {"weak": (posed, weak), "perspective": (moved, camera)}
 
 
-def enlarged(camera: Camera) -> Camera:
-    if isinstance(camera, Perspective):
-        return Perspective(camera.focal * FINE, camera.centre * FINE)
-    return replace(camera, scale=camera.scale * FINE, translation=camera.translation * FINE)
-
-
-def measured_error(parts: Posed | Ellipsoids, camera: Camera, level: int) -> np.ndarray:
-    """How far pixels of the exact silhouette are from the mesh's [px], the farthest of each body."""
-    size, fine = (SIZE * FINE, SIZE * FINE), enlarged(camera)
+def silhouettes(parts: Posed | Ellipsoids, camera: Camera, mesh: PartMesh, level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Silhouettes of ellipsoids and of their mesh, shape (B, H, W), finely sampled."""
+    size = (SIZE * FINE, SIZE * FINE)
+    fine = camera.in_crop(Crop(0.0, 0.0, FINE, size))
     exact = draw_ellipsoids(parts, fine, size).labels.cpu().numpy() > 0
     posed = Posed(parts.centres, parts.axes, parts.centres, parts.axes, parts.semi_axes)  # vertices ask for three
-    mesh = ellipbody_mesh(level, device=parts.centres.device)
-    image = draw_mesh(posed.vertices(level), mesh, fine, size)
-    drawn = image.labels.cpu().numpy() > 0
-    assert not (drawn & ~exact).any()  # the mesh is inscribed
-    return np.array([distance_transform_edt(~mine)[true].max() for mine, true in zip(drawn, exact, strict=True)]) / FINE
+    return exact, draw_mesh(posed.vertices(level), mesh, fine, size).labels.cpu().numpy() > 0
+
+
+def measured_error(exact: np.ndarray, drawn: np.ndarray) -> float:
+    """How far pixels of the exact silhouette are from the mesh's, the farthest [px]."""
+    return float(distance_transform_edt(~drawn)[exact].max()) / FINE
 
 
 @pytest.mark.parametrize("kind", ["weak", "perspective"])
@@ -61,7 +55,9 @@ def test_auto_keeps_its_tolerance(device: str, kind: str, tolerance: float) -> N
     for index in range(4):
         parts, camera = views(bodies.select(torch.tensor([index], device=device)))[kind]
         level = coarsest_subdivisions(parts, camera, tolerance=tolerance)
-        assert measured_error(parts, camera, level)[0] <= tolerance + 1.5 / FINE  # a sample, and its diagonal
+        (exact,), (drawn,) = silhouettes(parts, camera, ellipbody_mesh(level, device=device), level)
+        assert not (drawn & ~exact).any()  # the mesh is inscribed
+        assert measured_error(exact, drawn) <= tolerance + 1.5 / FINE  # a sample, and its diagonal
         if level > 0:  # a coarser one would not do
             assert float(silhouette_error(parts, camera, level - 1).max()) > tolerance
 
@@ -75,17 +71,11 @@ def test_silhouette_error_is_what_pictures_show(device: str, kind: str, level: i
     looked_at = 0
     for part in (0, 5, 13):
         alone = Ellipsoids(*(tensor[:, part : part + 1] for tensor in (parts.centres, parts.axes, parts.semi_axes)))
-        size, fine = (SIZE * FINE, SIZE * FINE), enlarged(camera)
-        exact = draw_ellipsoids(alone, fine, size).labels.cpu().numpy() > 0
-        unit = ellipbody_mesh(level, device=device)
-        posed = Posed(alone.centres, alone.axes, alone.centres, alone.axes, alone.semi_axes)
-        mesh = replace(
-            unit, faces=unit.faces[unit.face_labels == 1], face_labels=unit.face_labels[unit.face_labels == 1]
-        )
-        drawn = draw_mesh(posed.vertices(level), mesh, fine, size).labels.cpu().numpy() > 0
+        mesh = ellipbody_mesh(level, device=device).relabel({label: int(label == 1) for label in range(1, 21)})
+        exact, drawn = silhouettes(alone, camera, mesh, level)
         for body in range(3):
             if exact[body].any() and not exact[body][[0, -1]].any() and not exact[body][:, [0, -1]].any():
-                seen = distance_transform_edt(~drawn[body])[exact[body]].max() / FINE
+                seen = measured_error(exact[body], drawn[body])
                 assert seen == pytest.approx(float(errors[body, part]), abs=1.5 / FINE)
                 looked_at += 1
     assert looked_at >= 6  # of nine; the picture's border may cut others

@@ -176,9 +176,13 @@ def turn_gradient(axes, grad_axes):
     return np.einsum("pij,aik,pkj->pa", grad_axes, generators, axes)
 
 
-def projected_bodies(seed, size, device, perspective=False, subdivisions=0, batch=1):
-    """The vertices of posed bodies on the screen, as a leaf, and their mesh."""
-    vertices = pose(**body_parameters(seed, device, batch)).vertices(subdivisions)
+def projected_bodies(seed, size, device, perspective=False, subdivisions=0, batch=1, frontal=False):
+    """The vertices of posed bodies on the screen, as a leaf, and their mesh; ``frontal`` are at rest."""
+    parameters = body_parameters(seed, device, batch)
+    if frontal:
+        parameters["global_orient"] = torch.diag(torch.tensor([1.0, -1, -1], device=device)).expand(batch, 3, 3)
+        parameters["rotations"] = torch.eye(3, device=device).expand(batch, 20, 3, 3)
+    vertices = pose(**parameters).vertices(subdivisions)
     points = body_camera(size, perspective, batch, device).project(vertices)
     return points.requires_grad_(), ellipbody_mesh(subdivisions, device=device)
 
