@@ -1,7 +1,8 @@
 """What a bit of a label's border costs, against sums over many places along it; and where borders are looked for."""
 
+from itertools import product
+
 import numpy as np
-import pytest
 import warp as wp
 
 from warp_partdr.kernels.ellipsoids.borders import chord_shares
@@ -35,23 +36,15 @@ def chord_costs(maps: np.ndarray, starts: np.ndarray, ends: np.ndarray, device: 
     return shares.numpy()
 
 
-@pytest.fixture
-def maps(rng: np.random.Generator) -> np.ndarray:
-    return rng.normal(size=(HEIGHT, WIDTH)).astype(np.float32)
+def test_a_chords_ends_share_what_lies_along_it(device, rng):
+    """As linear interpolation weighs each place, whichever way it is walked; beyond the picture nothing costs.
 
-
-@pytest.fixture
-def chords(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Short and long ones, in the picture, across its border and beside it, and along the axes."""
-    starts = rng.uniform([-3, -3], [WIDTH + 3, HEIGHT + 3], (200, 2))
-    ends = starts + rng.normal(size=(200, 2)) * rng.choice([0.3, 2.0, 8.0], (200, 1))
+    Chords are short and long, in the picture, across its border and beside it, and along the axes.
+    """
+    maps = rng.normal(size=(HEIGHT, WIDTH)).astype(np.float32)
+    starts = rng.uniform([-3, -3], [WIDTH + 3, HEIGHT + 3], (200, 2)).astype(np.float32)
+    ends = (starts + rng.normal(size=(200, 2)) * rng.choice([0.3, 2.0, 8.0], (200, 1))).astype(np.float32)
     ends[:20, 0], ends[20:40, 1] = starts[:20, 0], starts[20:40, 1]
-    return starts.astype(np.float32), ends.astype(np.float32)
-
-
-def test_a_chords_ends_share_what_lies_along_it(device, maps, chords):
-    """As linear interpolation weighs each place; what lies beyond the picture costs nothing."""
-    starts, ends = chords
     along = (np.arange(20_000) + 0.5) / 20_000
     places = starts[:, None] + along[:, None] * (ends - starts)[:, None].astype(np.float64)
     columns, rows = np.floor(places).astype(int).transpose(2, 0, 1)
@@ -59,11 +52,8 @@ def test_a_chords_ends_share_what_lies_along_it(device, maps, chords):
     costs = np.where(inside, maps[rows.clip(0, HEIGHT - 1), columns.clip(0, WIDTH - 1)], 0.0)
     wanted = np.stack([(costs * (1 - along)).mean(1), (costs * along).mean(1)], axis=1)
     assert 20 < (inside.any(1) & ~inside.all(1)).sum() < 180
-    np.testing.assert_allclose(chord_costs(maps, starts, ends, device), wanted, atol=1e-3)
-
-
-def test_a_chord_walked_backwards_changes_its_ends(device, maps, chords):
-    there, back = chord_costs(maps, *chords, device), chord_costs(maps, *chords[::-1], device)
+    there, back = chord_costs(maps, starts, ends, device), chord_costs(maps, ends, starts, device)
+    np.testing.assert_allclose(there, wanted, atol=1e-3)
     np.testing.assert_allclose(back[:, ::-1], there, atol=1e-5)
     assert np.abs(there).max() > 0.1
 
@@ -93,7 +83,7 @@ def test_bounds_of_an_ellipsoid_hold_all_over_a_cell(device, rng):
     wp.launch(bound_rooms, count, inputs, [ranges], device=device)
     low, high = ranges.numpy().T
 
-    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 21)] * 2), axis=-1).reshape(-1, 2)
+    steps = np.array(list(product(np.linspace(-1, 1, 21), repeat=2)))
     x, y = (places[:, None] + halves[:, None, None] * steps).transpose(2, 0, 1)
     across, down = factors[:, :1] * x, factors[:, 1:2] * x + factors[:, 2:] * y
     rooms = bulges[:, None] ** 2 * (1 - across**2 - down**2)

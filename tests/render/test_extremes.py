@@ -154,15 +154,15 @@ def test_a_picture_of_8192_pixels_a_side(device):
     loss, image = ellipsoid_label_loss(posed, camera, target, gradient="edges")
     gradients = torch.autograd.grad(loss.sum(), list(parameters.values()), retain_graph=True)
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
-    rng = np.random.default_rng(0)
-    rows, columns = rng.integers(0, 8192, (2, 40_000))
+    rows, columns = np.random.default_rng(0).integers(0, 8192, (2, 40_000))
+    places = (0, *(torch.from_numpy(each).to(device) for each in (rows, columns)))
     scene = scene_of(posed, camera)
     parts = []
     for off in (-0.05, 0.0, 0.05):
         depths = ellipsoid_reference.fronts(scene, columns + 0.5 + off, rows + 0.5 - off)
         parts.append(np.where(np.isfinite(depths.min(0)), depths.argmin(0) + 1, 0))
     sure = (parts[0] == parts[1]) & (parts[1] == parts[2])
-    have = image.parts[0, torch.from_numpy(rows).to(device), torch.from_numpy(columns).to(device)].cpu().numpy()
+    have = image.parts[places].cpu().numpy()
     assert (parts[1][sure] > 0).sum() > 1000
     np.testing.assert_array_equal(have[sure], parts[1][sure])
     del image
@@ -170,8 +170,7 @@ def test_a_picture_of_8192_pixels_a_side(device):
     loss, picture = loss_on_screen(vertices, ellipbody_mesh(0, device=device), target)
     (gradient,) = torch.autograd.grad(loss.sum(), vertices)
     assert torch.isfinite(gradient).all()
-    meshes = picture.labels[0, torch.from_numpy(rows).to(device), torch.from_numpy(columns).to(device)].cpu().numpy()
-    assert (meshes == parts[1]).mean() > 0.97  # twenty faces an ellipsoid
+    assert (picture.labels[places].cpu().numpy() == parts[1]).mean() > 0.97  # twenty faces an ellipsoid
 
 
 # --- Ellipsoids: needles, dust, walls, a million pixels off ----------------------------------------------------------
