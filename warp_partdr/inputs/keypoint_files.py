@@ -108,24 +108,20 @@ def _format_name(text: str, where: str) -> str:
 
 def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
     """Objects with "keypoints", one per person, whatever the file's shape."""
+    common = {}
     if isinstance(data, Mapping):
-        for key in ("people", "instances", "annotations"):
-            if isinstance(data.get(key), list):
-                return _people_of_list(data[key], name, data.get("format"))
-        if "keypoints" in data and _holds_people(data["keypoints"]):
-            return _people_of_list(data["keypoints"], name, data.get("format"))
-        return [data]
-    if isinstance(data, list):
-        if _holds_people(data):
-            return _people_of_list(data, name, None)
+        lists = [data[key] for key in ("people", "instances", "annotations") if isinstance(data.get(key), list)]
+        if not lists and not _holds_people(data.get("keypoints")):
+            return [data]
+        if data.get("format") is not None:
+            common = {"format": data["format"]}
+        data = lists[0] if lists else data["keypoints"]
+    elif not isinstance(data, list):
+        raise InputError(f"{name}: {type(data).__name__}; expected an object or a list of keypoints")
+    elif not _holds_people(data):
         return [{"keypoints": data}] if data else []
-    raise InputError(f"{name}: {type(data).__name__}; expected an object or a list of keypoints")
-
-
-def _people_of_list(entries: Sequence[Any], name: str, fmt: Any) -> list[Mapping[str, Any]]:
-    common = {} if fmt is None else {"format": fmt}
     people: list[Mapping[str, Any]] = []
-    for index, entry in enumerate(entries):
+    for index, entry in enumerate(data):
         if isinstance(entry, list):
             people.append({**common, "keypoints": entry})
         elif isinstance(entry, Mapping):
