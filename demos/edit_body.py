@@ -21,14 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import Posed
-from warp_partdr.body.template import (
-    BONE_STARTS,
-    JOINT_NAMES,
-    LENGTH_NAMES,
-    NUM_PARTS,
-    PART_NAMES,
-    SIZE_COLUMNS,
-)
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, SIZE_COLUMNS
 from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import MEASURES, UNGROWN

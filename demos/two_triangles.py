@@ -110,10 +110,7 @@ def draw_picture(scenes: Scenes, courses: dict[Supervision, torch.Tensor]) -> Fi
 
 def count_table(count: int, supervisions: tuple[Supervision, ...], device: str) -> str:
     """Table, in Markdown, of the random scenes of either kind that end right, out of ``count``."""
-    lines = [
-        f"| of {count} scenes | supervision | in place | in order | reached |",
-        "|---|---|---:|---:|---:|",
-    ]
+    lines = [f"| of {count} scenes | supervision | in place | in order | reached |", "|---|---|---:|---:|---:|"]
     for kind, alike in (("alike, exchanged", True), ("different, anywhere", False)):
         scenes = random_scenes(count, alike=alike, device=device)
         for supervision in supervisions:

@@ -56,11 +56,7 @@ _STAGES = ("#f6f6f6", "#e8edf3")
 
 
 def overlay(
-    body: Body,
-    photo: np.ndarray,
-    *,
-    camera: WeakPerspective | None = None,
-    keypoints: Keypoints2D | None = None,
+    body: Body, photo: np.ndarray, *, camera: WeakPerspective | None = None, keypoints: Keypoints2D | None = None
 ) -> Figure:
     """A body over the photo it was fitted to.
 

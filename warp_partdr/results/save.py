@@ -40,10 +40,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
-DETAILED_FILES = (
-    *(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")),
-    REGISTRATION_REPORT,
-)
+DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 
 
