@@ -66,15 +66,12 @@ def test_human36m_reads_spins_arrays(tmp_path, rng):
         joint = skeleton("h36m17").landmarks.index(name)
         assert second.keypoints.points[joint] == pytest.approx(arrays["part"][1, place, :2], rel=1e-6), name
     assert (second.keypoints.confidence == 1).all()
+    assert [SPIN_JOINTS[place] for place in H36M_PLACES] == H36M
+    assert SPIN_JOINTS[19:] == "nose left_eye right_eye left_ear right_ear".split()
     # As SPIN evaluates: the first 13 of the 24, and joint 18 for the head.
+    assert tuple(SPIN_JOINTS[:14]) == LSP
     assert second.joint_names == LSP
     np.testing.assert_array_equal(second.joints, arrays["S"][1, [*range(13), 18], :3])
-
-
-def test_the_24_joints_are_named_as_in_spin():
-    assert tuple(SPIN_JOINTS[:14]) == LSP
-    assert SPIN_JOINTS[19:] == "nose left_eye right_eye left_ear right_ear".split()
-    assert [SPIN_JOINTS[place] for place in H36M_PLACES] == H36M
 
 
 def test_joints_that_are_not_known_are_nan_and_openposes_keypoints_stand_in(tmp_path, rng):

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from typer.testing import CliRunner
 
-from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.cli.evaluate import evaluate
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
@@ -21,11 +19,6 @@ from warp_partdr.evaluation.partbench.methods import METHODS, registered_vertice
 from warp_partdr.evaluation.partbench.report import compare_methods, worst, write_report
 from warp_partdr.evaluation.partbench.samples import LABELS, make_sample, partbench_samples, source_name
 from warp_partdr.evaluation.scoring import Pixels, Score
-from warp_partdr.fit.start_search import hypothesize
-from warp_partdr.inputs.observation import observe
-from warp_partdr.refinement.energy import Energy
-from warp_partdr.refinement.refine import refine
-from warp_partdr.render.renderers import RendererEllipsoids
 from warp_partdr.synthetic.noise import LEVELS
 from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
 
@@ -59,16 +52,6 @@ def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:
 def test_bad_requests_are_refused(count: int, levels: list[str]) -> None:
     with pytest.raises(InputError, match="expected"):
         partbench_samples(count, levels)
-
-
-@pytest.mark.parametrize("method", ["full silhouette", "parts"])
-def test_only_parts_have_a_z_gradient_and_it_can_be_left_out(method: str, device: str) -> None:
-    sample = make_sample(1, "clean")
-    seen, _ = observe(sample.keypoints, SUPERVISIONS[method].see(sample.parts), device=device)
-    start = hypothesize(seen, 8)[0]
-    prior, renderers = PosePrior().to(device), (RendererEllipsoids(depth_weight=weight) for weight in (1.0, 0.0))
-    ends = [refine(start, Energy(seen, 64, prior=prior, renderer=each), iterations=5).parameters for each in renderers]
-    assert torch.equal(ends[0].rotations, ends[1].rotations) == (method == "full silhouette")
 
 
 def _score(sample: str, method: str, pa_mpjpe: float, right: int) -> Score:
