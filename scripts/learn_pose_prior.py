@@ -252,6 +252,13 @@ def report(prior: PosePrior, learned: mocap.Clip, held_out: mocap.Clip) -> None:
     elbows = held_out[np.linalg.norm(turns[:, elbow], axis=1) > 0.5]
     upright = held_out[held_out.up_directions()[:, 1] > 0.95]
 
+    def add(name: str, clip: mocap.Clip, vectors: np.ndarray | None = None, up: np.ndarray | None = None) -> None:
+        vectors = torch.from_numpy(clip.rotation_vectors() if vectors is None else vectors).float()
+        nll = prior(vectors, torch.from_numpy(clip.up_directions() if up is None else up).float()).numpy()
+        excess = prior.joint_limits(vectors).numpy()
+        values = [f"{value:.1f}" for value in (nll.mean(), np.median(nll), np.percentile(nll, 90))]
+        table.add_row(name, *values, f"{excess.mean():.4f}", f"{100 * (excess > 0).mean():.0f} %")
+
     def turned(clip: mocap.Clip, part: int, factor: float = 1.0, added: tuple[float, ...] = (0.0,)) -> np.ndarray:
         vectors = clip.rotation_vectors()
         vectors[:, part] = vectors[:, part] * factor + added
@@ -260,27 +267,17 @@ def report(prior: PosePrior, learned: mocap.Clip, held_out: mocap.Clip) -> None:
     def leaning(clip: mocap.Clip, axis: int, degrees: float) -> np.ndarray:
         return clip.up_directions() @ mocap.rotation_matrices(np.radians(degrees) * np.eye(3)[axis]).T
 
-    def plain(clip: mocap.Clip) -> tuple[np.ndarray, np.ndarray]:
-        return clip.rotation_vectors(), clip.up_directions()
-
-    for name, (vectors, up) in {
-        "learned from (weighted frames)": plain(learned),
-        "held-out clips": plain(held_out),
-        "held out, left knee bent over 0.5 rad": plain(knees),
-        "   that knee reversed": (turned(knees, knee, -1.0), knees.up_directions()),
-        "held out, right elbow bent over 0.5 rad": plain(elbows),
-        "   that elbow reversed": (turned(elbows, elbow, -1.0), elbows.up_directions()),
-        "held out, pelvis upright": plain(upright),
-        "   leaning 40° forward": (upright.rotation_vectors(), leaning(upright, 0, -40)),
-        "   leaning 40° backward": (upright.rotation_vectors(), leaning(upright, 0, 40)),
-        "   leaning 40° to the side": (upright.rotation_vectors(), leaning(upright, 2, 40)),
-        "   chest twisted by 60°": (turned(upright, chest, added=(0.0, np.pi / 3, 0.0)), upright.up_directions()),
-    }.items():
-        tensor = torch.tensor(vectors, dtype=torch.float32)
-        nll = prior(tensor, torch.tensor(up, dtype=torch.float32)).numpy()
-        excess = prior.joint_limits(tensor).numpy()
-        values = [f"{value:.1f}" for value in (nll.mean(), np.median(nll), np.percentile(nll, 90))]
-        table.add_row(name, *values, f"{excess.mean():.4f}", f"{100 * (excess > 0).mean():.0f} %")
+    add("learned from (weighted frames)", learned)
+    add("held-out clips", held_out)
+    add("held out, left knee bent over 0.5 rad", knees)
+    add("   that knee reversed", knees, turned(knees, knee, -1.0))
+    add("held out, right elbow bent over 0.5 rad", elbows)
+    add("   that elbow reversed", elbows, turned(elbows, elbow, -1.0))
+    add("held out, pelvis upright", upright)
+    add("   leaning 40° forward", upright, up=leaning(upright, 0, -40))
+    add("   leaning 40° backward", upright, up=leaning(upright, 0, 40))
+    add("   leaning 40° to the side", upright, up=leaning(upright, 2, 40))
+    add("   chest twisted by 60°", upright, turned(upright, chest, added=(0.0, np.pi / 3, 0.0)))
     print(table)
 
 
