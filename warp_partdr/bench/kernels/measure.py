@@ -10,13 +10,11 @@ from typing import Any
 import torch
 
 from ...body.parameters import BodyParameters
-from ...cameras import ScreenCamera
 from ...fit.fitting import Progress
 from ...refinement.energy import Energy
 from ...refinement.refine import refine
 from ...refinement.stepper import Refined, Refinement
 from ...render.ellipsoids import Ellipsoids, ellipsoid_label_loss
-from ...render.mesh import mesh_label_loss
 from ...render.part_mesh import ellipbody_mesh
 from ..jobs import run_jobs
 from ..launches import count_bytes, observe_launches, time_kernels
@@ -24,7 +22,7 @@ from ..machine import about, copy_bandwidth
 from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
-from .peers import OURS, PEERS, MeshView
+from .peers import OURS, PEERS, MeshView, ours
 from .plan import (
     GRADIENT,
     KERNELS,
@@ -121,20 +119,23 @@ def _renderer(scene: BenchScene, name: str) -> ExactRun | MeshRun:
 
 def _torch_gradient(scene: BenchScene, name: str) -> Callable[[], object]:
     """L_seg and its gradient through autograd: with respect to posed ellipsoids, or to projected vertices."""
-    posed, camera, targets = scene.posed, scene.camera, scene.targets
-    loss: Callable[[], torch.Tensor]
-    leaf = posed.centres.detach().requires_grad_()
+    loss: Callable[[torch.Tensor], torch.Tensor]
+    leaf = scene.posed.centres.detach().requires_grad_()
     if name == TORCH_ITSELF:
-        loss = partial(_Nothing.apply, leaf)
+        loss = _Nothing.apply
     elif name in GRADIENTS:
-        ellipsoids = Ellipsoids(leaf, posed.axes.detach(), posed.semi_axes.detach())
-        draw = partial(ellipsoid_label_loss, gradient=GRADIENTS[name], validate=False)
-        loss = lambda: draw(ellipsoids, camera, targets)[0]  # noqa: E731
+        ellipsoids = Ellipsoids(leaf, scene.posed.axes.detach(), scene.posed.semi_axes.detach())
+        seen = ellipsoids, scene.camera, scene.targets
+        loss = lambda _: ellipsoid_label_loss(*seen, gradient=GRADIENTS[name], validate=False)[0]  # noqa: E731
     else:
-        mesh, screen = ellipbody_mesh(LEVELS[name], device=targets.device), ScreenCamera(perspective=False)
-        leaf = camera.project(posed.vertices(LEVELS[name])).detach().requires_grad_()
-        loss = lambda: mesh_label_loss(leaf, mesh, screen, targets, validate=False)[0]  # noqa: E731
-    return lambda: torch.autograd.grad(loss().sum(), leaf)
+        view = _mesh_view(scene, name)
+        leaf, (_, loss) = view.vertices.requires_grad_(), ours(view)
+    return lambda: torch.autograd.grad(loss(leaf).sum(), leaf)
+
+
+def _mesh_view(scene: BenchScene, name: str) -> MeshView:
+    points = scene.camera.project(scene.posed.vertices(LEVELS[name])).detach().contiguous()
+    return MeshView(points, ellipbody_mesh(LEVELS[name], device=points.device), scene.targets)
 
 
 class _Nothing(torch.autograd.Function):
@@ -191,10 +192,8 @@ def _peer_jobs(plan: KernelPlan, remarks: list[str]) -> _Jobs:
 
 
 def _time_peer(plan: KernelPlan, remarks: list[str], name: str, batch: int) -> _Rows:
-    scene, mesh = BenchScene.random(batch, plan.size, plan.device), ellipbody_mesh(LEVELS[MESH], device=plan.device)
-    points = scene.camera.project(scene.posed.vertices(LEVELS[MESH])).detach().contiguous()
-    view = MeshView(points, mesh, scene.targets)
-    leaf = points.clone().requires_grad_()
+    view = _mesh_view(BenchScene.random(batch, plan.size, plan.device), MESH)
+    leaf = view.vertices.clone().requires_grad_()
     try:
         draw, loss = PEERS[name].adapt(view)
         agreement = float((draw() == PEERS[OURS].adapt(view)[0]()).float().mean())
