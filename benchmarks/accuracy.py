@@ -82,7 +82,6 @@ COLUMNS = {  # of tables: a figure's name and its format
     "undisputed: foreground": ("undisputed_foreground_f1", "{:.3f}"),
     "part": ("undisputed_part_f1", "{:.3f}"),
     "keypoints off [% of height]": ("keypoint_distance", "{:.1%}"),
-    "hypotheses": ("hypotheses", "{:.0f}"),
     "time [s]": ("seconds", "{:.1f}"),
 }
 

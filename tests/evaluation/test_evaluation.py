@@ -44,7 +44,6 @@ class Body:
 
     joints: np.ndarray
     drawn: np.ndarray
-    hypotheses: int = 64
     camera: WeakPerspective = CAMERA
 
     def landmarks(self, names: Any) -> np.ndarray:
@@ -86,7 +85,7 @@ def test_score_by_hand(rng):
     vertices[0, 1] = 0.02
     found = score_fit(sample, "parts", body, 2.0, vertices)
     assert (found.source, found.sample, found.method) == ("made", "one", "parts")
-    assert (found.seconds, found.hypotheses) == (2.0, 64)
+    assert found.seconds == 2.0
     assert found.mpjpe == pytest.approx(140 / 14, abs=1e-3)
     assert found.pa_mpjpe == pytest.approx(1000 * float(pa_mpjpe(body.joints, sample.joints)), rel=1e-4)
     assert found.pve == pytest.approx(20 / 4, abs=1e-3)
@@ -184,7 +183,7 @@ def foreground_of(counts: np.ndarray) -> np.ndarray:
 
 def made_score(counts: np.ndarray | None, error: float, method: str = "parts", source: str = "a") -> Score:
     pixels = None if counts is None else Pixels(CLASSES, counts, counts, counts, foreground_of(counts))
-    return Score(source, "one", method, np.array([0.01, 0.03]), 1.0, 64, pixels, 2 * error, error)
+    return Score(source, "one", method, np.array([0.01, 0.03]), 1.0, pixels, 2 * error, error)
 
 
 def test_pixels_are_pooled_and_joints_averaged():

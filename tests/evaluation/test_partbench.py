@@ -57,7 +57,7 @@ def test_bad_requests_are_refused(count: int, levels: list[str]) -> None:
 def _score(sample: str, method: str, pa_mpjpe: float, right: int) -> Score:
     counts = np.array([[80, 0], [20 - right, right]])
     pixels = Pixels(("background", "body"), counts, counts, counts, counts)
-    return Score(source_name("clean"), sample, method, np.array([0.01]), 1.0, 1, pixels, pa_mpjpe, pa_mpjpe)
+    return Score(source_name("clean"), sample, method, np.array([0.01]), 1.0, pixels, pa_mpjpe, pa_mpjpe)
 
 
 def test_findings_say_what_is_better() -> None:

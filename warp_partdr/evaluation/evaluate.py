@@ -51,7 +51,7 @@ class Method:
     """One way to fit. Its functions are called in other processes, so they must be those of a module.
 
     ``fit`` is called as ``fit_body`` is, with keypoints, labels, others, options and device; it returns a
-    ``FitResult``, or what has its ``hypotheses``, ``camera``, ``landmarks`` and ``draw``.
+    ``FitResult``, or what has its ``camera``, ``landmarks`` and ``draw``.
     """
 
     see: Callable[[PartLabels], PartLabels | None] = all_parts  # what of a sample's labels the fit gets to see

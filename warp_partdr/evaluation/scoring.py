@@ -27,7 +27,6 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("pa_mpjpe_mm", "pa_mpjpe", 1),
     ("pve_mm", "pve", 1),
     ("seconds", "seconds", 2),
-    ("hypotheses", "hypotheses", 1),
 )
 
 
@@ -51,7 +50,6 @@ class Score:
     method: str  # how it was fitted
     keypoints: np.ndarray  # distance of each confident keypoint, as a share of the person's height, shape (K,)
     seconds: float  # wall time
-    hypotheses: int  # number of starts
     pixels: Pixels | None = None  # None if the sample has no labels to be scored against
     mpjpe: float = math.nan  # [mm], pelvis-centred; NaN if the true joints are not known
     pa_mpjpe: float = math.nan  # [mm], the same
@@ -80,7 +78,6 @@ def score_fit(
         method=method,
         keypoints=distances / max(person_height(sample.keypoints), 1.0),
         seconds=seconds,
-        hypotheses=result.hypotheses,
         pixels=_pixels(sample, result),
         **_joint_errors(sample, result, vertices),
     )

@@ -42,11 +42,6 @@ class AnnyFit:
     camera: WeakPerspective  # in pixels of the full picture, B = 1
 
     @property
-    def hypotheses(self) -> int:
-        """Number of starts of EllipBody's fit."""
-        return self.first.hypotheses
-
-    @property
     def vertices(self) -> np.ndarray:
         """Shape (V, 3) [m]."""
         return self.body.vertices[0].cpu().numpy()
