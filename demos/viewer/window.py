@@ -18,8 +18,7 @@ from .scene import Scene
 from .settings import QUALITIES
 from .sliders import Page, SliderColumn, make_page
 from .state import DemoState
-from .tradeoff import Tradeoff
-from .tradeoff_table import TradeoffTable
+from .tradeoff import Tradeoff, TradeoffTable
 
 _UNSEEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
 _TICK = 15  # [ms] between a picture and the next step
