@@ -22,28 +22,17 @@ Row = dict[str, Any]  # of JSON; arrays hold a number for each person
 
 @dataclass
 class TradeoffReport:
-    """All that was measured.
+    """All that was measured, in rows: of each renderer and picture size, unless said."""
 
-    Attributes:
-        device: "cpu" or a CUDA device.
-        machine: Machine and versions by name.
-        times: Of an iteration, of one body, for each renderer and picture size.
-        fits: All refinements, by whose truth it is (``ELLIPBODY`` or ``ANNY``), what they see (``KEYPOINTS_TOO`` or
-            ``LABELS_ALONE``), setting, and distance of starts from the truth [rad]: ``score_bodies``, ``own_part_f1``,
-            of meshes that of the mesh itself, and the seconds that an iteration took for each of all bodies at once.
-        gradients: Of EllipBodies, ``gradient_error`` by renderer, picture size and distance from the truth [rad].
-        precisions: Of refinements in torch with numbers of a kind, ``score_bodies`` and how far joints end from
-            float32's [mm], mean.
-        qualities: Figures of whole fits (``scoring.summarise``) by PartBench's level and quality.
-    """
-
-    device: str
-    machine: dict[str, str]
-    times: list[Row] = field(default_factory=list)
+    device: str  # "cpu" or a CUDA device
+    machine: dict[str, str]  # machine and versions by name
+    times: list[Row] = field(default_factory=list)  # of an iteration, of one body
+    # All refinements: whose truth it is, what they see, setting, distance of starts [rad], ``score_bodies``,
+    # ``own_part_f1`` (of meshes), and the seconds that an iteration took for each of all bodies at once.
     fits: list[Row] = field(default_factory=list)
-    gradients: list[Row] = field(default_factory=list)
-    precisions: list[Row] = field(default_factory=list)
-    qualities: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    gradients: list[Row] = field(default_factory=list)  # ``gradient_error`` of EllipBodies, by distance, too
+    precisions: list[Row] = field(default_factory=list)  # by numbers: ``score_bodies``, and how far from float32 [mm]
+    qualities: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)  # whole fits by level and quality
 
     def time(self, setting: Setting) -> float:
         """Time of an iteration, of one body [s]."""
