@@ -90,8 +90,7 @@ def _members(
             raise InputError(f"{where}: no array {', '.join(missing)} (but {found}); expected {expected}")
         chosen = {name: members[name] for name in (*required, *optional) if name in members}
         if (size := sum(info.file_size for info in chosen.values())) > most:
-            sizes = f"{size / 1e6:.1f} MB when unpacked; expected {expected}, at most {most / 1e6:.1f} MB"
-            raise InputError(f"{where}: {sizes}")
+            raise InputError(f"{where}: {_size(size)} when unpacked; expected {expected}, at most {_size(most)}")
         return {name: _member(archive, name, info) for name, info in chosen.items()}
 
 
@@ -122,3 +121,10 @@ def _check_held(header: Header, size: int) -> None:
     shape, dtype = header
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
         raise ValueError(f"says that its shape is {shape}, but holds {size} bytes")
+
+
+def _size(count: int) -> str:
+    for unit, name in ((1e9, "GB"), (1e6, "MB")):
+        if count >= unit:
+            return f"{count / unit:.1f} {name}"
+    return f"{count / 1e3:.1f} kB"
