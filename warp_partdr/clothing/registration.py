@@ -7,6 +7,7 @@ are none of the model's people, parts grow. ``docs/registration.md`` has the for
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -16,6 +17,7 @@ from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES
 from ..errors import check_type
+from ..interop.adam import Adam
 from ..interop.checks import check_numbers, check_steps, check_tensor
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
@@ -171,8 +173,7 @@ def register(
     measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)
 
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
-    adam = torch.optim.Adam([{"params": [tensor], "lr": rate} for tensor, rate in zip(unknowns, _RATES, strict=True)])
-    falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(iterations, 1))
+    adam = Adam(([tensor], rate) for tensor, rate in zip(unknowns, _RATES, strict=True))
 
     def posed_model() -> tuple[torch.Tensor, Detailed]:
         rotations = pose.clone()
@@ -189,10 +190,8 @@ def register(
         _, detailed = posed_model()
         if searching:
             loss.search(detailed.vertices.detach())
-        adam.zero_grad()
         torch.stack(list(terms(detailed).values())).sum().backward()
-        adam.step()
-        falling.step()
+        adam.step((1 + math.cos(math.pi * iteration / iterations)) / 2)
         if progress is not None:
             progress("registration", iteration + 1, iterations)
     with torch.no_grad():

@@ -13,6 +13,7 @@ import torch
 
 from ..body.parameters import BodyParameters
 from ..errors import check_type
+from ..interop.adam import Adam
 from ..interop.checks import check_steps
 from ..interop.movable import Movable
 
@@ -83,9 +84,8 @@ class Refinement:
         self.best: Refined | None = None
         self.history: list[torch.Tensor] = []
         tensors = self.bodies.tensors()
-        rates = {name: learning_rate * (SHAPE_RATE if name in SIZES else 1.0) for name in free}
-        self._adam = torch.optim.Adam([{"params": tensors[name], "lr": rate} for name, rate in rates.items()])
-        self._schedule = torch.optim.lr_scheduler.LambdaLR(self._adam, lambda step: rate_share(step, iterations))
+        sizes, pose = ([tensors[name] for name in free if (name in SIZES) is kind] for kind in (True, False))
+        self._adam = Adam([(sizes, learning_rate * SHAPE_RATE), (pose, learning_rate)])
         device = self.bodies.lengths.device
         self._bounds = [(tensors[name], *size_bounds(name, device)) for name in SIZES if name in free]
 
@@ -93,10 +93,8 @@ class Refinement:
         """Take one iteration: evaluate, keep the best, move."""
         total = self._evaluate()
         self.history.append(total.detach())
-        self._adam.zero_grad(set_to_none=True)
         total.sum().backward()
-        self._adam.step()
-        self._schedule.step()
+        self._adam.step(rate_share(len(self.history) - 1, self._iterations))
         with torch.no_grad():
             for sizes, low, high in self._bounds:
                 sizes.clamp_(low, high)
