@@ -28,6 +28,7 @@ from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
 from ..inputs.keypoints import Keypoints2D, person_height
 from ..inputs.part_labels import PartLabels
+from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
@@ -44,6 +45,7 @@ DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", 
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 
 
+@one_torch_thread()
 def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None = None) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
@@ -94,6 +96,7 @@ def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarr
     return int(max(height, 1)), int(max(width, 1))
 
 
+@one_torch_thread()
 def save_registered(
     registered: Registered,
     folder: str | Path,
