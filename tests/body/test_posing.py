@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+import trimesh
 import warp as wp
 from scenes.bodies import random_parameters
 
@@ -56,6 +57,9 @@ def test_faces_point_outward_and_count_as_the_paper_says():
     for subdivisions, count in enumerate((20, 80, 320, 1280)):
         vertices, faces = icosphere(subdivisions)
         assert len(faces) == count
+        expected = trimesh.creation.icosphere(subdivisions=subdivisions)
+        assert np.array_equal(faces, expected.faces)
+        np.testing.assert_allclose(vertices, expected.vertices, rtol=0, atol=1e-15)
         a, b, c = vertices[faces].transpose(1, 0, 2)
         assert (np.einsum("fi,fi->f", np.cross(b - a, c - a), a) > 0).all()
         all_faces, labels = ellipbody_faces(subdivisions)

@@ -1,0 +1,38 @@
+"""Adam without torch's compiler: torch's own, to the bit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import torch
+
+from warp_partdr.interop.adam import Adam
+
+
+def test_it_is_torch_s_to_the_bit(device):
+    rates, shares = (0.1, 0.03), (1.0, 0.7, 0.2)
+    ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3)] for _ in range(2))
+    adam = Adam([(ours[:2], rates[0]), (ours[2:], rates[1]), ([], 1.0)])
+    expected = torch.optim.Adam([{"params": theirs[:2], "lr": rates[0]}, {"params": theirs[2:], "lr": rates[1]}])
+    for share in shares:
+        for tensors in (ours, theirs):
+            sum((tensor**3).sum() for tensor in tensors).backward()
+        for group, rate in zip(expected.param_groups, rates, strict=True):
+            group["lr"] = share * rate
+        adam.step(share)
+        expected.step()
+        expected.zero_grad()
+        assert all(map(torch.equal, ours, theirs))
+        assert all(tensor.grad is None for tensor in ours)
+
+
+def test_a_refinement_loads_no_compiler():
+    """Nor trimesh, for a sphere: they take longer to load than a fit takes."""
+    code = (
+        "import sys; from warp_partdr.body.parameters import BodyParameters as B;"
+        "from warp_partdr.refinement.stepper import Refinement;"
+        "Refinement(B.mean(1), lambda b: {'x': b.posed().joints.square().sum((1, 2))}, iterations=2).run();"
+        "print({'torch._dynamo', 'trimesh', 'scipy'} & set(sys.modules))"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1] == "set()"
