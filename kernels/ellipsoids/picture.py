@@ -222,7 +222,8 @@ def draw_rows(
         if losses.shape[0] > 0:
             in_words = in_words and are_words(target.target)
         together = wp.where(in_words, QUAD, 1)
-        for column in range(0, width, together):
+        column = int(0)
+        while column < width:  # twice as fast as a range with such a step
             wrong_or_shown = bool(True)
             if in_words and not whole_picture:
                 # Four pixels that show background and should.
@@ -243,6 +244,7 @@ def draw_rows(
                             depth[b, row, column + i] = depth_of(fronts[at], perspective)
                     if losses.shape[0] > 0:
                         loss += cost_of(target, int(target.target[t, row, column + i]), label)
+            column += together
         if losses.shape[0] > 0:
             losses[b, row] = loss
 
