@@ -1,4 +1,4 @@
-"""What all tests share: devices, seeds, Hypothesis profiles and the data beside the checkout."""
+"""Fixtures of all tests: devices, seeds, Hypothesis profiles and the data beside the checkout."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ LSP = skeleton("lsp14").landmarks
 
 
 def spin_arrays(rng: np.random.Generator, people: int = 2) -> dict[str, Any]:
-    """What SPIN's h36m_train.py writes, with its dtypes."""
+    """Files as SPIN's h36m_train.py writes them, with its dtypes."""
     truth, part = np.zeros((people, 24, 4)), np.zeros((people, 24, 3))
     truth[:, H36M_PLACES, :3], truth[:, H36M_PLACES, 3] = rng.normal(size=(people, 17, 3)), 1
     part[:, H36M_PLACES, :2], part[:, H36M_PLACES, 2] = rng.uniform(0, 1000, (people, 17, 2)), 1

@@ -174,7 +174,7 @@ def test_other_arrays_may_be_anything(tmp_path: Path) -> None:
 
 
 def test_json_of_the_docs_has_no_key_twice() -> None:
-    """What pages show can be read."""
+    """Examples of pages can be read."""
     page = Path(__file__).resolve().parents[2] / "docs" / "inputs.md"
     for block in page.read_text().split("```json\n")[1:]:
         assert parse_json(block.split("```")[0], "page", "JSON") == json.loads(block.split("```")[0])

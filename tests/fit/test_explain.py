@@ -74,7 +74,7 @@ def test_the_table_holds_every_choice(capsys):
 
 
 def test_fits_of_a_few_stages_still_fit():
-    """What is explained is what is done: the same stages, the same crop."""
+    """The same stages and crop are explained as are taken."""
     keypoints, parts = seen(WITHOUT_TIPS)
     options = FitOptions(stages=(Stage("lift", 8, 5, 0.1), Stage("labels", 2, 3, 0.02, 64)))
     result = fit_body(keypoints, parts, options=options)

@@ -64,7 +64,7 @@ def test_a_search_takes_over_from_a_network_gone_astray(device, astray):
 
 
 def test_the_better_of_both_wins(device, monkeypatch):
-    """Where a search is tried and finds nothing better, the network's body stays."""
+    """The network's body stays if a search finds nothing better."""
     monkeypatch.setattr("warp_partdr.fit.plausibility.MOST_OFF", 0.0)
     keypoints, parts = seen_by(walker(device))
     options = replace(FitOptions.at("fast"), search=(Stage("lift", 1, 1, 0.01), Stage("labels", 1, 1, 0.01, 32)))

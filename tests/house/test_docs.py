@@ -22,13 +22,13 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def anchors(page: Path) -> set[str]:
-    """What the page's headings are linked by."""
+    """Anchors of the page's headings."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def links(page: Path) -> list[str]:
-    """Where the page's links go."""
+    """Targets of the page's links."""
     return re.findall(r"\[[^\]]*\]\(([^)]+)\)", page.read_text())
 
 

@@ -75,7 +75,7 @@ def tree(path: Path) -> ast.Module:
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """What each module imports of the package, also inside functions and for type checkers alone."""
+    """Imports of each module from the package, also inside functions and for type checkers alone."""
     graph: dict[str, set[str]] = {}
     for name, path in modules().items():
         graph[name] = {target for node in ast.walk(tree(path)) for target in _targets(name, path, node)}
@@ -225,7 +225,7 @@ def test_the_pages_are_short():
 
 def test_docstrings_begin_with_a_noun_or_a_verb():
     texts = []
-    for path in product_files():
+    for path in [*product_files(), *sorted((ROOT / "tests").rglob("*.py"))]:
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 text = ast.get_docstring(node)

@@ -1,4 +1,4 @@
-"""What a user gets: everything in the wheel, and a light import."""
+"""A user's installation: everything in the wheel, and a light import."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def label(name: str) -> int:
 
 
 def column(keypoints: Keypoints2D, landmark: str) -> float:
-    """Where a landmark is along x [px]."""
+    """Place of a landmark along x [px]."""
     return float(keypoints.points[keypoints.format.landmarks.index(landmark), 0])
 
 
@@ -82,7 +82,7 @@ def test_a_small_gap_stays() -> None:
 
 
 def test_a_limb_that_the_border_cuts_off_stays() -> None:
-    """What the camera never saw is no background: of this forearm a quarter is, and that is too little."""
+    """Pixels that the camera never saw are no background: of this forearm a quarter is, and that is too little."""
     keypoints, parts = standing_adult("left_forearm", "left_hand")  # the left arm is at the picture's right
     elbow, wrist = column(keypoints, "left_elbow"), column(keypoints, "left_wrist")
     for share, stays in ((0.0, True), (0.25, True), (0.6, False)):

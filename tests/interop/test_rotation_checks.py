@@ -1,4 +1,4 @@
-"""What is no rotation is refused where it comes in; what rounding makes of rotations passes."""
+"""Matrices that are no rotations are refused where they come in; what rounding makes of rotations passes."""
 
 from __future__ import annotations
 

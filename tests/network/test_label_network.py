@@ -1,4 +1,4 @@
-"""What the label network sees, what it says, and the files that it is kept in."""
+"""The label network's input and output, and the files that it is kept in."""
 
 from __future__ import annotations
 

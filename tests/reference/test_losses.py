@@ -1,4 +1,4 @@
-"""What training and refinement minimise, against the formula book (eq. 3 to 6 and 19)."""
+"""Losses of training and refinement, against the formula book (eq. 3 to 6 and 19)."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What a bit of a label's border costs, against sums over many places along it; and where borders are looked for."""
+"""Costs of bits of a label's border, against sums over many places along it; and where borders are looked for."""
 
 from itertools import product
 

@@ -58,7 +58,7 @@ from warp_partdr.render.part_mesh import PartMesh, ellipbody_mesh
     ("depth", "shows"), [(-3.0, False), (-0.5, False), (0.0, None), (0.2, True), (0.6, True), (1e4, False)]
 )
 def test_bodies_behind_across_and_around_the_camera(device, depth, shows):
-    """What lies in front of it is drawn, what reaches it is not, and no gradient is lost to infinity."""
+    """Ellipsoids in front of it are drawn, those that reach it are not, and no gradient is lost to infinity."""
     size = (40, 32)
     camera = body_camera(size, True, device=device)
     leaves = {name: value.requires_grad_() for name, value in body_parameters(2, device).items()}
@@ -344,7 +344,7 @@ MESH_SIZE = (11, 13)
 
 
 def rounding_decides(vertices, index):
-    """Whether an edge meets a scan line so near a pixel's centre that float32 may put it on the other side."""
+    """True if an edge meets a scan line so near a pixel's centre that float32 may put it on the other side."""
     for face in index:
         for a, b in ((vertices[face[k]], vertices[face[(k + 1) % 3]]) for k in range(3)):
             for along, across in ((0, 1), (1, 0)):

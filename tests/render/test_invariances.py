@@ -1,4 +1,4 @@
-"""What must not change, or change in a known way: both renderers, every estimator, loss and gradient."""
+"""Invariances of both renderers, every estimator, loss and gradient: what must not change, or in a known way."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_label_loss_is_the_maps_loss(device, renderer):
 
 @pytest.mark.parametrize("renderer", ["edges", "coverage"])
 def test_pixels_that_outlines_cut_pull_little(device, renderer):
-    """What is left of the derivative of covered area where picture and target are equal: pulls of half a pixel."""
+    """Pulls of half a pixel: what is left of the derivative of covered area where picture and target are equal."""
     size = (160, 192)
     camera = body_camera(size, False, device=device)
     pulls = {}

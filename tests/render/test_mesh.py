@@ -302,7 +302,7 @@ def test_parts_in_no_group_cost_nothing_but_still_hide(device):
 
 
 def test_edges_of_three_faces_stand_alone():
-    """Where three faces of a part meet, no two of them are a pair: each may be the silhouette."""
+    """Three faces of a part that meet are no pairs: each may be the silhouette."""
     faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
     edges = PartMesh.from_faces(faces, np.array([1, 1, 1])).edges.tolist()
     shared = sorted(edge[2:] for edge in edges if edge[:2] == [0, 1])
@@ -321,7 +321,7 @@ def test_edges_of_two_faces_are_one_where_they_show_one_part():
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [0, 2, 1], [2, 0, 1]])
 def test_fill_rule_of_borders_on_pixel_centres(device, order):
-    """What goes down the picture, or level to the left, belongs to the face; whatever way the face is turned."""
+    """An edge that goes down the picture, or level to the left, belongs to the face, however that is turned."""
     vertices = torch.tensor([[[2.5, 2.5, 1.0], [8.5, 2.5, 1.0], [2.5, 8.5, 1.0]]], device=device)
     mesh = PartMesh.from_faces(np.array([order]), np.array([1]), device=device)
     rows, columns = np.mgrid[:12, :12]

@@ -121,7 +121,7 @@ def test_the_definitions_meet_in_x_and_y(perspective, shift):
 
 @pytest.mark.parametrize("perspective", CAMERAS)
 def test_the_definitions_meet_in_z(perspective):
-    """Where part 2 should be seen and is hidden."""
+    """Pixels where part 2 should be seen and is hidden."""
     scene = two_ellipsoids(perspective)
     labels, parts, _ = ellipsoid_reference.ray_cast(scene, SIZE)
     g = np.zeros((2, *SIZE))

@@ -44,7 +44,7 @@ def silhouettes(parts: Posed | Ellipsoids, camera: Camera, mesh: PartMesh, level
 
 
 def measured_error(exact: np.ndarray, drawn: np.ndarray) -> float:
-    """How far pixels of the exact silhouette are from the mesh's, the farthest [px]."""
+    """Greatest distance of pixels of the exact silhouette from the mesh's [px]."""
     return float(distance_transform_edt(~drawn)[exact].max()) / FINE
 
 

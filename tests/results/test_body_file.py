@@ -38,7 +38,7 @@ def some_body() -> BodyFile:
 
 
 def arrays() -> dict[str, Any]:
-    """What a good file holds."""
+    """Arrays of a good file."""
     return {"format": np.array(FORMAT), **vars(some_body())}
 
 

@@ -56,7 +56,7 @@ def pixels(figure):
 
 
 def names(figure):
-    """What its legends say."""
+    """Texts of its legends."""
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 

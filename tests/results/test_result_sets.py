@@ -47,7 +47,7 @@ def fill(folder: Path, kind: tuple[str, ...] = FIT, *, then: BaseException | Non
 
 
 def reads(path: Path) -> bool:
-    """Whether a file is there and passes for one of a finished run, or for one by itself."""
+    """True if a file is there and passes for one of a finished run, or for one by itself."""
     try:
         check_result(path)
     except (InputError, FileNotFoundError):
@@ -56,7 +56,7 @@ def reads(path: Path) -> bool:
 
 
 def passing(folder: Path) -> dict[str, str]:
-    """What the files hold that pass; those of a test's runs have one letter."""
+    """Contents of the files that pass; those of a test's runs have one letter."""
     return {path.name: path.read_text() for path in sorted(folder.glob("?")) if reads(path)}
 
 

@@ -1,1 +1,1 @@
-"""What several test files share; no test file imports from another one."""
+"""Scenes and helpers of several test files; no test file imports from another one."""

@@ -76,7 +76,7 @@ def seen_by(body: BodyParameters, fmt: str = "coco17") -> tuple[Keypoints2D, Par
 def observation_of(
     body: BodyParameters, labels: LabelSet | None = None, size: int = 256, fmt: str = "coco17"
 ) -> Observation:
-    """What the crop of ``body`` itself shows: sure keypoints, and the exact renderer's labels."""
+    """Observation of ``body`` itself: sure keypoints, and the exact renderer's labels."""
     names, labels = skeleton(fmt).landmarks, labels or label_set("ellipbody20")
     points = body.camera(2).project(LandmarkGather(names, body.shift.device)(body.posed()))[0, :, :2] - 1
     image = drawn_labels(body, labels, size)[0]

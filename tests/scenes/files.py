@@ -65,7 +65,7 @@ def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def body_file() -> BodyFile:
-    """What a fit saves of the mean adult at rest."""
+    """Files that a fit saves of the mean adult at rest."""
     return BodyFile(
         global_orient=np.diag([1.0, -1.0, -1.0]),
         translation=np.zeros(3),

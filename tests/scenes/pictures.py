@@ -61,7 +61,7 @@ GROUPS = np.array([1, 2, 3, 4, 2, 255])  # a label of two ellipsoids, and one th
 
 
 def float32(values):
-    """What the kernels see, in double."""
+    """The kernels' inputs, in double."""
     return np.asarray(values, dtype=np.float32).astype(float)
 
 
@@ -237,7 +237,7 @@ LEAD = 3e-6  # of the depth: surfaces nearer to one another than that may change
 
 
 def sure_pixels(scene, size):
-    """Where the reference's picture stays the same when it is moved by ``PLACE`` any way, and depths by ``LEAD``."""
+    """Pixels where the reference's picture stays the same, moved by ``PLACE`` any way and depths by ``LEAD``."""
     with np.errstate(all="ignore"):
         parts = reference.ray_cast(scene, size)[1]
         means = reference.boxes(scene)[reference.drawable(scene)]

@@ -39,7 +39,7 @@ class Scene:
         return cls(posed, camera, draw_ellipsoids(others, camera, size).labels, level_1(str(device)))
 
     def leaves(self, renderer: str) -> list[torch.Tensor]:
-        """What a renderer's gradient is with respect to."""
+        """Tensors that a renderer's gradient is with respect to."""
         if renderer == "mesh":
             tensors = [self.camera.project(self.posed.vertices(1))]
         else:

@@ -147,7 +147,7 @@ def environment() -> dict[str, str]:
 
 
 def train_in_two(tmp_path: Path, numbers: dict) -> list[str]:
-    """What two processes that train together say."""
+    """Output of two processes that train together."""
     with socket.socket() as unused:
         unused.bind(("localhost", 0))
         port = unused.getsockname()[1]

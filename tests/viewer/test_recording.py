@@ -1,4 +1,4 @@
-"""What the demo records, and ``partdr demo`` as users call it."""
+"""Recordings of the demo, and ``partdr demo`` as users call it."""
 
 from __future__ import annotations
 

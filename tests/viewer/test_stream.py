@@ -46,7 +46,7 @@ def asynchronous(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[...
 
 
 async def waits(task: asyncio.Future[JpegPicture]) -> bool:
-    """Whether a task stands still though nothing else is to be done."""
+    """True if a task stands still though nothing else is to be done."""
     await asyncio.sleep(0.1)
     return not task.done()
 

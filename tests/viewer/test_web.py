@@ -43,7 +43,7 @@ def window(open_window):
 
 
 class Browser:
-    """What the page's scripts do, as far as it matters here."""
+    """The page's scripts, as far as they matter here."""
 
     def __init__(self, session: Any, connection: Any, address: str) -> None:
         from wslink.chunking import UnChunker

@@ -153,7 +153,7 @@ def _over(
     photo: np.ndarray | None,
     opacity: float,
 ) -> tuple[Image, float]:
-    """What is shaded over the photo, or over gray, as it is shown, and its pixels a pixel of the picture."""
+    """Shading over the photo, or over gray, as it is shown, and its pixels a pixel of the picture."""
     from PIL import Image
 
     zoom, (height, width) = _shown_at(size)
