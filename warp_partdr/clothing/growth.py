@@ -55,6 +55,7 @@ class Growth:
         of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(like) * areas[:, None]
         whole = of_parts.sum(0)
         self.shares = (of_parts / whole.clamp(min=1e-12)).T
+        self.joint_weights = model.landmark_weights[[model.landmark_names.index(name) for name in JOINT_NAMES]]
         # A part without skin, which a model may have, does not count.
         counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
         sharing = torch.nn.functional.one_hot(self.indices.flatten(), len(MEASURES)) * counts[:, None]
@@ -71,11 +72,13 @@ class Growth:
     def measured(self, shape: torch.Tensor, stretches: torch.Tensor | None = None) -> torch.Tensor:
         """Logarithms of the 27 measures of the model's bodies, shape (B, 27), differentiable."""
         rest = self.model.rest(shape, stretches=stretches)
-        joints = self.model.landmarks(rest, JOINT_NAMES)
+        joints = self.joint_weights @ torch.cat([rest.vertices, rest.joints], dim=1)
         lengths = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1, keepdim=True)
-        means = self.shares @ rest.vertices
-        products = (rest.vertices[..., :, None] * rest.vertices[..., None, :]).flatten(2)
-        covariances = (self.shares @ products).unflatten(2, (3, 3)) - means[..., :, None] * means[..., None, :]
+        points = rest.vertices.mT.contiguous()  # vertices last: products of three numbers side by side are slow
+        means = (points @ self.shares.mT).mT
+        products = (points[:, :, None] * points[:, None]).flatten(1, 2)
+        squares = (products @ self.shares.mT).mT.unflatten(2, (3, 3))
+        covariances = squares - means[..., :, None] * means[..., None, :]
         across = self.axes[..., 1:]
         variances = (across * (covariances @ across)).sum(-2)
         sizes = torch.cat([lengths, variances.clamp(min=1e-12).sqrt()], dim=-1)

@@ -239,8 +239,9 @@ def _blend(
 ) -> torch.Tensor:
     """Linear blend skinning: vertices (B, V, 3) follow maps (B, N, 3, 3) of ``rest`` to ``places``; weights (V, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
-    skin = (weights @ torch.cat([maps, moves[..., None]], dim=-1).flatten(2)).unflatten(2, (3, 4))
-    return (skin[..., :3] * vertices[..., None, :]).sum(-1) + skin[..., 3]
+    # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
+    skin = (torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT @ weights.T).unflatten(1, (3, 4))
+    return ((skin[:, :, :3] * vertices.mT[:, None]).sum(2) + skin[:, :, 3]).mT.contiguous()
 
 
 def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
