@@ -44,20 +44,43 @@ def pull_landmark(problem: Problem, state: State, b: int, index: int):
 
 
 @wp.func
+def no_costs(problem: Problem, state: State, b: int, k: int):
+    return Terms()
+
+
+def _and_rule(before: wp.Function, column: int, rule: wp.Function) -> wp.Function:
+    """Costs so far and that of one more rule.
+
+    A chain of functions, and no loop over ``wp.static(RULES[i])``, which Warp's cache of kernels does not look into: it
+    would go on with the old kernel after a rule has changed.
+    """
+
+    @wp.func(name=f"cost_rules_{column}")
+    def costs(problem: Problem, state: State, b: int, k: int):
+        cost = before(problem, state, b, k)
+        cost[column] = rule(problem, state, problem.weights[column], b, k)
+        return cost
+
+    return costs
+
+
+cost_each_rule = no_costs
+for _column, _rule in RULES:
+    cost_each_rule = _and_rule(cost_each_rule, _column, _rule)
+
+
+@wp.func
 def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
     """Cost of part k by all ``RULES``, which begin its gradient, and its partial sums of L_seg."""
-    cost = Terms()
-    for i in range(k, drawn.loss.shape[1], state.costs.shape[1]):
-        cost[SEG] += problem.weights[SEG] * drawn.loss[b, i]
     state.gradient.rotations[b, k] = wp.vec3(0.0)
     if k < state.bodies.lengths.shape[1]:
         state.gradient.lengths[b, k] = 0.0
     if k < state.bodies.thicknesses.shape[1]:
         state.gradient.thicknesses[b, k] = 0.0
     state.pushes[b, k] = wp.vec3(0.0)
-    for i in range(wp.static(len(RULES))):
-        weight = problem.weights[wp.static(RULES[i][0])]
-        cost[wp.static(RULES[i][0])] = wp.static(RULES[i][1])(problem, state, weight, b, k)
+    cost = cost_each_rule(problem, state, b, k)
+    for i in range(k, drawn.loss.shape[1], state.costs.shape[1]):
+        cost[SEG] += problem.weights[SEG] * drawn.loss[b, i]
     state.costs[b, k] = cost
 
 

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from warp_partdr.body.labels import label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
-from warp_partdr.kernels.refine.state import Drawn
+from warp_partdr.kernels.refine.rules import RULES
+from warp_partdr.kernels.refine.state import MODULE, Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
 from warp_partdr.refinement.stepper import FINAL_RATE, SHAPE_RATE, rate_share
@@ -91,6 +92,13 @@ def test_terms_and_gradient_are_those_of_autograd(device):
     _, gradient = check_both_paths(energy_of(body), moved_bodies(body, 5, amount=0.3), 1e-6, 1e-5)
     assert (gradient["rotations"][:, :2] == 0).all()  # the hips are locked
     assert all(tensor.abs().max() > 0 for tensor in gradient.values())
+
+
+def test_kernels_are_compiled_anew_when_a_rule_changes():
+    """Warp's cache looks into every rule: its hash is part of the module's."""
+    MODULE.get_module_hash()
+    for hasher in MODULE.hashers.values():
+        assert {function for _, function in RULES} <= hasher.function_hashes.keys()
 
 
 def test_depth_is_held_as_in_torch(device):
