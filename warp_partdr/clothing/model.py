@@ -171,11 +171,14 @@ class DetailedModel(Movable):
         Raises:
             ValueError: If the model has no landmark of a name.
         """
+        return self.weights_of(names) @ torch.cat([detailed.vertices, detailed.joints], dim=1)
+
+    def weights_of(self, names: Sequence[str]) -> torch.Tensor:
+        """Copy the weights of landmarks over vertices and joints, shape (L, V + J); errors as of ``landmarks``."""
         if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
             known = ", ".join(self.landmark_names)
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
-        rows = [self.landmark_names.index(name) for name in names]
-        return self.landmark_weights[rows] @ torch.cat([detailed.vertices, detailed.joints], dim=1)
+        return self.landmark_weights[[self.landmark_names.index(name) for name in names]]
 
     @cached_property
     def _parents(self) -> torch.Tensor:

@@ -207,11 +207,11 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
 
     Joints at rest are linear in the shape.
     """
-    rows = [model.landmark_names.index(name) for name in JOINT_NAMES]
+    weights = model.weights_of(JOINT_NAMES)
     points = torch.cat([model.rest_vertices, model.rest_joints])
     directions = torch.cat([model.shape_directions, model.joint_directions], dim=1)
-    joints = model.landmark_weights[rows] @ points
-    moves = model.landmark_weights[rows] @ directions
+    joints = weights @ points
+    moves = weights @ directions
     bones, changes = joints[1:] - joints[BONE_STARTS], moves[:, 1:] - moves[:, BONE_STARTS]
     targets = 2 * posed.semi_axes[..., 0]
     shape = bones.new_zeros(len(targets), model.num_shapes)
@@ -230,8 +230,7 @@ class _Loss:
 
     def __init__(self, model: DetailedModel, posed: Posed, weights: RegistrationWeights) -> None:
         self.posed, self.weights = posed, weights
-        rows = [model.landmark_names.index(name) for name in MATCHED_JOINTS]
-        self.joint_weights = model.landmark_weights[rows]
+        self.joint_weights = model.weights_of(MATCHED_JOINTS)
         self.joints = posed.joints[:, [JOINT_NAMES.index(name) for name in MATCHED_JOINTS]]
         self.parts, self.areas = vertex_parts(model)
         self.cells = PartCells(model, self.areas > 0, len(posed.joints))

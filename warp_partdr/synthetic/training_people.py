@@ -123,8 +123,7 @@ class PeopleMaker:
         self._cells = self._numbers(np.stack([low, high]))
         self._ranges = self._numbers(people.PHENOTYPE_RANGES)
         groups = (LANDMARKS, people.coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
-        rows = [self.model.landmark_names.index(name) for group in groups for name in group]
-        self._landmark_weights = self.model.landmark_weights[rows]
+        self._landmark_weights = self.model.weights_of([name for group in groups for name in group])
         self._landmark_counts = [len(group) for group in groups]
         self._cover = self._numbers(people.cover_of(LANDMARKS))
         self._cut_odds = self._numbers(np.array(_CUT_SIDES))
