@@ -29,11 +29,16 @@ def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT
     vec, mat = _PRECISIONS[dtype]
     constants = template()
     vertices, _ = icosphere(subdivisions)
+    levels: list[int] = []
+    for parent in PARENTS:
+        levels.append(0 if parent < 0 else levels[parent] + 1)
     bones = (
         wp.array(PARENTS, dtype=int, device=device),
+        wp.array(levels, dtype=int, device=device),
         wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
         wp.array(constants.rest_directions, dtype=vec, device=device),
         wp.array(constants.rest_axes, dtype=mat, device=device),
+        max(levels) + 1,
     )
     return kinematics.BoneTree(bones, wp.array(vertices, dtype=vec, device=device))
 

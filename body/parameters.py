@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
@@ -11,8 +12,8 @@ from ..cameras import WeakPerspective
 from ..errors import check_whole
 from ..interop.checks import check_finite, check_tensor
 from ..interop.movable import Movable
-from .posing import Posed, pose
-from .rotations import rotation_from_6d, rotation_from_axis_angle
+from .posing import Posed, pose_parts
+from .rotations import rotation_from_6d
 from .template import BODY_SHAPES, LOCKED_PARTS, NUM_PARTS, template
 
 ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the order of the fields
@@ -23,6 +24,8 @@ ROW: dict[str, tuple[int, ...]] = {  # shape of one body's parameters, in the or
     "log_scale": (),
     "shift": (2,),
 }
+
+LOCKED_BITS = sum(1 << part for part in LOCKED_PARTS)
 
 
 @dataclass(frozen=True)
@@ -89,20 +92,13 @@ class BodyParameters(Movable):
 
     def free_rotations(self) -> torch.Tensor:
         """Local rotations with the locked ones at zero, shape (B, 20, 3)."""
-        free = torch.ones(NUM_PARTS, 1, device=self.rotations.device)
-        free[list(LOCKED_PARTS)] = 0.0
-        return self.rotations * free
+        return self.rotations * _free_parts(self.rotations.device)
 
     def posed(self) -> Posed:
         """Posed bodies in the camera frame, pelvis at the origin [m]."""
-        return pose(
-            self.global_orient(),
-            self.lengths.new_zeros(self.batch_size, 3),
-            rotation_from_axis_angle(self.free_rotations()),
-            self.lengths,
-            self.thicknesses,
-            validate=False,
-        )
+        origin = self.lengths.new_zeros(self.batch_size, 3)
+        numbers = self.orientation, origin, self.rotations, self.lengths, self.thicknesses
+        return pose_parts(*numbers, locked=LOCKED_BITS)
 
     def camera(self, size: int) -> WeakPerspective:
         """Cameras for a crop of ``size`` pixels a side."""
@@ -137,6 +133,12 @@ class BodyParameters(Movable):
     def tensors(self) -> dict[str, torch.Tensor]:
         """Tensors by name."""
         return {name: getattr(self, name) for name in ROW}
+
+
+@lru_cache(maxsize=8)
+def _free_parts(device: torch.device) -> torch.Tensor:
+    """0 for each locked part, 1 for the others, shape (20, 1)."""
+    return torch.tensor([[float(part not in LOCKED_PARTS)] for part in range(NUM_PARTS)], device=device)
 
 
 def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,18 +11,19 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.captured_function import Tensors, call_captured, shapes
 from ..interop.checks import check_numbers, check_tensor
 from ..interop.derivatives import is_transformed
+from ..interop.graph_cache import Launch
 from ..interop.movable import Movable
-from ..interop.streams import on_torch_stream
 from ..kernels import kinematics
 from . import plain_posing
+from .bone_launches import DTYPES, BoneLaunches, kinematic_arrays
 from .ellipbody import DEFAULT_SUBDIVISIONS, bone_tree
+from .icosphere import icosphere
 from .landmarks import landmark_points
-from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS, THICKNESS_NAMES
-
-_WARP_TYPES = {torch.float32: (wp.float32, wp.vec3f, wp.mat33f), torch.float64: (wp.float64, wp.vec3d, wp.mat33d)}
+from .rotations import rotation_from_6d, rotation_from_axis_angle
+from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,10 @@ def pose(
     """Pose EllipBody (paper, eq. 13 to 15); differentiable any number of times, also by ``torch.func``.
 
     Args:
-        global_orient: Rotation of the whole body, shape (B, 3, 3).
+        global_orient: Rotation of the whole body: matrices, shape (B, 3, 3), axis-angle [rad], (B, 3), or two columns,
+            (B, 6), as ``rotation_from_axis_angle`` and ``rotation_from_6d`` take them.
         translation: Position of the pelvis [m], shape (B, 3).
-        rotations: Local rotation of each bone, shape (B, 20, 3, 3); ``rotation_from_6d`` and
-            ``rotation_from_axis_angle`` make some.
+        rotations: Local rotation of each bone, shape (B, 20, 3, 3), (B, 20, 3) or (B, 20, 6), likewise.
         lengths: ``LENGTH_NAMES`` [m], shape (B, 12).
         thicknesses: ``THICKNESS_NAMES`` [m], full widths, shape (B, 15).
         validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device. Not
@@ -98,16 +99,57 @@ def pose(
     Raises:
         ValueError: If a shape, dtype or device does not fit the others, or something is NaN, infinite or no rotation.
     """
-    check_tensor("global_orient", global_orient, (None, 3, 3), dtypes=tuple(_WARP_TYPES))
-    batch = global_orient.shape[0]
     parameters = (global_orient, translation, rotations, lengths, thicknesses)
-    for (name, shape), tensor in zip(BODY_SHAPES.items(), parameters, strict=True):
-        check_tensor(name, tensor, (batch, *shape), dtypes=tuple(_WARP_TYPES), like=("global_orient", global_orient))
+    check_parameters(parameters, dtypes=tuple(DTYPES))
+    if validate and not _in_torch(*parameters):
+        check_numbers(dict(zip(BODY_SHAPES, parameters, strict=True)), rotations=matrices_of(parameters))
+    return pose_parts(*parameters)
+
+
+def pose_parts(*parameters: torch.Tensor, locked: int = 0) -> Posed:
+    """Pose what was checked before; parts of ``locked``, a set of bits, keep their rest rotation."""
     if _in_torch(*parameters):
-        return Posed(*plain_posing.pose_bones_by_torch(*parameters))
-    if validate:
-        check_numbers(dict(zip(BODY_SHAPES, parameters, strict=True)), rotations=("global_orient", "rotations"))
-    return Posed(*_Bones.apply(*parameters))
+        return Posed(*_pose_in_torch(*parameters, locked=locked))
+    if parameters[0].dtype == torch.float64:  # kernels make matrices of float32 alone
+        return Posed(*_Bones.apply(0, *_as_matrices(parameters, locked)))
+    return Posed(*_Bones.apply(locked, *parameters))
+
+
+def check_parameters(parameters: Sequence[torch.Tensor], *, dtypes: Sequence[torch.dtype]) -> None:
+    """Raise unless these are arguments of ``pose``, of one device and dtype."""
+    first = parameters[0]
+    if not isinstance(first, torch.Tensor) or first.dim() not in (2, 3):
+        check_tensor("global_orient", first, (None, 3, 3), dtypes=dtypes)
+    batch, like = first.shape[0], ("global_orient", first)
+    for (name, shape), tensor in zip(BODY_SHAPES.items(), parameters, strict=True):
+        wanted: tuple[int, ...] = (batch, *shape)
+        if shape[-2:] == (3, 3) and isinstance(tensor, torch.Tensor) and tensor.dim() == len(shape):
+            wanted = (*wanted[:-2], 6 if tensor.shape[-1] == 6 else 3)
+        check_tensor(name, tensor, wanted, dtypes=dtypes, like=like)
+
+
+def matrices_of(parameters: Sequence[torch.Tensor]) -> list[str]:
+    """Names of the arguments of ``pose`` that are matrices."""
+    rotations = (("global_orient", parameters[0], 3), ("rotations", parameters[2], 4))
+    return [name for name, tensor, dim in rotations if tensor.dim() == dim]
+
+
+def _as_matrices(parameters: Sequence[torch.Tensor], locked: int) -> list[torch.Tensor]:
+    """The arguments of ``pose`` with rotations as matrices, by torch."""
+    matrices = list(parameters)
+    for index, dim in ((0, 3), (2, 4)):
+        rotation = parameters[index]
+        if rotation.dim() != dim:
+            make = rotation_from_6d if rotation.shape[-1] == 6 else rotation_from_axis_angle
+            matrices[index] = make(rotation)
+    if locked:
+        keeps = torch.tensor([[[bool(locked >> part & 1)]] for part in range(NUM_PARTS)], device=matrices[2].device)
+        matrices[2] = torch.where(keeps, torch.eye(3).to(matrices[2]), matrices[2])
+    return matrices
+
+
+def _pose_in_torch(*parameters: torch.Tensor, locked: int) -> tuple[torch.Tensor, ...]:
+    return plain_posing.pose_bones_by_torch(*_as_matrices(parameters, locked))
 
 
 def _in_torch(*tensors: torch.Tensor) -> bool:
@@ -120,49 +162,20 @@ def _differentiable(*adjoints: torch.Tensor) -> bool:
     return torch.is_grad_enabled() or is_transformed(*adjoints)
 
 
-def _from_torch(tensors: Iterable[torch.Tensor], kinds: Iterable[type]) -> list[wp.array]:
-    return [warp_array(contiguous(tensor), kind) for tensor, kind in zip(tensors, kinds, strict=True)]
-
-
 class _Bones(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        lengths = parameters[3]
-        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
-        batch = lengths.shape[0]
-        joints = lengths.new_empty(batch, NUM_JOINTS, 3)
-        rotations, axes = lengths.new_empty(2, batch, NUM_PARTS, 3, 3)
-        centres, semi_axes = lengths.new_empty(2, batch, NUM_PARTS, 3)
-        with on_torch_stream(lengths.device) as device:
-            tree = bone_tree(device, scalar)
-            inputs = _from_torch(parameters, (mat, vec, mat, scalar, scalar))
-            posed = joints, rotations, centres, axes, semi_axes
-            kinematics.launch_pose(tree, inputs, _from_torch(posed, (vec, mat, vec, mat, vec)))
-        ctx.save_for_backward(*parameters, rotations)
-        return posed
+    def forward(ctx: Any, locked: int, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        ctx.save_for_backward(*parameters)
+        ctx.locked = locked
+        return call_captured(_prepare_bones, parameters, shapes(len(parameters[0]), *_POSED), locked)
 
     @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        *parameters, rotations = ctx.saved_tensors
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        parameters = ctx.saved_tensors
         if _differentiable(*adjoints):
-            return torch.func.vjp(plain_posing.pose_bones_by_torch, *parameters)[1](adjoints)
-        global_orient, _, local_rotations, lengths, _ = parameters
-        scalar, vec, mat = _WARP_TYPES[lengths.dtype]
-        # The kernel gathers into the first two, which autograd may share with others: copies.
-        gathered = (adjoint.clone(memory_format=torch.contiguous_format) for adjoint in adjoints[:2])
-        gradients = (
-            torch.zeros_like(global_orient, memory_format=torch.contiguous_format),
-            lengths.new_empty(lengths.shape[0], 3),
-            lengths.new_empty(local_rotations.shape),
-            torch.zeros_like(lengths, memory_format=torch.contiguous_format),
-            lengths.new_zeros(lengths.shape[0], len(THICKNESS_NAMES)),
-        )
-        with on_torch_stream(lengths.device) as device:
-            saved = _from_torch((global_orient, local_rotations, lengths, rotations), (mat, mat, scalar, mat))
-            sent = _from_torch((*gathered, *adjoints[2:]), (vec, mat, vec, mat, vec))
-            outputs = _from_torch(gradients, (mat, vec, mat, scalar, scalar))
-            kinematics.launch_pose_adjoint(bone_tree(device, scalar), saved, sent, outputs)
-        return gradients
+            return None, *torch.func.vjp(partial(_pose_in_torch, locked=ctx.locked), *parameters)[1](adjoints)
+        gradients = tuple([tensor.shape for tensor in parameters])
+        return None, *call_captured(_prepare_bones_adjoint, (*parameters, *adjoints), gradients, ctx.locked)
 
 
 class _Vertices(torch.autograd.Function):
@@ -170,26 +183,55 @@ class _Vertices(torch.autograd.Function):
     def forward(
         ctx: Any, centres: torch.Tensor, axes: torch.Tensor, semi_axes: torch.Tensor, subdivisions: int
     ) -> torch.Tensor:
-        scalar, vec, mat = _WARP_TYPES[centres.dtype]
-        with on_torch_stream(centres.device) as device:
-            tree = bone_tree(device, scalar, subdivisions)
-            vertices = centres.new_empty(*centres.shape[:2], tree.unit_vertices.shape[0], 3)
-            *inputs, output = _from_torch((centres, axes, semi_axes, vertices), (vec, mat, vec, vec))
-            kinematics.launch_vertices(tree, inputs, output)
         ctx.save_for_backward(centres, axes, semi_axes)
         ctx.subdivisions = subdivisions
-        return vertices
+        shape = torch.Size((*centres.shape[:2], len(icosphere(subdivisions)[0]), 3))
+        return call_captured(_prepare_vertices, (centres, axes, semi_axes), (shape,), subdivisions)[0]
 
     @staticmethod
     def backward(ctx: Any, adj_vertices: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        centres, axes, semi_axes = ctx.saved_tensors
+        ellipsoids = ctx.saved_tensors
         if _differentiable(adj_vertices):
             place = partial(plain_posing.place_vertices_by_torch, subdivisions=ctx.subdivisions)
-            return *torch.func.vjp(place, centres, axes, semi_axes)[1](adj_vertices), None
-        scalar, vec, mat = _WARP_TYPES[axes.dtype]
-        gradients = tuple(axes.new_empty(each.shape) for each in (semi_axes, axes, semi_axes))
-        with on_torch_stream(axes.device) as device:
-            tree = bone_tree(device, scalar, ctx.subdivisions)
-            inputs = _from_torch((axes, semi_axes, adj_vertices), (mat, vec, vec))
-            kinematics.launch_vertices_adjoint(tree, inputs, _from_torch(gradients, (vec, mat, vec)))
-        return *gradients, None
+            return *torch.func.vjp(place, *ellipsoids)[1](adj_vertices), None
+        gradients = tuple([tensor.shape for tensor in ellipsoids])
+        inputs = *ellipsoids[1:], adj_vertices
+        return *call_captured(_prepare_vertices_adjoint, inputs, gradients, ctx.subdivisions), None
+
+
+_POSED = ((NUM_JOINTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3))
+
+
+def _prepare_bones(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
+    """Launches that fill the fields of ``Posed`` from the arguments of ``pose``."""
+    return partial(BoneLaunches(inputs, locked).launch, kinematic_arrays(outputs, "vmvmv"))
+
+
+def _prepare_bones_adjoint(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
+    """Launches that fill the gradients of ``pose``, from its arguments and the adjoints of what it returns."""
+    parameters, adjoints = inputs[:5], inputs[5:]
+    bones = BoneLaunches(parameters, locked)
+    posed = kinematic_arrays([torch.empty_like(each).contiguous() for each in adjoints], "vmvmv")
+    push = bones.prepare_adjoint(posed[1], kinematic_arrays(adjoints, "vmvmv"), outputs)
+
+    def launch() -> None:
+        bones.launch(posed)
+        push()
+
+    return launch
+
+
+def _prepare_vertices(inputs: Tensors, outputs: Tensors, subdivisions: int) -> Launch:
+    """Launches that fill the vertices (B, P, N, 3) of ellipsoids."""
+    *ellipsoids, vertices = kinematic_arrays((*inputs, *outputs), "vmvv")
+    return partial(kinematics.launch_vertices, _tree(inputs[0], subdivisions), ellipsoids, vertices)
+
+
+def _prepare_vertices_adjoint(inputs: Tensors, outputs: Tensors, subdivisions: int) -> Launch:
+    """Launches that fill the gradients of centres, axes and semi-axes, from axes, semi-axes and the adjoint."""
+    arrays = kinematic_arrays((*inputs, *outputs), "mvvvmv")
+    return partial(kinematics.launch_vertices_adjoint, _tree(inputs[0], subdivisions), arrays[:3], arrays[3:])
+
+
+def _tree(like: torch.Tensor, subdivisions: int) -> kinematics.BoneTree:
+    return bone_tree(wp.device_from_torch(like.device).alias, DTYPES[like.dtype]["s"], subdivisions)

@@ -15,6 +15,16 @@ def num_lanes(device: wp.Device) -> int:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def wait_for_block():
+    """Wait until all threads of the block are here, and what they wrote can be read."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ballot_sync(0xffffffffu, yes);
 #else
     return yes ? 1u : 0u;

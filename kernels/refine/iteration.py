@@ -6,7 +6,7 @@ of different kinds go to different warps, which run at once. On the CPU device a
 
 import warp as wp
 
-from ..lanes import LANES
+from ..lanes import LANES, wait_for_block
 from .costs import add_drawn, cost_rules, pull_landmark, sum_forces
 from .gradient import gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness, sum_subtree
 from .pose import place_part, turn_body, turn_part
@@ -16,14 +16,6 @@ from .step import record_energy, step_number
 
 BLOCK = 512  # threads a body on CUDA, a power of two: the longest stage has 14 x 19 = 266 tasks of the packaged prior
 _LINE = wp.constant(32)  # floats in a line of the cache
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-#endif
-""")
-def wait_for_block(): ...
 
 
 @wp.func_native("""

@@ -1,15 +1,17 @@
-"""Small batches take a captured graph: the same answers, and nothing left over from the call before."""
+"""Calls take a captured graph: the same answers, and nothing left over from the call before."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 import torch
 from scenes.renderers import RENDERERS, Scene
 
-from warp_partdr.interop import loss_graph
+from warp_partdr.interop import graph_cache
+from warp_partdr.interop.graph_cache import graphs, set_graph_memory
+from warp_partdr.interop.loss_graph import LossGraph
 from warp_partdr.kernels.launch import set_num_threads
 from warp_partdr.render.mesh import PartImage
 
@@ -36,19 +38,29 @@ def equal(have: list[torch.Tensor], want: list[torch.Tensor], renderer: str) -> 
     return all(torch.equal(a, b) for a, b in zip(have, want, strict=True))
 
 
-@pytest.fixture
-def launched(monkeypatch) -> Callable[[], None]:
-    """Call it to have no graphs from then on."""
-    return lambda: monkeypatch.setattr(loss_graph, "_SMALL_PIXELS", 0)
+@pytest.fixture(autouse=True)
+def budget():
+    """The default one, and no graphs of other tests."""
+    set_graph_memory(0)
+    set_graph_memory(None)
+    yield
+    set_graph_memory(None)
+
+
+def loss_graphs() -> list[Any]:
+    """Graphs of losses that are kept, the least recently used one first, with their sizes."""
+    return [kept for kept in graphs._kept.values() if isinstance(kept.graph, LossGraph)]
 
 
 @pytest.mark.parametrize("batch", [1, 3])
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_graph_and_launches_agree(device, renderer, batch, launched):
-    scenes = [Scene.make(seed, device, batch) for seed in range(3)]
-    with_graph = [answer(scene, renderer) for scene in scenes]  # the second and third in the buffers of the first
-    launched()
-    want = [answer(scene, renderer) for scene in scenes]
+def test_graph_and_launches_agree(device, renderer, batch):
+    scenes = [Scene.make(seed, device, batch) for seed in range(4)]
+    with_graph = [answer(scene, renderer) for scene in scenes][1:]  # the third and fourth in the second one's buffers
+    assert len(loss_graphs()) == 1
+    set_graph_memory(0)
+    want = [answer(scene, renderer) for scene in scenes][1:]
+    assert not loss_graphs()
     assert not torch.equal(with_graph[0][0], with_graph[1][0])
     assert all(equal(a, b, renderer) for a, b in zip(with_graph, want, strict=True))
 
@@ -123,30 +135,71 @@ def test_a_target_that_changes_in_place(renderer):
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_what_needs_no_gradient_takes_no_graph(renderer, monkeypatch):
-    def refuse(*_):
-        raise AssertionError("made a graph")
-
-    scene = Scene.make(0, "cpu")
+def test_without_a_gradient(device, renderer):
+    scene = Scene.make(0, device)
     want = answer(scene, renderer)
-    monkeypatch.setattr(loss_graph, "_graph", refuse)
-    with torch.no_grad():
-        loss, image = scene.loss(renderer, scene.leaves(renderer))
-    assert loss == want[0]
-    assert not loss.requires_grad
-    assert torch.equal(image.labels, want[1])
+    for _ in range(3):
+        with torch.no_grad():
+            loss, image = scene.loss(renderer, scene.leaves(renderer))
+        assert loss == want[0]
+        assert not loss.requires_grad
+        assert torch.equal(image.labels, want[1])
 
 
-def test_few_graphs_are_kept():
-    for width in range(20, 32):
-        answer(Scene.make(0, "cpu", size=(24, width)), "coverage")
-    assert loss_graph._cached_graph.cache_info().currsize == 8
+def test_the_least_recently_used_graphs_go_first(device):
+    def call(width: int) -> list[int]:
+        scene = Scene.make(0, device, size=(240, width))
+        for _ in range(2):
+            leaves = scene.leaves("coverage")
+            scene.loss("coverage", leaves)
+        return [kept.graph._buffers.target.shape[-1] for kept in loss_graphs()]
+
+    assert call(320) == [320]
+    size = loss_graphs()[0].size
+    assert size > 240 * 320
+    set_graph_memory(int(2.7 * size))
+    assert call(321) == [320, 321]
+    call(320)  # used again
+    assert call(322) == [320, 322]
+    assert graphs.num_bytes(torch.device(device, 0) if device == "cuda" else torch.device(device)) <= 2.7 * size
+    set_graph_memory(size // 2)  # room for none
+    assert call(320) == []
+    with pytest.raises(ValueError, match="num_bytes: -1"):
+        set_graph_memory(-1)
+
+
+def test_what_is_asked_for_once_is_not_captured(device):
+    scene = Scene.make(0, device)
+    answer(scene, "coverage")
+    assert not loss_graphs()
+
+
+def test_graphs_are_freed_where_memory_is_out(monkeypatch):
+    """Kept graphs go, and the call that found no memory is made again."""
+    scene = Scene.make(1, "cpu")
+    want = answer(scene, "edges")
+    answer(scene, "edges")
+    measure, calls = graph_cache._measure, []
+
+    def fail_once(*arguments):
+        calls.append(len(loss_graphs()))
+        if len(calls) == 1:
+            raise torch.OutOfMemoryError
+        return measure(*arguments)
+
+    monkeypatch.setattr(graph_cache, "_measure", fail_once)
+    other = Scene.make(1, "cpu", batch=2)
+    answer(other, "edges")
+    answer(other, "edges")
+    assert len(calls) >= 2
+    assert calls[:2] == [1, 0]
+    assert torch.equal(answer(scene, "edges")[0], want[0])
 
 
 def test_a_capture_that_fails_leaves_nothing(monkeypatch):
     scene = Scene.make(8, "cpu", size=(17, 19))
-    loss_graph._cached_graph.cache_clear()
-    capture = loss_graph.capture_graph
+    capture = graph_cache.capture_graph
+    want = answer(scene, "coverage")
 
     def fail(launch, device):
         def launch_and_fail():
@@ -156,10 +209,8 @@ def test_a_capture_that_fails_leaves_nothing(monkeypatch):
         return capture(launch_and_fail, device)
 
     with monkeypatch.context() as patch:
-        patch.setattr(loss_graph, "capture_graph", fail)
+        patch.setattr(graph_cache, "capture_graph", fail)
         with pytest.raises(RuntimeError, match="no more"):
             answer(scene, "coverage")
-    assert loss_graph._cached_graph.cache_info().currsize == 0
-    have = answer(scene, "coverage")
-    monkeypatch.setattr(loss_graph, "_SMALL_PIXELS", 0)
-    assert equal(have, answer(scene, "coverage"), "coverage")
+    assert not loss_graphs()
+    assert equal(answer(scene, "coverage"), want, "coverage")

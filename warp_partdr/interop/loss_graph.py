@@ -1,30 +1,21 @@
-"""L_seg of a batch with its gradient: launched kernel by kernel, or for small batches as a captured graph.
-
-For a small batch, launching takes longer than computing. So the launches are captured once, in fixed buffers, and a
-call copies its arguments into them, replays, and copies the results.
-"""
+"""L_seg of a batch with its gradient: by a captured graph, or launched kernel by kernel where memory has no room."""
 
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import ModuleType
 from typing import Any, Protocol
 
 import torch
-import warp as wp
 
-from ..kernels.launch import get_num_threads, run_slices, split_batch
 from .derivatives import once
-from .streams import capture_graph, launch_bodies_on, launching, on_torch_stream
+from .graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
+from .streams import launch_bodies_on
 
 Shapes = tuple[torch.Size, ...]
-
-_SMALL_PIXELS = 2**20
-_MAX_GRAPHS = 8
 
 
 @dataclass(frozen=True)
@@ -102,11 +93,12 @@ def find_label_loss(
     """
     needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     shapes = tuple([tensor.shape for tensor in tensors])
+    key, device = (recipe, shapes, target.shape, needs_grad), target.device
+    num_bytes = shapes[0][0] * math.prod(target.shape[1:]) * BYTES_PER_PIXEL
     with torch.no_grad():
-        if needs_grad and 0 < shapes[0][0] * target.shape[1] * target.shape[2] <= _SMALL_PIXELS:
-            loss, rows = _graph(recipe, shapes, target)(tensors, target)
-        else:
-            loss, rows = launch_label_loss(recipe, needs_grad, tensors, target)
+        graph = graphs.find(key, device, num_bytes, partial(LossGraph, *key, device)) if num_bytes else None
+        found = launch_label_loss(recipe, needs_grad, tensors, target) if graph is None else graph(tensors, target)
+    loss, rows = found
     if needs_grad:
         loss = LabelLoss.apply(recipe.name, (loss, rows), *tensors)
     return loss, rows
@@ -180,48 +172,27 @@ def launch_label_loss(
 
 
 class LossGraph:
-    """Loss and rows by a captured graph in fixed buffers; on the CPU device one graph for each thread's bodies.
+    """Loss and rows by a captured graph in fixed buffers.
 
     Args:
         recipe: The renderer's.
         shapes: Shapes of the inputs.
         targets: Shape of the target.
+        needs_grad: Whether the gradient is wanted.
         device: On CUDA, for torch's current stream.
     """
 
-    def __init__(self, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device) -> None:
+    def __init__(
+        self, recipe: Recipe, shapes: Shapes, targets: torch.Size, needs_grad: bool, device: torch.device
+    ) -> None:
         target = torch.empty(targets, dtype=torch.uint8, device=device)
-        self._buffers, self._device = Buffers.empty(recipe, shapes, target, needs_grad=True), device
-        self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
-        self._slices = split_batch(shapes[0][0], on_cpu=device.type == "cpu")
-        with on_torch_stream(device):
-            # They are kept, for a graph holds no memory alive.
-            self._launches = {part.start: recipe.prepare(self._buffers.of_bodies(part)) for part in self._slices}
-        self._graphs = {start: capture_graph(launch, device) for start, launch in self._launches.items()}
+        self._buffers = buffers = Buffers.empty(recipe, shapes, target, needs_grad)
+        self._launches = CapturedBodies(lambda part: recipe.prepare(buffers.of_bodies(part)), shapes[0][0], device)
 
     def __call__(self, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Copies of loss and rows, for the next call fills the buffers again."""
         buffers = self._buffers
         torch._foreach_copy_(buffers.inputs, tensors)
         buffers.target.copy_(target)
-        if self._stream is None:
-            with on_torch_stream(self._device):
-                run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
-        else:
-            with launching(), torch.cuda.device(self._device):
-                wp.capture_launch(self._graphs[0], stream=self._stream)
+        self._launches.replay()
         return buffers.losses.sum(1), buffers.rows.clone()
-
-
-def _graph(recipe: Recipe, shapes: Shapes, target: torch.Tensor) -> LossGraph:
-    """Cached graph for these sizes, one for each thread and stream, as are its buffers."""
-    device = target.device
-    where = get_num_threads() if device.type == "cpu" else torch.cuda.current_stream(device).cuda_stream
-    return _cached_graph(threading.get_ident(), where, recipe, shapes, target.shape, device)
-
-
-@lru_cache(maxsize=_MAX_GRAPHS)
-def _cached_graph(
-    thread: int, where: int, recipe: Recipe, shapes: Shapes, targets: torch.Size, device: torch.device
-) -> LossGraph:
-    return LossGraph(recipe, shapes, targets, device)

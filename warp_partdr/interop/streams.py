@@ -97,10 +97,14 @@ def _capture_streams(where: str) -> tuple[wp.Stream | None, wp.Stream | None]:
 
 
 @contextmanager
-def on_torch_stream(device: torch.device) -> Iterator[str]:
+def on_torch_stream(device: torch.device, *, torch_memory: bool = False) -> Iterator[str]:
     """Launch on torch's current stream of ``device``; yields the Warp device's alias, which launches have to name.
 
     On CUDA one thread at a time: call nothing inside that may wait for another one.
+
+    Args:
+        device: CPU or CUDA.
+        torch_memory: Allocate Warp's arrays from torch on the default stream, too, so that torch counts them.
 
     Raises:
         ValueError: If Warp has no such device.
@@ -108,7 +112,7 @@ def on_torch_stream(device: torch.device) -> Iterator[str]:
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"device: {device}; expected a cpu or cuda device")
     wp.init()  # does nothing the second time; device_from_torch relies on it
-    with _gate.launching(), _on_stream(device) as where:
+    with _gate.launching(), _on_stream(device, torch_memory) as where:
         yield where
 
 
@@ -127,14 +131,14 @@ _one_stream = threading.RLock()
 
 
 @contextmanager
-def _on_stream(device: torch.device) -> Iterator[str]:
+def _on_stream(device: torch.device, torch_memory: bool) -> Iterator[str]:
     warp_device = wp.device_from_torch(device)
     if warp_device.is_cpu:
         yield warp_device.alias
         return
     torch_stream = torch.cuda.current_stream(device)
-    side = torch_stream != torch.cuda.default_stream(device)
-    with _one_stream, _torch_memory(warp_device) if side else nullcontext():
+    of_torch = torch_memory or torch_stream != torch.cuda.default_stream(device)
+    with _one_stream, _torch_memory(warp_device) if of_torch else nullcontext():
         if wp.get_stream(warp_device).cuda_stream == torch_stream.cuda_stream:
             with wp.ScopedDevice(warp_device):
                 yield warp_device.alias

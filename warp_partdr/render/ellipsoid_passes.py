@@ -87,6 +87,15 @@ class EllipsoidPasses:
         launch_bodies_on(device, launch, shape[0], (silhouette, ellipsoid_picture))
         return Picture(labels, depth, parts, seen)
 
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Callable[[], None]:
+        """Launch that fills ``labels``."""
+        posed, shown = _arrays(inputs), warp_array(labels)
+        if self.labels == tuple(range(1, len(self.labels) + 1)):
+            images = {"parts": shown}
+        else:
+            images = {"parts": wp.empty(labels.shape, dtype=wp.uint8, device=shown.device), "labels": shown}
+        return partial(self.prepare_picture(posed, **images)[0], slice(0, len(labels)))
+
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
         device, seen = grad_maps.device, picture.scratch

@@ -100,7 +100,7 @@ def draw_ellipsoids(
         ValueError: If a shape, size, dtype, label or number is wrong, or devices differ.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
-    rule = _check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
+    rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
     passes, inputs, size = _check("draw_ellipsoids", ellipsoids, camera, image_size, part_labels, rule, validate)
     return draw_picture(EllipsoidImage, passes, inputs, size, check_whole("num_maps", num_maps, 0, MAX_LABEL))
 
@@ -140,7 +140,7 @@ def ellipsoid_label_loss(
         NotImplementedError: As ``draw_ellipsoids``.
     """
     refuse_transforms("ellipsoid_label_loss", target)
-    rule = _check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
+    rule = check_rule(gradient, max_distance, depth_weight, samples_per_pixel)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
     size = target.shape[1:]
     passes, inputs, _ = _check("ellipsoid_label_loss", ellipsoids, camera, size, part_labels, rule, validate)
@@ -152,7 +152,8 @@ _Rule = tuple[Gradient, float, float, float]  # gradient, max_distance, depth_we
 
 
 @cached
-def _check_rule(gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float) -> _Rule:
+def check_rule(gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float) -> _Rule:
+    """Options of the gradient, checked, for ``ellipsoid_passes``."""
     if gradient not in get_args(Gradient):
         raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(Gradient))}")
     check_partdr_options(max_distance, depth_weight)
@@ -184,7 +185,7 @@ def _check(
     size = check_image_size(image_size, batch)
     if not 1 <= count <= MAX_PARTS:
         raise ValueError(f"centres: {count} ellipsoids a body; expected 1 to {MAX_PARTS}")
-    labels = _part_labels(None if part_labels is None else tuple(part_labels), count)
+    labels = check_part_labels(None if part_labels is None else tuple(part_labels), count)
     if validate and not torch.compiler.is_compiling():
         numbers = {"centres": centres, "axes": axes, "semi_axes": semi_axes, "camera": intrinsics}
         check_numbers(numbers, frames=("axes",), positive=("semi_axes",))
@@ -192,7 +193,9 @@ def _check(
     return passes, (centres.float(), axes.float(), semi_axes.float(), intrinsics.float()), size
 
 
-def _part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
+@cached
+def check_part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
+    """Label of each of ``count`` ellipsoids, checked; 1, 2, ... by default."""
     if given is None:
         return tuple(range(1, count + 1))
     labels = tuple(check_whole("part_labels", label, 0, 255) for label in given)

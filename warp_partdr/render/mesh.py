@@ -113,11 +113,16 @@ def mesh_label_loss(
     check_image_size(target.shape[1:], vertices.shape[0])
     check_target(target, ("vertices", vertices), vertices.shape[0])
     if validate and not torch.compiler.is_compiling():
-        strange = (target > mesh.num_labels) & (target != IGNORE_LABEL)
-        if strange.any():
-            label = int(target[strange][0])
-            raise ValueError(f"target: label {label}; expected 0 to {mesh.num_labels}, or {IGNORE_LABEL} = ignore")
+        check_labels(target, mesh.num_labels)
     return find_loss(PartImage, passes, (screen,), target)
+
+
+def check_labels(target: torch.Tensor, num_labels: int) -> None:
+    """Raise ValueError if a label image shows what a mesh has not; waits for the device."""
+    strange = (target > num_labels) & (target != IGNORE_LABEL)
+    if strange.any():
+        label = int(target[strange][0])
+        raise ValueError(f"target: label {label}; expected 0 to {num_labels}, or {IGNORE_LABEL} = ignore")
 
 
 def _project(

@@ -69,6 +69,11 @@ class MeshPasses:
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return picture
 
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> _Launch:
+        """Launch that fills ``labels``."""
+        nothing = (torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
+        return self.prepare_raster(inputs[0], (labels, *nothing), background=False)[0]
+
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradient with respect to the vertices, shape (B, V, 3), from that with respect to part maps (B, K, H, W)."""
         (vertices,) = inputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 import torch
 
 from ..interop.derivatives import once
-from ..interop.loss_graph import Recipe, find_label_loss, split_rows
+from ..interop.graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
+from ..interop.loss_graph import Recipe, Shapes, find_label_loss, row_length, split_rows
 from .options import label_maps
 
 Tensors = tuple[torch.Tensor, ...]
@@ -49,6 +51,9 @@ class Passes(Recipe, Protocol):
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw the picture."""
 
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Callable[[], None]:
+        """Allocate intermediate buffers; return a function that fills ``labels`` by launches alone."""
+
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
 
@@ -57,10 +62,10 @@ class DrawnLater:
     """Base of a dataclass of images, in the order of ``Picture``, that may be drawn when one is first read."""
 
     @classmethod
-    def later(cls, draw: Callable[[], Iterable[torch.Tensor]]) -> Self:
-        """Images that ``draw`` will give."""
+    def later(cls, draw: Callable[[], Iterable[torch.Tensor]], **drawn: torch.Tensor) -> Self:
+        """Images that ``draw`` will give, but for those that are ``drawn``."""
         image = cls.__new__(cls)
-        image.__dict__["_draw"] = draw
+        image.__dict__.update(drawn, _draw=draw)
         return image
 
     if not TYPE_CHECKING:  # or any name would be one of its attributes
@@ -68,7 +73,8 @@ class DrawnLater:
         def __getattr__(self, name: str) -> Any:  # Python asks here for what it has not found
             if name not in self.__dataclass_fields__ or "_draw" not in self.__dict__:
                 raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-            self.__dict__.update(zip(self.__dataclass_fields__, self._draw(), strict=False))
+            for field, image in zip(self.__dataclass_fields__, self._draw(), strict=False):
+                self.__dict__.setdefault(field, image)
             return self.__dict__[name]
 
 
@@ -83,8 +89,7 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
         maps, *images = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
         return image(*images, maps if num_maps else None)
     if num_maps == 0:
-        with torch.no_grad():
-            return image(*passes.draw(inputs, size)[:3])
+        return _draw_labels(image, passes, inputs, size)
     return image(*_Maps.apply(passes, size, num_maps, *inputs))
 
 
@@ -106,6 +111,39 @@ def find_loss(
 def _draw_rows(passes: Passes, rows: torch.Tensor, shapes: Sequence[torch.Size], size: Size) -> Tensors:
     """Draw the picture of a loss, from its copy of the inputs."""
     return passes.draw(split_rows(rows[0], tuple(shapes)), size)[:3]
+
+
+@torch.no_grad()
+def _draw_labels(image: type[_Image], passes: Passes, inputs: Tensors, size: Size) -> _Image:
+    """Draw labels; what else there is, when it is first looked at. By a captured graph where memory has room."""
+    shapes = tuple([tensor.shape for tensor in inputs])
+    batch, device = shapes[0][0], inputs[0].device
+    key, num_bytes = (passes, shapes, size), batch * math.prod(size) * BYTES_PER_PIXEL
+    graph = graphs.find(key, device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device)) if batch else None
+    if graph is None:
+        return image(*passes.draw(inputs, size)[:3])
+    labels, rows = graph(inputs)
+    return image.later(partial(_draw_rows, passes, rows, shapes, size), labels=labels)
+
+
+class _LabelsGraph:
+    """Label images by a captured graph in fixed buffers; returns copies of labels and inputs."""
+
+    def __init__(self, passes: Passes, shapes: Shapes, size: Size, device: torch.device) -> None:
+        batch = shapes[0][0]
+        self._rows = torch.empty(1, batch, row_length(shapes), device=device)
+        self._inputs = inputs = split_rows(self._rows[0], shapes)
+        self._labels = labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
+
+        def prepare(part: slice) -> Callable[[], None]:
+            return passes.prepare_labels(tuple(tensor[part] for tensor in inputs), labels[part])
+
+        self._launches = CapturedBodies(prepare, batch, device)
+
+    def __call__(self, inputs: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
+        torch._foreach_copy_(self._inputs, inputs)
+        self._launches.replay()
+        return self._labels.clone(), self._rows.clone()
 
 
 class _Maps(torch.autograd.Function):

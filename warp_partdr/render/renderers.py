@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -14,13 +15,25 @@ from ..body.ellipbody import DEFAULT_SUBDIVISIONS
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
-from .ellipsoids import EllipsoidImage, draw_ellipsoids, ellipsoid_label_loss
+from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
+from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
-from .options import DEFAULT_DEPTH_WEIGHT, Gradient
+from .mesh_passes import MeshPasses, mesh_passes
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient, check_partdr_options
 from .part_mesh import PartMesh, ellipbody_mesh
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
-_ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
+ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
+
+
+class CameraKind(Protocol):
+    """What is the same for all cameras of a batch."""
+
+    perspective: bool
+
+    @property
+    def near_plane(self) -> float:
+        """Depth at or before which nothing is drawn [m]."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +58,7 @@ class RendererEllipsoids:
         camera: Camera,
         image_size: tuple[int, int],
         *,
-        part_labels: Sequence[int] = _ALL_PARTS,
+        part_labels: Sequence[int] = ALL_PARTS,
         num_maps: int = 0,
         validate: bool = True,
     ) -> EllipsoidImage:
@@ -60,11 +73,17 @@ class RendererEllipsoids:
         camera: Camera,
         target: torch.Tensor,
         *,
-        part_labels: Sequence[int] = _ALL_PARTS,
+        part_labels: Sequence[int] = ALL_PARTS,
         validate: bool = True,
     ) -> tuple[torch.Tensor, EllipsoidImage]:
         """L_seg of bodies; arguments and errors as of ``ellipsoid_label_loss``."""
         return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **vars(self))
+
+    def passes(self, camera: CameraKind, part_labels: Sequence[int], device: torch.device) -> EllipsoidPasses:
+        """Launches for the cameras of one kind; errors as of ``draw_ellipsoids``."""
+        labels = check_part_labels(tuple(part_labels), NUM_PARTS)
+        gradient, *numbers = check_rule(**vars(self))
+        return ellipsoid_passes(labels, camera.perspective, gradient, camera.near_plane, *numbers)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
         """Return itself: nothing in it depends on the bodies."""
@@ -93,7 +112,7 @@ class RendererMesh:
         camera: Camera,
         image_size: tuple[int, int],
         *,
-        part_labels: Sequence[int] = _ALL_PARTS,
+        part_labels: Sequence[int] = ALL_PARTS,
         num_maps: int = 0,
         validate: bool = True,
     ) -> PartImage:
@@ -107,12 +126,20 @@ class RendererMesh:
         camera: Camera,
         target: torch.Tensor,
         *,
-        part_labels: Sequence[int] = _ALL_PARTS,
+        part_labels: Sequence[int] = ALL_PARTS,
         validate: bool = True,
     ) -> tuple[torch.Tensor, PartImage]:
         """L_seg of bodies; arguments and errors as of ``mesh_label_loss`` and ``draw_ellipsoids``."""
         vertices, mesh = self._mesh(posed, camera, part_labels)
         return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **self._rule)
+
+    def passes(self, camera: CameraKind, part_labels: Sequence[int], device: torch.device) -> MeshPasses:
+        """Launches for the cameras of one kind, of a fixed level; errors as of ``draw_mesh``."""
+        assert self.subdivisions != "auto"
+        check_partdr_options(self.max_distance, self.depth_weight)
+        mesh = labelled_mesh(self.subdivisions, tuple(part_labels), device)
+        options = camera.perspective, camera.near_plane, float(self.max_distance), float(self.depth_weight)
+        return mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
         """Renderer with the level that these bodies need, so that a loss does not jump while it is minimised."""
@@ -138,4 +165,4 @@ Renderer = RendererEllipsoids | RendererMesh
 def labelled_mesh(level: int, part_labels: tuple[int, ...], device: torch.device) -> PartMesh:
     """Mesh with its labels, cached, for its edges take a moment to find."""
     mesh = ellipbody_mesh(level, device=device)
-    return mesh if part_labels == _ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))
+    return mesh if part_labels == ALL_PARTS else mesh.relabel(np.array([0, *part_labels], dtype=np.uint8))

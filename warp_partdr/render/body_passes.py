@@ -1,0 +1,112 @@
+"""Launches from a body's parameters to L_seg and back: kinematics, a renderer's passes, and the adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..body.bone_launches import BoneLaunches, camera_array, kinematic_arrays
+from ..body.ellipbody import bone_tree
+from ..body.template import NUM_JOINTS, NUM_PARTS
+from ..interop.arrays import warp_array
+from ..interop.loss_graph import Buffers
+from ..kernels import kinematics, turns
+from ..kernels.mesh import screen
+from .ellipsoid_passes import EllipsoidPasses
+from .mesh_passes import MeshPasses
+from .options import cached
+from .pictures import Tensors
+
+_Launch = Callable[[], None]
+_SHAPES = ((NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (4,))  # of centres, axes, semi-axes and camera
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPasses:
+    """A ``Recipe``; its inputs are focal lengths, centres and the arguments of ``pose``."""
+
+    renderer: EllipsoidPasses | MeshPasses
+    subdivisions: int  # of the mesh
+    locked: int  # parts that keep their rest rotation, as bits
+    half_size: float  # of the crop that the camera's numbers are of [px]; 0: they are in pixels
+
+    name = "body_label_loss"
+
+    @property
+    def modules(self) -> Sequence[ModuleType]:
+        """Modules of the kernels that it launches."""
+        return turns, kinematics, screen, *self.renderer.modules
+
+    def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
+        """As the renderer's."""
+        return self.renderer.num_losses(device, batch, height, width)
+
+    def prepare(self, buffers: Buffers) -> _Launch:
+        """Launches of loss and gradient for all bodies of the buffers."""
+        focal, centre, *parameters = buffers.inputs
+        prepare = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
+        (*ellipsoids, camera), (*adjoints, adj_camera), draw = prepare(buffers)
+        bones = BoneLaunches(parameters, self.locked, (focal, centre, camera), self.half_size)
+        batch = len(focal)
+        moved = focal.new_empty(batch, NUM_JOINTS, 3), focal.new_empty(batch, NUM_PARTS, 3, 3)
+        posed = kinematic_arrays((*moved, *ellipsoids), "vmvmv")
+        if not buffers.grads:
+            return lambda: (bones.launch(posed), draw())[-1]
+        unmoved = [wp.empty_like(array) for array in posed[:2]]  # no adjoint comes from joints and rotations
+        sent = [*unmoved, *kinematic_arrays(adjoints, "vmv")]
+        pull = bones.prepare_adjoint(posed[1], sent, buffers.grads[2:], adj_camera, buffers.grads[:2])
+
+        def launch() -> None:
+            bones.launch(posed)
+            draw()
+            for array in unmoved:
+                array.zero_()
+            pull()
+
+        return launch
+
+    def _prepare_ellipsoids(self, buffers: Buffers) -> tuple[Tensors, Tensors, _Launch]:
+        """Ellipsoids and camera to be filled, their adjoints, and the launch that fills these and the loss."""
+        inner = self._inner(buffers, _SHAPES)
+        return inner.inputs, inner.grads or inner.inputs, self.renderer.prepare(inner)
+
+    def _prepare_mesh(self, buffers: Buffers) -> tuple[Tensors, Tensors, _Launch]:
+        device = buffers.target.device
+        sphere = bone_tree(wp.device_from_torch(device).alias, wp.float32, self.subdivisions).unit_vertices
+        inner = self._inner(buffers, ((NUM_PARTS * len(sphere), 3),))
+        like, batch = inner.inputs[0], len(inner.inputs[0])
+        filled, adjoints = (tuple(like.new_empty(batch, *shape) for shape in _SHAPES) for _ in range(2))
+        adjoints = *adjoints[:3], like.new_empty(batch, NUM_PARTS, 4)
+        seen, gradient = _seen(filled), _seen(adjoints)
+        points = warp_array(inner.inputs[0], wp.vec3)
+        adj_points = warp_array(inner.grads[0], wp.vec3) if inner.grads else None
+        draw, perspective = self.renderer.prepare(inner), self.renderer.perspective
+
+        def launch() -> None:
+            screen.launch_place_on_screen(sphere, seen, points, perspective=perspective)
+            draw()
+            if adj_points is not None:
+                screen.launch_place_on_screen_adjoint(sphere, seen, adj_points, gradient, perspective=perspective)
+
+        return filled, adjoints, launch
+
+    def _inner(self, buffers: Buffers, shapes: tuple[tuple[int, ...], ...]) -> Buffers:
+        """Buffers of the renderer, which fills the same losses."""
+        batched = tuple([torch.Size((len(buffers.losses), *shape)) for shape in shapes])
+        inner = Buffers.empty(self.renderer, batched, buffers.target, needs_grad=len(buffers.grads) > 0)
+        return replace(inner, losses=buffers.losses)
+
+
+body_passes = cached(BodyPasses)
+
+
+def _seen(ellipsoids: Tensors) -> Any:
+    seen = screen.EllipsoidsSeen()
+    seen.centres, seen.axes, seen.semi_axes = kinematic_arrays(ellipsoids[:3], "vmv")
+    seen.cameras = camera_array(ellipsoids[3])
+    return seen
