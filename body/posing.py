@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
 
-from ..interop.captured_function import Tensors, call_captured, shapes
+from ..interop.captured_function import Tensors, call_captured
 from ..interop.checks import check_numbers, check_tensor
 from ..interop.derivatives import is_transformed
 from ..interop.graph_cache import Launch
+from ..interop.loss_graph import Shapes
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from . import plain_posing
@@ -166,16 +167,24 @@ class _Bones(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, locked: int, *parameters: torch.Tensor) -> tuple[torch.Tensor, ...]:
         ctx.save_for_backward(*parameters)
+        ctx.set_materialize_grads(False)  # zeros are made once, in the graph's buffers
         ctx.locked = locked
-        return call_captured(_prepare_bones, parameters, shapes(len(parameters[0]), *_POSED), locked)
+        return call_captured(_prepare_bones, parameters, _posed_shapes(len(parameters[0])), locked)
 
     @staticmethod
-    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        parameters = ctx.saved_tensors
-        if _differentiable(*adjoints):
-            return None, *torch.func.vjp(partial(_pose_in_torch, locked=ctx.locked), *parameters)[1](adjoints)
+    def backward(ctx: Any, *adjoints: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
+        parameters, locked = ctx.saved_tensors, ctx.locked
+        given = tuple([adjoint for adjoint in adjoints if adjoint is not None])
+        if not given:
+            return (None,) * (1 + len(parameters))
+        if _differentiable(*given):
+            shapes = _posed_shapes(len(parameters[0]))
+            full = zip(adjoints, shapes, strict=True)
+            sent = tuple(parameters[0].new_zeros(shape) if each is None else each for each, shape in full)
+            return None, *torch.func.vjp(partial(_pose_in_torch, locked=locked), *parameters)[1](sent)
         gradients = tuple([tensor.shape for tensor in parameters])
-        return None, *call_captured(_prepare_bones_adjoint, (*parameters, *adjoints), gradients, ctx.locked)
+        missing = tuple([adjoint is None for adjoint in adjoints])
+        return None, *call_captured(_prepare_bones_adjoint, (*parameters, *given), gradients, locked, missing)
 
 
 class _Vertices(torch.autograd.Function):
@@ -199,7 +208,11 @@ class _Vertices(torch.autograd.Function):
         return *call_captured(_prepare_vertices_adjoint, inputs, gradients, ctx.subdivisions), None
 
 
-_POSED = ((NUM_JOINTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3))
+@lru_cache(maxsize=32)
+def _posed_shapes(batch: int) -> Shapes:
+    """Shapes of the fields of ``Posed``."""
+    fields = (NUM_JOINTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3)
+    return tuple([torch.Size((batch, *shape)) for shape in fields])
 
 
 def _prepare_bones(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
@@ -207,14 +220,26 @@ def _prepare_bones(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
     return partial(BoneLaunches(inputs, locked).launch, kinematic_arrays(outputs, "vmvmv"))
 
 
-def _prepare_bones_adjoint(inputs: Tensors, outputs: Tensors, locked: int) -> Launch:
-    """Launches that fill the gradients of ``pose``, from its arguments and the adjoints of what it returns."""
-    parameters, adjoints = inputs[:5], inputs[5:]
-    bones = BoneLaunches(parameters, locked)
-    posed = kinematic_arrays([torch.empty_like(each).contiguous() for each in adjoints], "vmvmv")
-    push = bones.prepare_adjoint(posed[1], kinematic_arrays(adjoints, "vmvmv"), outputs)
+def _prepare_bones_adjoint(inputs: Tensors, outputs: Tensors, locked: int, missing: Sequence[bool]) -> Launch:
+    """Launches that fill the gradients of ``pose``, from its arguments and the adjoints of what it returns.
+
+    Args:
+        inputs: The arguments, then those adjoints that are not ``missing``: zero.
+        outputs: The gradients.
+        locked: Parts that keep their rest rotation, as bits.
+        missing: Of each field of ``Posed``.
+    """
+    parameters, given, like = inputs[:5], iter(inputs[5:]), inputs[3]
+    bones, shapes = BoneLaunches(parameters, locked), _posed_shapes(len(like))
+    posed = kinematic_arrays([like.new_empty(shape) for shape in shapes], "vmvmv")
+    adjoints = [like.new_zeros(s) if none else next(given) for none, s in zip(missing, shapes, strict=True)]
+    sent = kinematic_arrays(adjoints, "vmvmv")
+    moved = [array for array, none in zip(sent[:2], missing, strict=False) if none]  # the launches write to these
+    push = bones.prepare_adjoint(posed[1], sent, outputs)
 
     def launch() -> None:
+        for array in moved:
+            array.zero_()
         bones.launch(posed)
         push()
 

@@ -19,7 +19,7 @@ import warp as wp
 from matplotlib.figure import Figure
 from torch import nn
 
-from warp_partdr import PART_NAMES, BodyParameters, draw_ellipsoids, ellipsoid_label_loss
+from warp_partdr import PART_NAMES, BodyParameters, RendererEllipsoids, draw_ellipsoids
 from warp_partdr.results.palette import PART_COLOURS
 from warp_partdr.results.plot import loss_curve
 
@@ -68,8 +68,7 @@ class LimbNetwork(nn.Module):
 def wrong_pixels(network: nn.Module, labels: torch.Tensor) -> torch.Tensor:
     """L_seg of the network's bodies against what it was shown, mean a person [px]."""
     people = bodies(network(labels))
-    loss, _ = ellipsoid_label_loss(people.posed(), people.camera(labels.shape[1]), labels, gradient="partdr")
-    return loss.mean()
+    return RendererEllipsoids("partdr").crop_loss(people, labels).mean()
 
 
 def picture(rows: dict[str, torch.Tensor]) -> Figure:

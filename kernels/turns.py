@@ -72,7 +72,7 @@ def gather_turn(numbers: wp.array[float], turn: wp.mat33, adjoint: wp.mat33, gra
     for i in range(3):
         torque += wp.cross(column(turn, i), column(adjoint, i))
     if numbers.shape[0] == 3:
-        set_vector(gradient, 0, axis_angle_gradient(get_vector(numbers, 0), torque))
+        set_vector(gradient, 0, axis_angle_gradient(get_vector(numbers, 0), wp.transpose(turn) * torque))
     else:
         first, second = columns_gradient(get_vector(numbers, 0), get_vector(numbers, 3), turn, torque)
         set_vector(gradient, 0, first)

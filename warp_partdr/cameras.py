@@ -256,9 +256,11 @@ def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> 
 
     Another object that has ``intrinsics`` and ``project`` will do.
     """
-    if not hasattr(camera, "intrinsics"):
+    try:
+        intrinsics = camera.intrinsics
+    except AttributeError:
         check_type("camera", camera, Camera, "such as BodyParameters.camera(256)")
-    intrinsics = camera.intrinsics
+        raise
     check_tensor("camera", intrinsics, (None, 4), dtypes=FLOATS)
     if intrinsics.shape[0] not in (1, batch):
         raise ValueError(f"camera: {intrinsics.shape[0]} of them; expected {batch}, as {like[0]}, or 1")

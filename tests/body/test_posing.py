@@ -12,6 +12,7 @@ from scenes.bodies import random_parameters
 from warp_partdr.body.ellipbody import EllipBody, ellipbody_faces
 from warp_partdr.body.icosphere import icosphere
 from warp_partdr.body.posing import pose
+from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle
 from warp_partdr.body.template import PARENTS, SHAPE_INDICES, template
 from warp_partdr.reference.ellipbody import BodyTree, deform_sphere, ellipsoids_of, place_joints
 
@@ -51,6 +52,47 @@ def test_adjoint_by_finite_differences(device, subdivisions):
         return (*bones, posed.vertices(subdivisions))
 
     assert torch.autograd.gradcheck(everything, parameters, fast_mode=subdivisions == 1)
+
+
+@pytest.mark.parametrize("form", ["axis-angle", "6D"])
+def test_rotations_in_other_forms(device, form):
+    """As their matrices, with the gradients that torch finds through them; twice differentiable."""
+    generator = torch.Generator().manual_seed(3)
+    width = {"axis-angle": 3, "6D": 6}[form]
+    make = {"axis-angle": rotation_from_axis_angle, "6D": rotation_from_6d}[form]
+    whole, turns = (torch.randn(2, *s, width, generator=generator) for s in ((), (20,)))
+    turns[0, 3] = 0.0  # no turn, or no direction
+    others = random_parameters(0, 2, "cpu", torch.float32)
+    factors = [torch.randn(2, *s, generator=generator) for s in ((21, 3), (20, 3, 3), (20, 3), (20, 3, 3), (20, 3))]
+
+    def total(whole, turns, translation, lengths, thicknesses):
+        posed = pose(whole, translation, turns, lengths, thicknesses)
+        fields = posed.joints, posed.rotations, posed.centres, posed.axes, posed.semi_axes
+        return sum((one * factor.to(one)).sum() for one, factor in zip(fields, factors, strict=True))
+
+    for dtype in (torch.float32, torch.float64):
+        leaves = [t.to(device, dtype).requires_grad_() for t in (whole, turns, others[1], *others[3:])]
+        for _ in range(3):  # launched, captured, replayed
+            have = total(*leaves)
+            want = total(make(leaves[0]), make(leaves[1]), *leaves[2:])
+            torch.testing.assert_close(have, want)
+            gradients = [torch.autograd.grad(each, leaves) for each in (have, want)]
+            for one, other in zip(*gradients, strict=True):
+                torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4)
+    first = torch.autograd.grad(total(*leaves), leaves[1], create_graph=True)[0]
+    assert torch.autograd.grad(first.square().sum(), leaves[1])[0].abs().max() > 0
+
+
+def test_a_body_of_which_little_is_asked(device):
+    """Adjoints that nobody sends are zeros, also in a graph that was filled by others."""
+    parameters = [p.requires_grad_() for p in random_parameters(4, 2, device, torch.float32)]
+    for asked in ("joints", "axes", "joints", "axes", "joints"):
+        posed = pose(*parameters)
+        gradient = torch.autograd.grad(getattr(posed, asked).square().sum(), parameters, allow_unused=True)
+        exact = [p.detach().double().requires_grad_() for p in parameters]
+        want = torch.autograd.grad(getattr(pose(*exact), asked).square().sum(), exact, allow_unused=True)
+        for one, other in zip(gradient, want, strict=True):
+            torch.testing.assert_close(one.double(), other, rtol=1e-4, atol=1e-4)
 
 
 def test_faces_point_outward_and_count_as_the_paper_says():

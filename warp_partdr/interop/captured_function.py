@@ -62,8 +62,18 @@ class _Buffers:
 
 def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
     """Views of these shapes, one after the other."""
-    parts = numbers.split([math.prod(shape) for shape in shapes])
-    return tuple([part.view(shape) for part, shape in zip(parts, shapes, strict=True)])
+    return tuple([numbers.as_strided(*place) for place in _blocks(shapes)])
+
+
+@lru_cache(maxsize=64)
+def _blocks(shapes: Shapes) -> list[tuple[torch.Size, tuple[int, ...], int]]:
+    """Shape, strides and offset of each."""
+    places, start = [], 0
+    for shape in shapes:
+        strides = tuple([max(math.prod(shape[k + 1 :]), 1) for k in range(len(shape))])
+        places.append((shape, strides, start))
+        start += math.prod(shape)
+    return places
 
 
 class _Graph:
@@ -85,9 +95,3 @@ class _Graph:
         torch._foreach_copy_(self._buffers.inputs, tensors)
         self._launches.replay()
         return split_blocks(self._buffers.found.clone(), self._shapes)
-
-
-@lru_cache(maxsize=32)
-def shapes(batch: int, *each: tuple[int, ...]) -> Shapes:
-    """Shapes of a batch."""
-    return tuple(torch.Size((batch, *shape)) for shape in each)

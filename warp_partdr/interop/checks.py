@@ -8,6 +8,7 @@ from typing import SupportsIndex
 import torch
 
 from ..errors import LARGEST, check_whole
+from .quick_checks import FRAMES, POSITIVE, ROTATIONS, VALUES, are_good
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)  # taken, and converted to float32
 
@@ -112,7 +113,11 @@ def check_numbers(
         frames: Names of those with orthonormal columns: rotations or reflections.
         positive: Names of those that are greater than 0.
     """
+    kinds = dict.fromkeys(tensors, VALUES) | dict.fromkeys(positive, POSITIVE)
+    kinds |= dict.fromkeys(rotations, ROTATIONS) | dict.fromkeys(frames, FRAMES)
     with torch.no_grad():
+        if are_good(list(tensors.values()), tuple(kinds.values()), ROTATION_TOLERANCE):
+            return
         norms = [torch.linalg.vector_norm(tensor, dtype=torch.float64) for tensor in tensors.values()]
         wrong = [~(torch.stack(norms).sum() <= LARGEST)]
         for names, mirrored in ((rotations, False), (frames, True)):

@@ -99,7 +99,7 @@ class GraphCache:
             num_bytes: Estimate of the memory that it takes, for the CPU; on CUDA torch counts it.
             make: Makes the graph with its buffers.
         """
-        where = get_num_threads() if device.type == "cpu" else torch.cuda.current_stream(device).cuda_stream
+        where = get_num_threads() if device.type == "cpu" else torch._C._cuda_getCurrentRawStream(device.index)
         key = threading.get_ident(), where, device, key
         with self._lock:
             kept = self._kept.get(key)

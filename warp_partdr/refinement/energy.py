@@ -101,6 +101,7 @@ class Weights:
 
 
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
+SEG = next(term for term in TERMS if term.name == "seg")
 
 
 @dataclass
@@ -154,7 +155,15 @@ class Energy:
 
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,) each."""
-        return self.terms(parameters, parameters.posed())
+        posed = parameters.posed()
+        if self.target is None or self._maps is not None:
+            return self.terms(parameters, posed)
+        others = self.terms(parameters, posed, [term.name for term in TERMS if term.name != SEG.name])
+        # From the parameters, in one graph.
+        renderer = self._fix(parameters, posed)
+        loss = renderer.crop_loss(parameters, self._targets, part_labels=self._part_labels)
+        seg = {SEG.name: self.weight(SEG) * loss}
+        return {term.name: {**others, **seg}[term.name] for term in TERMS if term.applies(self)}
 
     def terms(
         self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None
@@ -178,18 +187,26 @@ class Energy:
 
     def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
-        assert self.target is not None
-        camera, labels = parameters.camera(self.size), self._part_labels
-        if self._fixed is None:
-            self._fixed = self.renderer.fixed(posed, camera)
+        camera, labels, renderer = parameters.camera(self.size), self._part_labels, self._fix(parameters, posed)
         if self._maps is None:
-            target = self.target.view(-1, self.size, self.size)  # one for all bodies, or one each
-            return self._fixed.label_loss(posed, camera, target, part_labels=labels, validate=False)[0]
+            return renderer.label_loss(posed, camera, self._targets, part_labels=labels, validate=False)[0]
         size, count = (self.size, self.size), len(self._maps)
-        maps = self._fixed.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
+        maps = renderer.draw(posed, camera, size, part_labels=labels, num_maps=count, validate=False).maps
         assert maps is not None
         assert self._known is not None
         return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
+
+    @property
+    def _targets(self) -> torch.Tensor:
+        """Label images, one for all bodies or one each, shape (N, size, size)."""
+        assert self.target is not None
+        return self.target.view(-1, self.size, self.size)
+
+    def _fix(self, parameters: BodyParameters, posed: Posed) -> Renderer:
+        """Renderer with the level that the first bodies need."""
+        if self._fixed is None:
+            self._fixed = self.renderer.fixed(posed, parameters.camera(self.size))
+        return self._fixed
 
     def misses(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""

@@ -4,95 +4,69 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import torch
 
 from ..body.parameters import LOCKED_BITS
 from ..body.posing import Posed, check_parameters, matrices_of, pose_parts
-from ..body.template import BODY_SHAPES
+from ..body.template import BODY_SHAPES, NUM_PARTS
 from ..cameras import Camera, WeakPerspective, check_camera
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
 from ..interop.loss_graph import find_label_loss
-from .body_passes import BodyPasses, body_passes
+from .body_passes import BodyPasses
 from .mesh import check_labels
 from .mesh_passes import MeshPasses
 from .options import check_target
-from .renderers import ALL_PARTS, CameraKind, Renderer, RendererEllipsoids, RendererMesh
 
-EDGES = RendererEllipsoids("edges")
+ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
 
 
-def body_label_loss(
-    global_orient: torch.Tensor,
-    translation: torch.Tensor,
-    rotations: torch.Tensor,
-    lengths: torch.Tensor,
-    thicknesses: torch.Tensor,
-    camera: Camera,
-    target: torch.Tensor,
-    *,
-    renderer: Renderer = EDGES,
-    part_labels: Sequence[int] = ALL_PARTS,
-    validate: bool = True,
-) -> torch.Tensor:
-    """L_seg (paper, eq. 6) of bodies, straight from what ``pose`` takes; its gradient is found with it.
+class Seeing(NamedTuple):
+    """What the cameras of all bodies share, and bodies that are drawn alike.
 
-    The same as ``renderer.label_loss(pose(...), camera, target)[0]``, and a first derivative likewise.
-
-    Args:
-        global_orient: As in ``pose``, in any of its three forms, as are the following.
-        translation: Position of the pelvis in the camera frame [m], shape (B, 3).
-        rotations: Local rotations.
-        lengths: Shape (B, 12) [m].
-        thicknesses: Shape (B, 15) [m].
-        camera: One a body, or one for all.
-        target: Labels, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
-        renderer: Exact ellipsoids or their mesh.
+    Attributes:
+        perspective: Kind of the cameras.
+        near_plane: Depth at or before which nothing is drawn [m].
         part_labels: Label that each part shows.
-        validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
-
-    Returns:
-        The loss of each body [pixels of maps], shape (B,).
-
-    Raises:
-        ValueError: As ``pose`` and the renderer's ``label_loss``.
-        NotImplementedError: Under ``torch.func``, and in a second derivative.
+        locked: Parts that keep their rest rotation, as bits.
+        half_size: Of the crop that the cameras' numbers are of [px]; 0: they are in pixels.
     """
-    parameters = (global_orient, translation, rotations, lengths, thicknesses)
-    refuse_transforms("body_label_loss", target, *parameters)
-    check_parameters(parameters, dtypes=FLOATS)
-    batch, labels = len(lengths), tuple(part_labels)
-    intrinsics = check_camera(camera, batch, ("lengths", lengths)).expand(batch, 4)
-    refuse_transforms("body_label_loss", intrinsics)
-    check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
-    check_image_size(target.shape[1:], batch)
-    check_target(target, ("lengths", lengths), batch)
-    if torch.compiler.is_compiling():
-        return renderer.label_loss(pose_parts(*parameters), camera, target, part_labels=labels, validate=False)[0]
-    if validate:
-        numbers = dict(zip(BODY_SHAPES, parameters, strict=True))
-        sizes = ("lengths", "thicknesses")
-        check_numbers({**numbers, "camera": intrinsics}, rotations=matrices_of(parameters), positive=sizes)
-    if isinstance(renderer, RendererMesh) and renderer.subdivisions == "auto":
-        with torch.no_grad():
-            renderer = renderer.fixed(pose_parts(*parameters), camera)
-    recipe = _passes(renderer, camera, labels, lengths.device)
-    if validate and isinstance(recipe.renderer, MeshPasses):
-        check_labels(target, recipe.renderer.num_labels)
-    return _find_loss(recipe, (intrinsics[:, :2], intrinsics[:, 2:], *parameters), target)
+
+    perspective: bool
+    near_plane: float
+    part_labels: tuple[int, ...]
+    locked: int = 0
+    half_size: float = 0.0
 
 
 class CropBodies(Protocol):
     """Bodies in crops of side 2, as ``BodyParameters`` has them; rotations in any of the forms of ``pose``."""
 
-    orientation: torch.Tensor
-    rotations: torch.Tensor
-    lengths: torch.Tensor
-    thicknesses: torch.Tensor
-    log_scale: torch.Tensor
-    shift: torch.Tensor
+    @property
+    def orientation(self) -> torch.Tensor:
+        """Global orientation."""
+
+    @property
+    def rotations(self) -> torch.Tensor:
+        """Local rotations."""
+
+    @property
+    def lengths(self) -> torch.Tensor:
+        """Shape (B, 12) [m]."""
+
+    @property
+    def thicknesses(self) -> torch.Tensor:
+        """Shape (B, 15) [m]."""
+
+    @property
+    def log_scale(self) -> torch.Tensor:
+        """Shape (B,)."""
+
+    @property
+    def shift(self) -> torch.Tensor:
+        """Shape (B, 2)."""
 
     def posed(self) -> Posed:
         """Posed bodies, pelvis at the origin."""
@@ -101,37 +75,89 @@ class CropBodies(Protocol):
         """Cameras for a crop of ``size`` pixels a side."""
 
 
-def crop_label_loss(
-    bodies: CropBodies, target: torch.Tensor, *, renderer: Renderer = EDGES, part_labels: Sequence[int] = ALL_PARTS
-) -> torch.Tensor:
-    """L_seg of bodies in square crops, as ``body_label_loss``, but the numbers are not looked at.
+class BodyLoss:
+    """Mixin for renderers: L_seg of bodies, and its first derivative, without a step between in torch."""
 
-    Args:
-        bodies: ``BodyParameters``, whose hips don't turn, or what a network predicts.
-        target: Labels, shape (B, S, S) or (1, S, S) for all, uint8.
-        renderer: Exact ellipsoids, or their mesh of a fixed level.
-        part_labels: Label that each part shows.
+    def label_loss(self, *arguments: Any, **options: Any) -> tuple[torch.Tensor, Any]:
+        """L_seg of posed bodies."""
+        raise NotImplementedError
 
-    Returns:
-        The loss of each body [pixels of maps], shape (B,).
-    """
-    size, labels = target.shape[-1], tuple(part_labels)
-    if torch.compiler.is_compiling():
-        camera = bodies.camera(size)
-        return renderer.label_loss(bodies.posed(), camera, target, part_labels=labels, validate=False)[0]
-    lengths = bodies.lengths
-    locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
-    recipe = _passes(renderer, _CROP, labels, lengths.device, locked, size / 2)
-    pelvis = _origin(lengths.device).expand(len(lengths), 3)
-    parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
-    return _find_loss(recipe, (bodies.log_scale[:, None], bodies.shift, *parameters), target)
+    def fixed(self, posed: Posed, camera: Camera) -> Self:
+        """Renderer in which nothing depends on the bodies."""
+        raise NotImplementedError
 
+    def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
+        """Launches of a fixed renderer."""
+        raise NotImplementedError
 
-class _CropCamera:
-    perspective, near_plane = False, WeakPerspective.near
+    def body_loss(
+        self,
+        parameters: Sequence[torch.Tensor],
+        camera: Camera,
+        target: torch.Tensor,
+        *,
+        part_labels: Sequence[int] = ALL_PARTS,
+        validate: bool = True,
+    ) -> torch.Tensor:
+        """L_seg (paper, eq. 6) of bodies, the same as ``label_loss(pose(*parameters), camera, target)[0]``.
 
+        Args:
+            parameters: Arguments of ``pose``: global orientation, translation, rotations, lengths, thicknesses.
+            camera: One a body, or one for all.
+            target: Labels, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
+            part_labels: Label that each part shows.
+            validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
 
-_CROP = _CropCamera()
+        Returns:
+            The loss of each body [pixels of maps], shape (B,).
+
+        Raises:
+            ValueError: As ``pose`` and ``label_loss``.
+            NotImplementedError: Under ``torch.func``, and in a second derivative.
+        """
+        refuse_transforms("body_loss", target, *parameters)
+        check_parameters(parameters, dtypes=FLOATS)
+        lengths, labels = parameters[3], tuple(part_labels)
+        intrinsics = check_camera(camera, len(lengths), ("lengths", lengths)).expand(len(lengths), 4)
+        refuse_transforms("body_loss", intrinsics)
+        check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
+        check_image_size(target.shape[1:], len(lengths))
+        check_target(target, ("lengths", lengths), len(lengths))
+        if torch.compiler.is_compiling():
+            return self.label_loss(pose_parts(*parameters), camera, target, part_labels=labels, validate=False)[0]
+        if validate:
+            numbers = dict(zip(BODY_SHAPES, parameters, strict=True))
+            sizes = ("lengths", "thicknesses")
+            check_numbers({**numbers, "camera": intrinsics}, rotations=matrices_of(parameters), positive=sizes)
+        with torch.no_grad():
+            fixed = self.fixed(pose_parts(*parameters), camera) if getattr(self, "subdivisions", 0) == "auto" else self
+        passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), lengths.device)
+        if validate and isinstance(passes.renderer, MeshPasses):
+            check_labels(target, passes.renderer.num_labels)
+        return _find_loss(passes, (intrinsics[:, :2], intrinsics[:, 2:], *parameters), target)
+
+    def crop_loss(
+        self, bodies: CropBodies, target: torch.Tensor, *, part_labels: Sequence[int] = ALL_PARTS
+    ) -> torch.Tensor:
+        """L_seg of bodies in square crops, as ``body_loss`` of a fixed renderer; their numbers are not looked at.
+
+        Args:
+            bodies: ``BodyParameters``, whose hips don't turn, or what a network predicts.
+            target: Labels, shape (B, S, S) or (1, S, S) for all, uint8.
+            part_labels: Label that each part shows.
+
+        Returns:
+            The loss of each body [pixels of maps], shape (B,).
+        """
+        size, labels, lengths = target.shape[-1], tuple(part_labels), bodies.lengths
+        if torch.compiler.is_compiling():
+            camera = bodies.camera(size)
+            return self.label_loss(bodies.posed(), camera, target, part_labels=labels, validate=False)[0]
+        locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
+        passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
+        pelvis = _origin(lengths.device).expand(len(lengths), 3)
+        parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
+        return _find_loss(passes, (bodies.log_scale[:, None], bodies.shift, *parameters), target)
 
 
 @lru_cache(maxsize=8)
@@ -139,17 +165,5 @@ def _origin(device: torch.device) -> torch.Tensor:
     return torch.zeros(1, 3, device=device)
 
 
-def _passes(
-    renderer: Renderer,
-    camera: CameraKind,
-    labels: tuple[int, ...],
-    device: torch.device,
-    locked: int = 0,
-    half_size: float = 0.0,
-) -> BodyPasses:
-    level = renderer.subdivisions if isinstance(renderer, RendererMesh) else 0
-    return body_passes(renderer.passes(camera, labels, device), level, locked, half_size)
-
-
-def _find_loss(recipe: BodyPasses, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> torch.Tensor:
-    return find_label_loss(recipe, tuple([tensor.float() for tensor in tensors]), target)[0]
+def _find_loss(passes: BodyPasses, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> torch.Tensor:
+    return find_label_loss(passes, tuple([tensor.float() for tensor in tensors]), target)[0]

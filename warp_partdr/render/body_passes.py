@@ -55,15 +55,19 @@ class BodyPasses:
         batch = len(focal)
         moved = focal.new_empty(batch, NUM_JOINTS, 3), focal.new_empty(batch, NUM_PARTS, 3, 3)
         posed = kinematic_arrays((*moved, *ellipsoids), "vmvmv")
+
+        def launch_forward() -> None:
+            bones.launch(posed)
+            draw()
+
         if not buffers.grads:
-            return lambda: (bones.launch(posed), draw())[-1]
+            return launch_forward
         unmoved = [wp.empty_like(array) for array in posed[:2]]  # no adjoint comes from joints and rotations
         sent = [*unmoved, *kinematic_arrays(adjoints, "vmv")]
         pull = bones.prepare_adjoint(posed[1], sent, buffers.grads[2:], adj_camera, buffers.grads[:2])
 
         def launch() -> None:
-            bones.launch(posed)
-            draw()
+            launch_forward()
             for array in unmoved:
                 array.zero_()
             pull()

@@ -89,7 +89,8 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
         maps, *images = operation([*given, *passes.constants], [num_maps, *size], *passes.settings())
         return image(*images, maps if num_maps else None)
     if num_maps == 0:
-        return _draw_labels(image, passes, inputs, size)
+        found: _Image = _draw_labels(image, passes, inputs, size)
+        return found
     return image(*_Maps.apply(passes, size, num_maps, *inputs))
 
 
@@ -114,7 +115,7 @@ def _draw_rows(passes: Passes, rows: torch.Tensor, shapes: Sequence[torch.Size],
 
 
 @torch.no_grad()
-def _draw_labels(image: type[_Image], passes: Passes, inputs: Tensors, size: Size) -> _Image:
+def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any:
     """Draw labels; what else there is, when it is first looked at. By a captured graph where memory has room."""
     shapes = tuple([tensor.shape for tensor in inputs])
     batch, device = shapes[0][0], inputs[0].device

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -15,29 +14,19 @@ from ..body.ellipbody import DEFAULT_SUBDIVISIONS
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
-from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
+from .body_loss import ALL_PARTS, BodyLoss, Seeing
+from .body_passes import BodyPasses, body_passes
+from .ellipsoid_passes import ellipsoid_passes
 from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
-from .mesh_passes import MeshPasses, mesh_passes
+from .mesh_passes import mesh_passes
 from .options import DEFAULT_DEPTH_WEIGHT, Gradient, check_partdr_options
 from .part_mesh import PartMesh, ellipbody_mesh
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
-ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
-
-
-class CameraKind(Protocol):
-    """What is the same for all cameras of a batch."""
-
-    perspective: bool
-
-    @property
-    def near_plane(self) -> float:
-        """Depth at or before which nothing is drawn [m]."""
-
 
 @dataclass(frozen=True)
-class RendererEllipsoids:
+class RendererEllipsoids(BodyLoss):
     """Exact ellipsoids.
 
     Attributes:
@@ -79,11 +68,12 @@ class RendererEllipsoids:
         """L_seg of bodies; arguments and errors as of ``ellipsoid_label_loss``."""
         return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **vars(self))
 
-    def passes(self, camera: CameraKind, part_labels: Sequence[int], device: torch.device) -> EllipsoidPasses:
-        """Launches for the cameras of one kind; errors as of ``draw_ellipsoids``."""
-        labels = check_part_labels(tuple(part_labels), NUM_PARTS)
+    def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
+        """Launches from parameters of bodies to L_seg; errors as of ``draw_ellipsoids``."""
+        labels = check_part_labels(seeing.part_labels, NUM_PARTS)
         gradient, *numbers = check_rule(**vars(self))
-        return ellipsoid_passes(labels, camera.perspective, gradient, camera.near_plane, *numbers)
+        passes = ellipsoid_passes(labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
+        return body_passes(passes, 0, seeing.locked, seeing.half_size)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
         """Return itself: nothing in it depends on the bodies."""
@@ -91,7 +81,7 @@ class RendererEllipsoids:
 
 
 @dataclass(frozen=True)
-class RendererMesh:
+class RendererMesh(BodyLoss):
     """EllipBody's mesh, with PartDR's gradient: the paper's renderer.
 
     Attributes:
@@ -133,13 +123,14 @@ class RendererMesh:
         vertices, mesh = self._mesh(posed, camera, part_labels)
         return mesh_label_loss(vertices, mesh, camera, target, validate=validate, **self._rule)
 
-    def passes(self, camera: CameraKind, part_labels: Sequence[int], device: torch.device) -> MeshPasses:
-        """Launches for the cameras of one kind, of a fixed level; errors as of ``draw_mesh``."""
+    def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
+        """Launches from parameters of bodies to L_seg, of a fixed level; errors as of ``draw_mesh``."""
         assert self.subdivisions != "auto"
         check_partdr_options(self.max_distance, self.depth_weight)
-        mesh = labelled_mesh(self.subdivisions, tuple(part_labels), device)
-        options = camera.perspective, camera.near_plane, float(self.max_distance), float(self.depth_weight)
-        return mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
+        mesh = labelled_mesh(self.subdivisions, seeing.part_labels, device)
+        options = seeing.perspective, seeing.near_plane, float(self.max_distance), float(self.depth_weight)
+        passes = mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
+        return body_passes(passes, self.subdivisions, seeing.locked, seeing.half_size)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
         """Renderer with the level that these bodies need, so that a loss does not jump while it is minimised."""

@@ -22,7 +22,7 @@ from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted, posed_landmarks
-from ..render.ellipsoids import ellipsoid_label_loss
+from ..render.renderers import RendererEllipsoids
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
@@ -163,7 +163,7 @@ def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Te
     size = people.parts.shape[-1]
     turns, true_turns = (torch.cat([each.orientation[:, None], each.rotations], 1) for each in (predicted, people))
     seen = predicted.camera(2).project(posed_landmarks(posed, LANDMARKS))[..., :2] - 1
-    seg, _ = ellipsoid_label_loss(posed, predicted.camera(size), people.parts, gradient="edges", validate=False)
+    seg = RendererEllipsoids("edges").crop_loss(predicted, people.parts)
     mean_thicknesses = torch.as_tensor(template().mean_thicknesses).to(predicted.thicknesses)
     return {
         "joints": (posed.joints - people.joints).abs().mean(),

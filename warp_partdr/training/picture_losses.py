@@ -21,8 +21,8 @@ from ..network.ellipbodynet import PicturePrediction
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import posed_landmarks
-from ..render.ellipsoids import ellipsoid_label_loss
 from ..render.options import Gradient
+from ..render.renderers import RendererEllipsoids
 from .picture_data import Examples
 
 _CENTIMETRES, _MILLIMETRES = 100.0, 1000.0  # a metre
@@ -52,12 +52,11 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
 
 def seg_term(prediction: PicturePrediction, examples: Examples, *, size: int, gradient: Gradient) -> torch.Tensor:
     """L_seg through PartDR, drawn at ``size`` [px] a side, of labels that may be of several label sets."""
-    groups = resize_nearest(examples.groups, size)
+    groups, renderer = resize_nearest(examples.groups, size), RendererEllipsoids(gradient)
     total = prediction.bodies.log_scale.new_zeros(())
     for part_groups, chosen in label_sets(examples):
         bodies = prediction.bodies.select(chosen)
-        drawn = bodies.posed(), bodies.camera(size), groups[chosen]
-        loss, _ = ellipsoid_label_loss(*drawn, part_labels=part_groups, gradient=gradient, validate=False)
+        loss = renderer.crop_loss(bodies, groups[chosen], part_labels=part_groups)
         total = total + loss.sum()
     return total * ((REFERENCE_SIZE / size) ** 2 / len(groups))
 
