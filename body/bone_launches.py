@@ -39,7 +39,7 @@ class BoneLaunches:
     Args:
         parameters: Arguments of ``pose``; a body's numbers lie side by side.
         locked: Parts that keep their rest rotation, as bits.
-        camera: If there is a camera: its focal lengths (B, 1 or 2), its centres (B, 2), and the tensor (B, 4) that
+        camera: If there is a camera: its focal lengths (B,) or (B, 2), its centres (B, 2), and the tensor (B, 4) that
             ``launch`` fills with f_x, f_y, c_x, c_y [px].
         half_size: Of the crop that the camera's numbers are of, see ``kernels.turns`` [px]; 0: they are in pixels.
     """
@@ -110,5 +110,6 @@ def _numbers(orientation: torch.Tensor, rotations: torch.Tensor, camera: Tensors
     numbers = Numbers()
     numbers.orientation, numbers.rotations = warp_array(orientation.flatten(1)), warp_array(rotations.flatten(2))
     focal, centre = camera or [orientation.new_empty(0, 0)] * 2
-    numbers.focal, numbers.centre = warp_array(focal), warp_array(centre)
+    numbers.focal = warp_array(focal[:, None] if focal.dim() == 1 else focal)
+    numbers.centre = warp_array(centre)
     return numbers

@@ -65,6 +65,9 @@ def split_batch(batch: int, *, on_cpu: bool) -> list[slice]:
 
 def run_slices(work: Callable[[slice], None], slices: Sequence[slice]) -> None:
     """Call ``work`` for each slice on a thread of its own, the first on this one; raise what any of them raises."""
+    if len(slices) == 1:
+        work(slices[0])
+        return
     failures: list[BaseException] = []
 
     def guarded(part: slice) -> None:

@@ -27,7 +27,10 @@ from warp_partdr.bench.kernels.plan import (
     REFINEMENT,
     STARTS,
     TARGETS,
+    TORCH_BODY,
     TORCH_GRADIENT,
+    TORCH_LABELS,
+    TORCH_POSE,
     KernelPlan,
     plan_kernels,
 )
@@ -53,6 +56,13 @@ PLAN = KernelPlan(
         (REFINEMENT, EXACT, 1, SIZE),
         (TORCH_GRADIENT, EXACT, 1, SIZE),
         (TORCH_GRADIENT, MESH, 1, SIZE),
+    ),
+    calls=(
+        (TORCH_BODY, EXACT, 2, SIZE),
+        (TORCH_BODY, MESH, 2, SIZE),
+        (TORCH_LABELS, EXACT, 2, SIZE),
+        (TORCH_LABELS, MESH, 2, SIZE),
+        (TORCH_POSE, "", 2, SIZE),
     ),
     others=((GRADIENT, PARTDR, 1, SIZE), (GRADIENT, "mesh E0", 1, 2 * SIZE), (MINIMISE, EXACT, 4, SIZE)),
     batches=(2,),
@@ -103,8 +113,8 @@ def test_a_wrong_run_is_not_timed(device: str, what: str) -> None:
 
 def test_every_row_is_there(figures: dict[str, Any]) -> None:
     keys = ("name", "renderer", "batch", "size_px")
-    found = {tuple(row[key] for key in keys): row for row in figures["rows"] if row["group"] in GROUPS[:2]}
-    assert [*found] == [*PLAN.targets, *PLAN.others]
+    found = {tuple(row[key] for key in keys): row for row in figures["rows"] if row["group"] in GROUPS[:3]}
+    assert [*found] == [*PLAN.targets, *PLAN.calls, *PLAN.others]
     assert all(found[run]["median_s"] > 0 for run in PLAN.targets)
     assert all((row["group"] == TARGETS) == (run in PLAN.targets) for run, row in found.items())
     assert found[LABELS, MESH, 2, SIZE]["memory_bytes"] > 2 * SIZE * SIZE

@@ -21,6 +21,7 @@ from warp_partdr.kernels.refine.rules import RULES
 from warp_partdr.kernels.refine.state import MODULE, Drawn
 from warp_partdr.refinement.captured import CapturedRefinement, _split
 from warp_partdr.refinement.energy import Energy, Weights
+from warp_partdr.refinement.energy_loss import energy_loss
 from warp_partdr.refinement.stepper import FINAL_RATE, SHAPE_RATE, rate_share
 from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
@@ -92,6 +93,27 @@ def test_terms_and_gradient_are_those_of_autograd(device):
     _, gradient = check_both_paths(energy_of(body), moved_bodies(body, 5, amount=0.3), 1e-6, 1e-5)
     assert (gradient["rotations"][:, :2] == 0).all()  # the hips are locked
     assert all(tensor.abs().max() > 0 for tensor in gradient.values())
+
+
+def test_an_energy_as_one_node(device):
+    """At first by torch, then as a graph: for an optimiser of one's own, with a factor for each body."""
+    body = walker(device)
+    seen = energy_of(body, labels=True)
+    for energy in (seen, replace(seen, renderer=RendererMesh(0))):  # which no graph draws
+        for amount in (0.1, 0.2, 0.3):
+            leaves = moved_bodies(body, 3, amount=amount).leaves()
+            tensors = list(leaves.tensors().values())
+            factors = torch.tensor([1.0, -2.0, 0.5], device=device)
+            have, want = energy_loss(energy, leaves), torch.stack(list(energy(leaves).values())).sum(0)
+            torch.testing.assert_close(have, want, rtol=1e-5, atol=1e-3)
+            one, other = (torch.autograd.grad(each @ factors, tensors, retain_graph=True) for each in (have, want))
+            for name, mine, torchs in zip(leaves.tensors(), one, other, strict=True):
+                assert_same({name: mine}, {name: torchs}, 1e-4)
+            assert not energy_loss(energy, leaves.detach()).requires_grad
+    totals = [energy_loss(seen, leaves).square().sum() for _ in range(2)]
+    (gradient,) = torch.autograd.grad(totals[1], leaves.shift, create_graph=True)
+    with pytest.raises(NotImplementedError, match="energy_loss: differentiated twice"):
+        torch.autograd.grad(gradient.sum(), leaves.shift)
 
 
 def test_kernels_are_compiled_anew_when_a_rule_changes():

@@ -64,7 +64,7 @@ class CapturedBodies:
     def replay(self) -> None:
         """Launch all, on the stream that was current at first."""
         if self._stream is None:
-            with on_torch_stream(self._device):
+            with launching():
                 run_slices(lambda part: wp.capture_launch(self._graphs[part.start]), self._slices)
         else:
             with launching(), torch.cuda.device(self._device):

@@ -120,10 +120,10 @@ class LabelLoss(torch.autograd.Function):
     def backward(ctx: Any, grad_loss: torch.Tensor) -> Any:
         """Scale all gradients by one multiplication."""
         (rows,) = ctx.saved_tensors
-        shapes = tuple([tensor.shape for tensor in ctx.tensors])
-        scaled = rows.select(0, 1) * grad_loss.unsqueeze(1)
-        views = zip(_layout(shapes), ctx.needs_input_grad[2:], strict=True)
-        gradients = tuple([_view(scaled, place) if needed else None for place, needed in views])
+        scaled = rows[1] * grad_loss[:, None]
+        views = zip(_layout(tuple([tensor.shape for tensor in ctx.tensors])), ctx.needs_input_grad[2:], strict=True)
+        # Their offsets are those in ``scaled``, which begins where its memory does.
+        gradients = tuple([scaled.as_strided(*place) if needed else None for place, needed in views])
         return None, None, *once(ctx.name, gradients, grad_loss, *ctx.tensors)
 
 

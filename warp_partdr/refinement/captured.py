@@ -177,6 +177,12 @@ class CapturedRefinement:
             self._renderer.launch()
         launch_step(self._problem, self._state, self._drawn)
 
+    @torch.no_grad()
+    def _put(self, bodies: BodyParameters) -> None:
+        """Write bodies into the rows of parameters."""
+        rows = [tensor.reshape(-1, width) for tensor, width in zip(bodies.tensors().values(), _WIDTHS, strict=True)]
+        torch.cat(rows, dim=1, out=self._parameters)
+
     def _replay(self, graph: wp.Graph, times: int = 1) -> None:
         with on_torch_stream(self._device):
             for _ in range(times):
@@ -185,6 +191,13 @@ class CapturedRefinement:
     def _rewind(self) -> None:
         """Start again from the parameters as they are."""
         launch_start(self._problem, self._state)
+
+    def evaluate(self, bodies: BodyParameters) -> tuple[torch.Tensor, torch.Tensor]:
+        """Energy of bodies, (B,), and rows (2, B, N): their numbers and its gradient, of a refinement of 0 steps."""
+        self._put(bodies)
+        self._replay(self._rewind_graph)
+        self._replay(self._graph)
+        return self._history[-1].clone(), torch.stack([self._parameters, self._gradient])
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
         """Refine B bodies.
@@ -200,11 +213,7 @@ class CapturedRefinement:
         for name, tensor in start.tensors().items():
             like = ("energies", self._parameters)
             check_tensor(name, tensor, (batch, *ROW[name]), dtypes=(torch.float32,), like=like)
-        with torch.no_grad():
-            rows = [
-                tensor.reshape(batch, width) for tensor, width in zip(start.tensors().values(), _WIDTHS, strict=True)
-            ]
-            torch.cat(rows, dim=1, out=self._parameters)
+        self._put(start)
         if batch > 0:
             self._replay(self._rewind_graph)
             if on_iteration is None:

@@ -123,6 +123,7 @@ class Energy:
         usual_lengths: Lengths at which L_l is 0 [m], shape (12,).
         usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (15,).
         target: Target labels, shape (size, size), uint8; None if nothing is drawn.
+        key: Of this energy among others.
     """
 
     observation: Observation
@@ -143,6 +144,7 @@ class Energy:
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
         self.target: torch.Tensor | None = None
+        self.key = object()
         self._fixed: Renderer | None = None
         self._part_labels: list[int] = []
         if seen.labels is not None and seen.label_set is not None and self.weights.seg > 0:

@@ -157,7 +157,7 @@ class BodyLoss:
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
         pelvis = _origin(lengths.device).expand(len(lengths), 3)
         parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
-        return _find_loss(passes, (bodies.log_scale[:, None], bodies.shift, *parameters), target)
+        return _find_loss(passes, (bodies.log_scale, bodies.shift, *parameters), target)
 
 
 @lru_cache(maxsize=8)

@@ -193,12 +193,12 @@ def _check(
     return passes, (centres.float(), axes.float(), semi_axes.float(), intrinsics.float()), size
 
 
-@cached
 def check_part_labels(given: tuple[int, ...] | None, count: int) -> tuple[int, ...]:
     """Label of each of ``count`` ellipsoids, checked; 1, 2, ... by default."""
     if given is None:
         return tuple(range(1, count + 1))
-    labels = tuple(check_whole("part_labels", label, 0, 255) for label in given)
+    plain = all(type(label) is int and 0 <= label <= 255 for label in given)
+    labels = given if plain else tuple(check_whole("part_labels", label, 0, 255) for label in given)
     if len(labels) != count:
         raise ValueError(f"part_labels: {len(labels)} of them; expected {count}, as ellipsoids")
     return labels

@@ -70,10 +70,9 @@ class RendererEllipsoids(BodyLoss):
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
         """Launches from parameters of bodies to L_seg; errors as of ``draw_ellipsoids``."""
-        labels = check_part_labels(seeing.part_labels, NUM_PARTS)
-        gradient, *numbers = check_rule(**vars(self))
-        passes = ellipsoid_passes(labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
-        return body_passes(passes, 0, seeing.locked, seeing.half_size)
+        if seeing.part_labels is not ALL_PARTS:
+            check_part_labels(seeing.part_labels, NUM_PARTS)
+        return _ellipsoid_body_passes(self, seeing)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
         """Return itself: nothing in it depends on the bodies."""
@@ -150,6 +149,13 @@ class RendererMesh(BodyLoss):
 
 
 Renderer = RendererEllipsoids | RendererMesh
+
+
+@lru_cache(maxsize=64)
+def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> BodyPasses:
+    gradient, *numbers = check_rule(**vars(renderer))
+    passes = ellipsoid_passes(seeing.part_labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
+    return BodyPasses(passes, 0, seeing.locked, seeing.half_size)
 
 
 @lru_cache(maxsize=32)

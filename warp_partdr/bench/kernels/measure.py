@@ -14,16 +14,16 @@ from ...fit.fitting import Progress
 from ...refinement.energy import Energy
 from ...refinement.refine import refine
 from ...refinement.stepper import Refined, Refinement
-from ...render.ellipsoids import Ellipsoids, ellipsoid_label_loss
-from ...render.part_mesh import ellipbody_mesh
 from ..jobs import run_jobs
 from ..launches import count_bytes, observe_launches, time_kernels
 from ..machine import about, copy_bandwidth
 from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
-from .peers import OURS, PEERS, MeshView, ours
+from .calls import CALLS_OF, mesh_view
+from .peers import OURS, PEERS
 from .plan import (
+    CALLS,
     GRADIENT,
     KERNELS,
     LABELS,
@@ -32,8 +32,6 @@ from .plan import (
     REFINEMENT,
     STARTS,
     TARGETS,
-    TORCH_GRADIENT,
-    TORCH_ITSELF,
     TORCH_REFINEMENT,
     KernelPlan,
     Run,
@@ -75,7 +73,7 @@ def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> dict[str,
 
 
 def _render_jobs(plan: KernelPlan) -> _Jobs:
-    for group, runs in ((TARGETS, plan.targets), (OTHERS, plan.others)):
+    for group, runs in ((TARGETS, plan.targets), (CALLS, plan.calls), (OTHERS, plan.others)):
         for run in runs:
             what, name, batch, size = run
             yield f"{what}, {name}, B = {batch}, {size} px", partial(_time, plan, group, run)
@@ -100,8 +98,8 @@ def _time(plan: KernelPlan, group: str, wanted: Run) -> _Rows:
         timing = time_calls(partial(captured.refine, scene.bodies), plan.device, plan.budget)
         moved = NUM_ITERATIONS * sum(launched.bytes for launched in launches)
         return [row("call", timing, moved=moved, memory=count_bytes(launches))]
-    if what == TORCH_GRADIENT:
-        call = _torch_gradient(scene, name)
+    if what in CALLS_OF:
+        call = CALLS_OF[what](scene, name)
     else:
         refine_all = _refine_by_autograd if what == TORCH_REFINEMENT else partial(refine, iterations=NUM_ITERATIONS)
         call = partial(refine_all, scene.bodies, scene.energies(GRADIENTS[name])[0])
@@ -115,41 +113,6 @@ def _refine_by_autograd(bodies: BodyParameters, energy: Energy) -> Refined:
 
 def _renderer(scene: BenchScene, name: str) -> ExactRun | MeshRun:
     return ExactRun(scene, GRADIENTS[name]) if name in GRADIENTS else MeshRun(scene, LEVELS[name])
-
-
-def _torch_gradient(scene: BenchScene, name: str) -> Callable[[], object]:
-    """L_seg and its gradient through autograd: with respect to posed ellipsoids, or to projected vertices."""
-    loss: Callable[[torch.Tensor], torch.Tensor]
-    leaf = scene.posed.centres.detach().requires_grad_()
-    if name == TORCH_ITSELF:
-        loss = _Nothing.apply
-    elif name in GRADIENTS:
-        ellipsoids = Ellipsoids(leaf, scene.posed.axes.detach(), scene.posed.semi_axes.detach())
-        seen = ellipsoids, scene.camera, scene.targets
-        loss = lambda _: ellipsoid_label_loss(*seen, gradient=GRADIENTS[name], validate=False)[0]  # noqa: E731
-    else:
-        view = _mesh_view(scene, name)
-        leaf, (_, loss) = view.vertices.requires_grad_(), ours(view)
-    return lambda: torch.autograd.grad(loss(leaf).sum(), leaf)
-
-
-def _mesh_view(scene: BenchScene, name: str) -> MeshView:
-    points = scene.camera.project(scene.posed.vertices(LEVELS[name])).detach().contiguous()
-    return MeshView(points, ellipbody_mesh(LEVELS[name], device=points.device), scene.targets)
-
-
-class _Nothing(torch.autograd.Function):
-    """A loss and a gradient of the right shapes for one launch each: autograd's own time."""
-
-    @staticmethod
-    def forward(ctx: Any, centres: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(centres)
-        return centres.sum((1, 2))
-
-    @staticmethod
-    def backward(ctx: Any, grad_loss: torch.Tensor) -> torch.Tensor:
-        (centres,) = ctx.saved_tensors
-        return centres * grad_loss[:, None, None]
 
 
 def _kernel_jobs(plan: KernelPlan) -> _Jobs:
@@ -192,7 +155,7 @@ def _peer_jobs(plan: KernelPlan, remarks: list[str]) -> _Jobs:
 
 
 def _time_peer(plan: KernelPlan, remarks: list[str], name: str, batch: int) -> _Rows:
-    view = _mesh_view(BenchScene.random(batch, plan.size, plan.device), MESH)
+    view = mesh_view(BenchScene.random(batch, plan.size, plan.device), MESH)
     leaf = view.vertices.clone().requires_grad_()
     try:
         draw, loss = PEERS[name].adapt(view)

@@ -12,11 +12,14 @@ TARGETS = "The paper's targets"
 OTHERS = "Other renderers, batches and sizes"
 KERNELS = "Kernels, each in its place in a run"
 STARTS = "Starts"
+CALLS = "Calls from torch, until the device is done"
 PEER_ROWS = "Peers: the same mesh, the same target"
-GROUPS = (TARGETS, OTHERS, KERNELS, STARTS, PEER_ROWS)
+GROUPS = (TARGETS, CALLS, OTHERS, KERNELS, STARTS, PEER_ROWS)
 
 LABELS, GRADIENT, REFINEMENT = "label image", "render, L_seg, gradient", "50 iterations"
 TORCH_GRADIENT, TORCH_REFINEMENT = "forward, backward in torch", "50 iterations in torch"
+TORCH_BODY = "from parameters: L_seg, gradient, in torch"
+TORCH_LABELS, TORCH_POSE = "label image in torch", "pose, gradient, in torch"
 MINIMISE = "50 iterations, one target, with set-up"
 TORCH_ITSELF = "torch itself"  # an autograd function that finds nothing: what is left when rendering takes no time
 
@@ -30,6 +33,7 @@ class KernelPlan:
     device: str  # "cpu" or "cuda:0"
     size: int  # side of the picture of kernels and peers [px]
     targets: tuple[Run, ...]  # runs that stand first
+    calls: tuple[Run, ...]
     others: tuple[Run, ...]
     batches: tuple[int, ...]  # those whose kernels are timed one by one, and that peers draw
     budget: float  # for each row [s]
@@ -53,15 +57,23 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         *product([TORCH_GRADIENT], [EXACT, MESH], [1], [size]),
     )
     if quick:
-        return KernelPlan(device, size, targets, (), (1,), 0.1, start=False)
+        return KernelPlan(device, size, targets, (), (), (1,), 0.1, start=False)
+    calls = (
+        (TORCH_GRADIENT, TORCH_ITSELF, 1, size),
+        *product([TORCH_BODY], [EXACT, MESH], exact, [size]),
+        *product([TORCH_GRADIENT], [EXACT, MESH], exact[1:], [size]),
+        *product([TORCH_LABELS], [EXACT, MESH], exact, [size]),
+        *product([TORCH_POSE], [""], exact, [size]),
+    )
     others = (
         *product([LABELS], [EXACT, *LEVELS], batches, [size]),
         *product([GRADIENT], [*GRADIENTS, *LEVELS], batches, [size]),
         *product([LABELS, GRADIENT], [EXACT, MESH], [middle], [128, 512]),
         *product([REFINEMENT], [COVERAGE, PARTDR], refined, [size]),
         *product([MINIMISE], [EXACT], refined, [size]),
-        *product([TORCH_GRADIENT], [TORCH_ITSELF, COVERAGE, PARTDR], [1], [size]),
+        *product([TORCH_GRADIENT], [COVERAGE, PARTDR], [1], [size]),
         (TORCH_REFINEMENT, EXACT, 1, size),
-        *product([TORCH_GRADIENT], [EXACT, COVERAGE, PARTDR, MESH], [middle], [size]),
+        *product([TORCH_GRADIENT], [COVERAGE, PARTDR], [middle], [size]),
     )
-    return KernelPlan(device, size, targets, tuple(row for row in others if row not in targets), (1, middle), 0.4)
+    left = tuple(row for row in others if row not in targets)
+    return KernelPlan(device, size, targets, calls, left, (1, middle), 0.4)
