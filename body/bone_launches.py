@@ -78,7 +78,7 @@ class BoneLaunches:
 
         Args:
             rotations: Of ``Posed``.
-            adjoints: Of the fields of ``Posed``; those of joints and rotations are overwritten.
+            adjoints: Of the fields of ``Posed``.
             gradients: Of the parameters.
             adj_cameras: Of the filled camera, shape (B, 4), or in shares (B, M, 4).
             camera_gradients: Of the camera's numbers.
@@ -87,6 +87,7 @@ class BoneLaunches:
         turned = (orientation, turns) if self._turns is None else self._empty_turned()
         arrays = kinematic_arrays((turned[0], translation, turned[1], lengths, thicknesses), "mvmss")
         saved = [self._parameters[0], *self._parameters[2:4], rotations]
+        scratch = kinematics.PoseScratch.empty(self._tree, len(self._like))
         adj_turns, numbers = Turns(), None
         if self._turns is not None:
             numbers = _numbers(orientation, turns, camera_gradients)
@@ -94,7 +95,7 @@ class BoneLaunches:
             adj_turns.cameras = self._turns.cameras if adj_cameras is None else camera_array(adj_cameras)
 
         def launch() -> None:
-            kinematics.launch_pose_adjoint(self._tree, saved, adjoints, arrays)
+            kinematics.launch_pose_adjoint(self._tree, saved, adjoints, arrays, scratch)
             if numbers is not None:
                 launch_turn_adjoint(self._numbers, self._rule, self._turns, adj_turns, numbers)
 

@@ -13,7 +13,17 @@ from ..errors import check_whole
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from .icosphere import icosphere
-from .template import BODY_SHAPES, NUM_JOINTS, NUM_PARTS, PARENTS, PART_NAMES, SHAPE_INDICES, THICKNESS_NAMES, template
+from .template import (
+    BODY_SHAPES,
+    NUM_JOINTS,
+    NUM_PARTS,
+    PARENTS,
+    PART_NAMES,
+    SHAPE_INDICES,
+    THICKNESS_NAMES,
+    subtree_masks,
+    template,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -32,15 +42,16 @@ def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT
     levels: list[int] = []
     for parent in PARENTS:
         levels.append(0 if parent < 0 else levels[parent] + 1)
+    subtrees = subtree_masks()[:-1]
     bones = (
         wp.array(PARENTS, dtype=int, device=device),
         wp.array(levels, dtype=int, device=device),
+        wp.array(subtrees, dtype=int, device=device),
         wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
         wp.array(constants.rest_directions, dtype=vec, device=device),
         wp.array(constants.rest_axes, dtype=mat, device=device),
-        max(levels) + 1,
     )
-    return kinematics.BoneTree(bones, wp.array(vertices, dtype=vec, device=device))
+    return kinematics.BoneTree(bones, max(levels) + 1, wp.array(vertices, dtype=vec, device=device))
 
 
 @lru_cache(maxsize=4, typed=True)

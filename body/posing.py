@@ -233,13 +233,9 @@ def _prepare_bones_adjoint(inputs: Tensors, outputs: Tensors, locked: int, missi
     bones, shapes = BoneLaunches(parameters, locked), _posed_shapes(len(like))
     posed = kinematic_arrays([like.new_empty(shape) for shape in shapes], "vmvmv")
     adjoints = [like.new_zeros(s) if none else next(given) for none, s in zip(missing, shapes, strict=True)]
-    sent = kinematic_arrays(adjoints, "vmvmv")
-    moved = [array for array, none in zip(sent[:2], missing, strict=False) if none]  # the launches write to these
-    push = bones.prepare_adjoint(posed[1], sent, outputs)
+    push = bones.prepare_adjoint(posed[1], kinematic_arrays(adjoints, "vmvmv"), outputs)
 
     def launch() -> None:
-        for array in moved:
-            array.zero_()
         bones.launch(posed)
         push()
 

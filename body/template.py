@@ -121,3 +121,11 @@ def template() -> Template:
         mean_thicknesses=np.array([data["thicknesses_m"][name] for name in THICKNESS_NAMES]),
         source=data["source"],
     )
+
+
+def subtree_masks() -> list[int]:
+    """Bit mask of each part's subtree, itself included; the last one is the root's."""
+    masks = [1 << part for part in range(NUM_PARTS)] + [0]
+    for part in reversed(range(NUM_PARTS)):  # parents come before their children; -1 is the last entry
+        masks[PARENTS[part]] |= masks[part]
+    return masks

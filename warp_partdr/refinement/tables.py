@@ -12,18 +12,10 @@ import warp as wp
 
 from ..body.landmarks import LANDMARKS, landmark_points
 from ..body.pose_prior import FREE_PARTS, NUM_FEATURES, PosePrior
-from ..body.template import NUM_PARTS, PARENTS, SHAPE_INDICES, template
+from ..body.template import NUM_PARTS, PARENTS, SHAPE_INDICES, subtree_masks, template
 from ..kernels.refine.state import Bone, Landmark, Landmarks, LandmarkShare, Mixture, Rules
 
 LANDMARK_NAMES = tuple(LANDMARKS)
-
-
-def _subtrees() -> list[int]:
-    """Bit mask of each part's subtree, itself included; the last one is the root's."""
-    masks = [1 << part for part in range(NUM_PARTS)] + [0]
-    for part in reversed(range(NUM_PARTS)):  # parents come before their children; -1 is the last entry
-        masks[PARENTS[part]] |= masks[part]
-    return masks
 
 
 def _structs(kind: Any, device: str, **columns: Any) -> wp.array:
@@ -41,7 +33,7 @@ def bone_arrays(device: str) -> wp.array:
         Bone,
         device,
         parent=(*PARENTS, -1),
-        subtree=_subtrees(),
+        subtree=subtree_masks(),
         shape=(*SHAPE_INDICES, (0, 0, 0)),
         rest_axes=(*template().rest_axes, np.eye(3)),
     )

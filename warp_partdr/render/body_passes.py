@@ -62,14 +62,12 @@ class BodyPasses:
 
         if not buffers.grads:
             return launch_forward
-        unmoved = [wp.empty_like(array) for array in posed[:2]]  # no adjoint comes from joints and rotations
-        sent = [*unmoved, *kinematic_arrays(adjoints, "vmv")]
+        nothing = [wp.zeros_like(array) for array in posed[:2]]  # comes from joints and rotations
+        sent = [*nothing, *kinematic_arrays(adjoints, "vmv")]
         pull = bones.prepare_adjoint(posed[1], sent, buffers.grads[2:], adj_camera, buffers.grads[:2])
 
         def launch() -> None:
             launch_forward()
-            for array in unmoved:
-                array.zero_()
             pull()
 
         return launch

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -53,7 +54,7 @@ class RendererEllipsoids(BodyLoss):
     ) -> EllipsoidImage:
         """Draw bodies; arguments and errors as of ``draw_ellipsoids``."""
         return draw_ellipsoids(
-            posed, camera, image_size, part_labels=part_labels, num_maps=num_maps, validate=validate, **vars(self)
+            posed, camera, image_size, part_labels=part_labels, num_maps=num_maps, validate=validate, **self._rule
         )
 
     def label_loss(
@@ -66,7 +67,7 @@ class RendererEllipsoids(BodyLoss):
         validate: bool = True,
     ) -> tuple[torch.Tensor, EllipsoidImage]:
         """L_seg of bodies; arguments and errors as of ``ellipsoid_label_loss``."""
-        return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **vars(self))
+        return ellipsoid_label_loss(posed, camera, target, part_labels=part_labels, validate=validate, **self._rule)
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
         """Launches from parameters of bodies to L_seg; errors as of ``draw_ellipsoids``."""
@@ -77,6 +78,15 @@ class RendererEllipsoids(BodyLoss):
     def fixed(self, posed: Posed, camera: Camera) -> RendererEllipsoids:
         """Return itself: nothing in it depends on the bodies."""
         return self
+
+    @property
+    def _rule(self) -> dict[str, Any]:  # not ``vars``, which torch.compile of torch 2.11 can't trace
+        return {
+            "gradient": self.gradient,
+            "max_distance": self.max_distance,
+            "depth_weight": self.depth_weight,
+            "samples_per_pixel": self.samples_per_pixel,
+        }
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,9 @@ class RendererMesh(BodyLoss):
         level = self.fixed(posed, camera).subdivisions
         assert level != "auto"
         vertices = posed.vertices(level)
-        return vertices, labelled_mesh(level, tuple(part_labels), vertices.device)
+        # Not traced: how a mesh is found is no arithmetic of tensors.
+        find = torch.compiler.disable(labelled_mesh) if torch.compiler.is_compiling() else labelled_mesh
+        return vertices, find(level, tuple(part_labels), vertices.device)
 
 
 Renderer = RendererEllipsoids | RendererMesh

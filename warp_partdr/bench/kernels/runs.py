@@ -145,6 +145,7 @@ class KinematicsRun:
         like = [warp_array(contiguous(posed.joints), wp.vec3), rotations, centres, axes, centres]
         self._posed, self._adjoints = ([wp.zeros_like(array) for array in like] for _ in range(2))
         self._gradients = [wp.zeros_like(array) for array in self._parameters]
+        self._scratch = kinematics.PoseScratch.empty(self._tree, scene.batch_size)
         shape = (*centres.shape, self._tree.unit_vertices.shape[0])
         self._vertices, self._adj_vertices = (wp.zeros(shape, dtype=wp.vec3, device=where) for _ in range(2))
 
@@ -156,7 +157,7 @@ class KinematicsRun:
         kinematics.launch_vertices_adjoint(self._tree, [*ellipsoids[1:], self._adj_vertices], self._adjoints[2:])
         orientation, _, local, lengths, _ = self._parameters
         kinematics.launch_pose_adjoint(
-            self._tree, [orientation, local, lengths, rotations], self._adjoints, self._gradients
+            self._tree, [orientation, local, lengths, rotations], self._adjoints, self._gradients, self._scratch
         )
 
 
