@@ -294,11 +294,28 @@ def find_reach(
     count = target.shape[2 - axis]
     for label in range(reach.shape[2]):
         reach[b, axis, label, line] = wp.vec2i(count, -1)
-    for pixel in range(count):
-        label = int(target[b, wp.where(axis == 0, line, pixel), wp.where(axis == 0, pixel, line)])
-        if label < reach.shape[2]:
-            first = wp.min(reach[b, axis, label, line][0], pixel)
-            reach[b, axis, label, line] = wp.vec2i(first, pixel)
+    # Run by run: most pixels show what the one before them shows, and of a row four are one word.
+    in_words = axis == 0 and are_words(target)
+    run = int(-1)
+    first = int(0)
+    pixel = int(0)
+    while pixel < count:
+        skip = in_words and run >= 0 and pixel % QUAD == 0
+        if skip:
+            skip = load_word(target[b], line, pixel, True) == wp.uint32(run) * EACH_BYTE
+        if skip:
+            pixel += QUAD
+        else:
+            label = int(target[b, wp.where(axis == 0, line, pixel), wp.where(axis == 0, pixel, line)])
+            if label != run:
+                if run >= 0 and run < reach.shape[2]:
+                    reach[b, axis, run, line] = wp.vec2i(first, pixel - 1)
+                run = label
+                if run < reach.shape[2]:
+                    first = wp.min(reach[b, axis, run, line][0], pixel)
+            pixel += 1
+    if run >= 0 and run < reach.shape[2]:
+        reach[b, axis, run, line] = wp.vec2i(first, count - 1)
 
 
 def launch_find_reach(target: wp.array, reach: wp.array) -> None:

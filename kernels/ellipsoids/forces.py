@@ -251,14 +251,21 @@ def spread_forces(
 @wp.kernel
 def sum_rows(
     values: wp.array2d[float],  # (B, N)
+    lanes: int,  # threads of a warp, which share a row
     totals: wp.array[float],  # (B,)  OUTPUT
 ):
-    """Sum of each row, one thread a body, in a fixed order."""
-    b = wp.tid()
+    """Sum of each row, in a fixed order."""
+    thread = wp.tid()
+    b = thread // lanes
+    lane = thread - b * lanes
     total = float(0.0)
-    for i in range(values.shape[1]):
+    i = lane
+    while i < values.shape[1]:
         total += values[b, i]
-    totals[b] = total
+        i += lanes
+    total = sum_lanes(total)
+    if lane == 0:
+        totals[b] = total
 
 
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
@@ -310,4 +317,5 @@ def launch_spread(axes: wp.array, semi_axes: wp.array, forces: wp.array, gradien
 
 def launch_sum_rows(values: wp.array, totals: wp.array) -> None:
     """Fill the sum of each row."""
-    wp.launch(sum_rows, values.shape[0], [values], [totals], device=values.device, block_dim=_FEW)
+    lanes = num_lanes(values.device)
+    wp.launch(sum_rows, values.shape[0] * lanes, [values, lanes], [totals], device=values.device, block_dim=_FEW)

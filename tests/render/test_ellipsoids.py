@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from scenes.pictures import (
     CAMERAS,
     GRADIENTS,
@@ -23,6 +26,7 @@ from scenes.pictures import (
 
 from warp_partdr import label_set
 from warp_partdr.body.posing import pose
+from warp_partdr.kernels.labels import launch_find_reach
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
@@ -216,3 +220,21 @@ def test_groups_are_unions(device):
         leaves.push_by_loss(target, part_labels=[1, 1], gradient=gradient)
         assert (bodies.centres.grad[0, 1] == 0).all()
         assert (bodies.centres.grad[0, 0, :2] != 0).all()
+
+
+@pytest.mark.parametrize("size", [(7, 9), (16, 32), (33, 12)])
+def test_reach_of_labels(device, size):
+    """First and last pixel of each label in each row and column, of runs and of single pixels."""
+    generator = np.random.default_rng(0)
+    height, width = size
+    labels = generator.integers(0, 8, (2, *size)).astype(np.uint8)
+    labels[1] = np.repeat(labels[1], 3, axis=1)[:, :width]
+    labels[generator.random(labels.shape) < 0.05] = 255
+    reach = wp.zeros((2, 2, 6, max(size)), dtype=wp.vec2i, device=device)
+    launch_find_reach(wp.array(labels, dtype=wp.uint8, device=device), reach)
+    for b, axis in product(range(2), range(2)):
+        lines = labels[b] if axis == 0 else labels[b].T
+        for line, label in product(range(len(lines)), range(6)):
+            where = np.flatnonzero(lines[line] == label)
+            expected = (where[0], where[-1]) if len(where) else (lines.shape[1], -1)
+            assert tuple(reach.numpy()[b, axis, label, line]) == expected
