@@ -226,7 +226,7 @@ def test_groups_are_unions(device):
 def test_reach_of_labels(device, size):
     """First and last pixel of each label in each row and column, of runs and of single pixels."""
     generator = np.random.default_rng(0)
-    height, width = size
+    _, width = size
     labels = generator.integers(0, 8, (2, *size)).astype(np.uint8)
     labels[1] = np.repeat(labels[1], 3, axis=1)[:, :width]
     labels[generator.random(labels.shape) < 0.05] = 255
