@@ -1,5 +1,5 @@
 """``python -m warp_partdr``: the command ``partdr``, for launchers that take a module."""
 
-from .cli.main import main
+from .cli.main import run
 
-main()
+run()

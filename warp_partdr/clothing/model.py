@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import torch
 
@@ -211,26 +210,20 @@ class DetailedModel(Movable):
         return weights
 
     @cached_property
-    def _levels(self) -> tuple[list[tuple[torch.Tensor, torch.Tensor]], torch.Tensor]:
-        """Joints by distance from the root, with their parents' places one level up; and each joint's place in all."""
-        levels: list[list[int]] = [[0]]
-        while children := [joint for joint, parent in enumerate(self.parents) if parent in levels[-1]]:
-            levels.append(children)
-        steps = [
-            (torch.tensor(level), torch.tensor([above.index(self.parents[joint]) for joint in level]))
-            for above, level in pairwise(levels)
-        ]
-        order = torch.tensor([joint for level in levels for joint in level])
-        device = self.faces.device
-        return [(joints.to(device), places.to(device)) for joints, places in steps], order.argsort().to(device)
+    def _jumps(self) -> list[torch.Tensor]:
+        """Joint 1, 2, 4, ... bones above each joint, J where there is none; as many as the longest chain takes."""
+        above, jumps = [*(self.num_joints if parent < 0 else parent for parent in self.parents), self.num_joints], []
+        while any(joint < self.num_joints for joint in above):
+            jumps.append(torch.tensor(above[:-1], device=self.faces.device))
+            above = [above[joint] for joint in above]
+        return jumps
 
     def _chain(self, local: torch.Tensor) -> torch.Tensor:
-        """Products along the joints' tree, shape (B, J, 4, 4)."""
-        steps, places = self._levels
-        world = [local[:, :1]]
-        for joints, above in steps:
-            world.append(world[-1][:, above] @ local[:, joints])
-        return torch.cat(world, dim=1)[:, places]
+        """Products along the joints' tree, shape (B, J, 4, 4): of 1, 2, 4, ... bones, so that few steps do."""
+        world, nowhere = local, torch.eye(4, dtype=local.dtype, device=local.device).expand(len(local), 1, 4, 4)
+        for above in self._jumps:
+            world = torch.cat([world, nowhere], dim=1)[:, above] @ world
+        return world
 
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
@@ -243,8 +236,12 @@ def _blend(
     """Linear blend skinning: vertices (B, V, 3) follow maps (B, N, 3, 3) of ``rest`` to ``places``; weights (V, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
     # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
-    skin = (torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT @ weights.T).unflatten(1, (3, 4))
-    return ((skin[:, :, :3] * vertices.mT[:, None]).sum(2) + skin[:, :, 3]).mT.contiguous()
+    *columns, skinned = (
+        (torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT @ weights.T).unflatten(1, (3, 4)).unbind(2)
+    )
+    for column, coordinate in zip(columns, vertices.mT.unsqueeze(2).unbind(1), strict=True):
+        skinned = torch.addcmul(skinned, column, coordinate)
+    return skinned.mT.contiguous()
 
 
 def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:

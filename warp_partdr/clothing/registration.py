@@ -175,10 +175,11 @@ def register(
     unknowns = [shape.requires_grad_(), turns.requires_grad_(), translation.requires_grad_()]
     adam = Adam(([tensor], rate) for tensor, rate in zip(unknowns, _RATES, strict=True))
 
-    def posed_model() -> tuple[torch.Tensor, Detailed]:
+    def posed_model(*, stretched: bool) -> tuple[torch.Tensor, Detailed]:
         rotations = pose.clone()
         rotations[:, free] = pose[:, free] @ rotation_from_axis_angle(turns)
-        return rotations, model.pose(shape, rotations, translation, stretches=measures.stretches)
+        stretches = measures.stretches if stretched else None
+        return rotations, model.pose(shape, rotations, translation, stretches=stretches)
 
     def terms(detailed: Detailed) -> dict[str, torch.Tensor]:
         return {**loss(detailed, shape, turns), "measures": measures(shape)}
@@ -187,7 +188,7 @@ def register(
         searching = iteration % _SEARCH_EVERY == 0
         if searching:
             measures.grow(shape.detach())
-        _, detailed = posed_model()
+        _, detailed = posed_model(stretched=measures.stretched)
         if searching:
             loss.search(detailed.vertices.detach())
         torch.stack(list(terms(detailed).values())).sum().backward()
@@ -195,7 +196,7 @@ def register(
         if progress is not None:
             progress("registration", iteration + 1, iterations)
     with torch.no_grad():
-        rotations, detailed = posed_model()
+        rotations, detailed = posed_model(stretched=True)
         loss.search(detailed.vertices)
         unexplained = measures.differences(shape) - measures.logs
         found = shape.detach(), rotations, translation.detach(), measures.stretches, measures.logs.exp(), unexplained
@@ -289,6 +290,7 @@ class _MeasureLoss:
     ) -> None:
         self.options = options
         self.grows = start is not None if options.growth is None else options.growth
+        self.stretched = self.grows or start is not None  # else all stretches are the identity, and need no time
         self.body = Growth(model, parts, areas, shape.detach())
         self.demanded = self.body.demanded(posed.semi_axes)
         self.spreads = _NATURAL * self.body.spreads
