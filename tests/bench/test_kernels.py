@@ -257,8 +257,15 @@ def test_chart_marks_every_batch() -> None:
 def test_starts_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     processes = iter([(1.0, 5.0), (2.0, 0.5)])  # cold, warm: imports and first call
     monkeypatch.setattr(start, "_time_process", lambda device, cache: next(processes))
+    commands = []
+    monkeypatch.setattr(start, "_fastest", lambda words: commands.append(words) or float(len(words)))
     rows = measure._time_starts(PLAN)
-    assert [(row["group"], row["median_s"]) for row in rows] == [(STARTS, 2.0), (STARTS, 5.0), (STARTS, 0.5)]
+    assert {row["group"] for row in rows} == {STARTS}
+    assert [row["median_s"] for row in rows[:3]] == [2.0, 5.0, 0.5]
+    assert [command[0] for command in commands] == ["--help", "fit", "fit"]
+    assert [row["median_s"] for row in rows[3:]] == [float(len(command)) for command in commands]
+    assert [command[-1] for command in commands[1:]] == ["anny", "none"]
+    assert len({row["name"] for row in rows}) == 6
 
 
 @pytest.mark.slow
@@ -266,3 +273,9 @@ def test_a_cold_start_takes_longer_than_a_warm_one(device: str) -> None:
     imports, cold, warm = start.time_starts(device).values()
     assert imports > 0
     assert cold > 1.5 * warm > 0
+
+
+@pytest.mark.slow
+def test_commands_run_from_start_to_files(device: str) -> None:
+    helped, with_mesh, without = start.time_commands(device).values()
+    assert with_mesh > without > helped > 0

@@ -38,7 +38,7 @@ from .plan import (
 )
 from .report import NOTES, copy_share, make_row
 from .runs import NUM_ITERATIONS, ExactRun, KinematicsRun, MeshRun, refined_once
-from .start import time_starts
+from .start import time_commands, time_starts
 
 _Rows = list[dict[str, Any]]  # of ``make_row``
 _Jobs = Iterator[tuple[str, Callable[[], _Rows]]]
@@ -140,7 +140,7 @@ _KERNEL_RUNS: dict[str, _MakeRun] = {
 
 
 def _time_starts(plan: KernelPlan) -> _Rows:
-    durations = time_starts(plan.device)
+    durations = {**time_starts(plan.device), **time_commands(plan.device)}
     return [make_row(STARTS, (name, EXACT, 0, 0), "process", Timing((each,))) for name, each in durations.items()]
 
 

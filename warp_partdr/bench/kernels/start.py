@@ -1,4 +1,4 @@
-"""Time of the first call: with an empty kernel cache, which compiles, and with what that left behind.
+"""Times from the start of a process: of the first call, with an empty kernel cache and a full one, and of commands.
 
 ``python -m warp_partdr.bench.kernels.start DEVICE`` prints the seconds of imports and of the first call in a fresh
 process.
@@ -12,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 
 def time_starts(device: str) -> dict[str, float]:
@@ -25,13 +27,44 @@ def time_starts(device: str) -> dict[str, float]:
     return {"imports": imports, "first call, no kernel compiled": cold, "first call, kernels compiled before": warm}
 
 
-def _time_process(device: str, cache: str) -> tuple[float, float]:
-    """Seconds of imports and of the first call in a fresh process with a kernel cache."""
-    command = [sys.executable, "-m", __name__, device]
-    done = subprocess.run(command, env={**os.environ, "WARP_CACHE_PATH": cache}, capture_output=True, text=True)
+def time_commands(device: str) -> dict[str, float]:
+    """Durations by name of commands on the packaged example [s], from start to files, kernels compiled before.
+
+    Raises:
+        RuntimeError: If a command fails.
+    """
+    example = Path(__file__).resolve().parents[2] / "assets" / "example"
+    found = {"command, from start to end: --help": _fastest(["--help"])}
+    given = [example / "photo.png", "--keypoints", example / "keypoints.json", "--parts", example / "parts.png"]
+    with tempfile.TemporaryDirectory() as out:
+        fit = ["fit", *map(str, given), "--labels", "cdcl14", "--device", device, "--out", out]
+        for name, model in (("with", "anny"), ("without", "none")):
+            found[f"command, from start to files: fit {name} the mesh"] = _fastest([*fit, "--model", model])
+    return found
+
+
+def _fastest(words: Sequence[str], times: int = 3) -> float:
+    """Least of some durations [s]: what else runs on the machine adds to the others, a first one reads from disk."""
+    durations = []
+    for _ in range(times):
+        begin = time.perf_counter()
+        _run([sys.executable, "-m", __name__.partition(".")[0], *words], os.environ)
+        durations.append(time.perf_counter() - begin)
+    return min(durations)
+
+
+def _run(command: Sequence[str], environment: Mapping[str, str]) -> str:
+    """What a command prints."""
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
-    imports, first_call = json.loads(done.stdout.splitlines()[-1])
+    return done.stdout
+
+
+def _time_process(device: str, cache: str) -> tuple[float, float]:
+    """Seconds of imports and of the first call in a fresh process with a kernel cache."""
+    printed = _run([sys.executable, "-m", __name__, device], {**os.environ, "WARP_CACHE_PATH": cache})
+    imports, first_call = json.loads(printed.splitlines()[-1])
     return imports, first_call
 
 
