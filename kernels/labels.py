@@ -285,22 +285,37 @@ def all_wrong(gradient: Any, b: int, label: int):
 @wp.kernel
 def find_reach(
     target: wp.array3d[wp.uint8],  # (B, H, W)
-    reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
+    chunks: int,  # threads that share a line
+    reach: wp.array4d[int],  # (B, 2, L, 2 max(H, W)) first and last pixel by turns; with several chunks empty  OUTPUT
 ):
-    """Find the first and last pixel of each label in the target's rows (axis 0) and columns (axis 1)."""
-    b, axis, line = wp.tid()
+    """Find the first and last pixel of each label in the target's rows (axis 0) and columns (axis 1).
+
+    Run by run: most pixels show what the one before them shows, and of a row four are one word.
+    """
+    thread = wp.tid()
+    lines = reach.shape[3] // 2
+    image = thread // (lines * chunks)
+    place = thread - image * (lines * chunks)
+    b = image // 2
+    axis = image - 2 * b
+    # Neighbours in a warp read neighbouring pixels: of a row its chunks, of columns the same chunk of the next one.
+    line = wp.where(axis == 0, place // chunks, place % lines)
+    chunk = wp.where(axis == 0, place % chunks, place // lines)
     if line >= target.shape[1 + axis]:
         return
     count = target.shape[2 - axis]
-    for label in range(reach.shape[2]):
-        reach[b, axis, label, line] = wp.vec2i(count, -1)
-    # Run by run: most pixels show what the one before them shows, and of a row four are one word.
+    if chunks == 1:
+        for label in range(reach.shape[2]):
+            reach[b, axis, label, 2 * line] = count
+            reach[b, axis, label, 2 * line + 1] = -1
+    size = (count + chunks - 1) // chunks
+    pixel = int(chunk * size)
+    end = wp.min(pixel + size, count)
     in_words = axis == 0 and are_words(target)
     run = int(-1)
     first = int(0)
-    pixel = int(0)
-    while pixel < count:
-        skip = in_words and run >= 0 and pixel % QUAD == 0
+    while pixel < end:
+        skip = in_words and run >= 0 and pixel % QUAD == 0 and pixel + QUAD <= end
         if skip:
             skip = load_word(target[b], line, pixel, True) == wp.uint32(run) * EACH_BYTE
         if skip:
@@ -308,17 +323,47 @@ def find_reach(
         else:
             label = int(target[b, wp.where(axis == 0, line, pixel), wp.where(axis == 0, pixel, line)])
             if label != run:
-                if run >= 0 and run < reach.shape[2]:
-                    reach[b, axis, run, line] = wp.vec2i(first, pixel - 1)
+                extend_reach(reach, wp.vec4i(b, axis, run, line), first, pixel - 1)
                 run = label
-                if run < reach.shape[2]:
-                    first = wp.min(reach[b, axis, run, line][0], pixel)
+                first = pixel
             pixel += 1
-    if run >= 0 and run < reach.shape[2]:
-        reach[b, axis, run, line] = wp.vec2i(first, count - 1)
+    extend_reach(reach, wp.vec4i(b, axis, run, line), first, end - 1)
+
+
+@wp.func
+def extend_reach(reach: wp.array4d[int], at: wp.vec4i, first: int, last: int):
+    """Extend a label's reach in a line by a run; ``at`` is the body, the axis, the label and the line."""
+    if at[2] >= 0 and at[2] < reach.shape[2]:
+        wp.atomic_min(reach, at[0], at[1], at[2], 2 * at[3], first)
+        wp.atomic_max(reach, at[0], at[1], at[2], 2 * at[3] + 1, last)
+
+
+@wp.kernel
+def empty_reach(
+    height: int,
+    width: int,
+    reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
+):
+    """Set no pixel at all, the first one after the last."""
+    thread = wp.tid()
+    lines, labels = reach.shape[3], reach.shape[2]
+    line = thread % lines
+    rest = thread // lines
+    label = rest % labels
+    image = rest // labels
+    reach[image // 2, image % 2, label, line] = wp.vec2i(wp.where(image % 2 == 0, width, height), -1)
+
+
+_CHUNK = 16  # pixels of a line a thread on CUDA
 
 
 def launch_find_reach(target: wp.array, reach: wp.array) -> None:
     """Fill ``reach``, of shape (B, 2, L, max(H, W)) for labels 0 to L - 1."""
-    dim = (target.shape[0], 2, max(target.shape[1:]))
-    wp.launch(find_reach, dim, [target], [reach], device=target.device)
+    batch, height, width = target.shape
+    device = target.device
+    lines = max(height, width)
+    chunks = 1 if device.is_cpu else -(-lines // _CHUNK)
+    if chunks > 1:
+        wp.launch(empty_reach, reach.size, [height, width], [reach], device=device)
+    numbers = wp.array(ptr=reach.ptr, dtype=int, shape=(*reach.shape[:3], 2 * lines), device=device)
+    wp.launch(find_reach, batch * 2 * lines * chunks, [target, chunks], [numbers], device=device)
