@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...results.figures import empty_figure
 from ..machine import in_words
-from .plan import KERNELS, OTHERS, TARGETS
+from .plan import CALLS, KERNELS, OTHERS, TARGETS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ def draw_kernel_chart(figures: Mapping[str, Any]) -> Figure:
 
     Pictures of another size than most have no marks.
     """
-    rows = [row for row in figures["rows"] if row["group"] in (TARGETS, OTHERS, KERNELS) and row["median_s"] > 0]
+    rows = [row for row in figures["rows"] if row["group"] in (TARGETS, CALLS, OTHERS, KERNELS) and row["median_s"] > 0]
     sizes = [row["size_px"] for row in rows]
     rows = [row for row in rows if row["size_px"] == max(set(sizes), key=sizes.count)]
     runs = sorted((row for row in rows if row["group"] != KERNELS), key=itemgetter("renderer"))
