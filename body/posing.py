@@ -11,11 +11,11 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..interop.captured_function import Tensors, call_captured
+from ..interop.captured_function import call_captured
 from ..interop.checks import check_numbers, check_tensor
 from ..interop.derivatives import is_transformed
 from ..interop.graph_cache import Launch
-from ..interop.loss_graph import Shapes
+from ..interop.layouts import Shapes, Tensors
 from ..interop.movable import Movable
 from ..kernels import kinematics
 from . import plain_posing

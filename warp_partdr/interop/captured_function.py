@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
 
 from .graph_cache import CapturedBodies, Launch, graphs
-from .loss_graph import Shapes
+from .layouts import Shapes, Tensors, split_blocks
 from .streams import on_torch_stream
 
-Tensors = tuple[torch.Tensor, ...]
 Prepare = Callable[..., Launch]  # of inputs, outputs and options; allocates and returns launches that fill the outputs
 
 
@@ -58,22 +56,6 @@ class _Buffers:
         """Launches of some of the bodies."""
         inputs, outputs = (tuple(tensor[part] for tensor in each) for each in (self.inputs, self.outputs))
         return prepare(inputs, outputs, *options)
-
-
-def split_blocks(numbers: torch.Tensor, shapes: Shapes) -> Tensors:
-    """Views of these shapes, one after the other."""
-    return tuple([numbers.as_strided(*place) for place in _blocks(shapes)])
-
-
-@lru_cache(maxsize=64)
-def _blocks(shapes: Shapes) -> list[tuple[torch.Size, tuple[int, ...], int]]:
-    """Shape, strides and offset of each."""
-    places, start = [], 0
-    for shape in shapes:
-        strides = tuple([max(math.prod(shape[k + 1 :]), 1) for k in range(len(shape))])
-        places.append((shape, strides, start))
-        start += math.prod(shape)
-    return places
 
 
 class _Graph:

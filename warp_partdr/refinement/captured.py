@@ -193,11 +193,11 @@ class CapturedRefinement:
         launch_start(self._problem, self._state)
 
     def evaluate(self, bodies: BodyParameters) -> tuple[torch.Tensor, torch.Tensor]:
-        """Energy of bodies, (B,), and rows (2, B, N): their numbers and its gradient, of a refinement of 0 steps."""
+        """Energy of bodies, (B,), by a refinement of 0 steps; their numbers and its gradient as ``Buffers.numbers``."""
         self._put(bodies)
         self._replay(self._rewind_graph)
         self._replay(self._graph)
-        return self._history[-1].clone(), torch.stack([self._parameters, self._gradient])
+        return self._history[-1].clone(), torch.cat([self._parameters.flatten(), self._gradient.flatten()])
 
     def refine(self, start: BodyParameters, *, on_iteration: Callable[[int], None] | None = None) -> Refined:
         """Refine B bodies.

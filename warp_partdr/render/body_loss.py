@@ -155,14 +155,14 @@ class BodyLoss:
             return self.label_loss(bodies.posed(), camera, target, part_labels=labels, validate=False)[0]
         locked = LOCKED_BITS if bodies.rotations.dim() == 3 else 0
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
-        pelvis = _origin(lengths.device).expand(len(lengths), 3)
+        pelvis = _origin(len(lengths), lengths.device)
         parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
         return _find_loss(passes, (bodies.log_scale, bodies.shift, *parameters), target)
 
 
 @lru_cache(maxsize=8)
-def _origin(device: torch.device) -> torch.Tensor:
-    return torch.zeros(1, 3, device=device)
+def _origin(batch: int, device: torch.device) -> torch.Tensor:
+    return torch.zeros(batch, 3, device=device)
 
 
 def _find_loss(passes: BodyPasses, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> torch.Tensor:

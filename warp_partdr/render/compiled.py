@@ -9,7 +9,8 @@ from typing import Any
 import torch
 
 from ..interop.derivatives import once, raise_second_derivative
-from ..interop.loss_graph import launch_label_loss, row_length
+from ..interop.layouts import row_length
+from ..interop.loss_graph import gradient_rows, launch_label_loss
 from .ellipsoid_passes import EllipsoidPasses
 from .mesh_passes import MeshPasses
 from .options import label_maps
@@ -72,15 +73,17 @@ def _register(kind: type[MeshPasses | EllipsoidPasses], num_inputs: int, index: 
 
     def empty_loss(tensors: Sequence[Any], target: Any, needs_grad: bool, *settings: Any) -> Any:
         first, length = tensors[0], row_length(tuple(each.shape for each in tensors[:num_inputs]))
-        return first.new_empty(len(first)), first.new_empty(2 if needs_grad else 1, len(first), length)
+        return first.new_empty(len(first)), first.new_empty((2 if needs_grad else 1) * len(first) * length)
 
     def save_loss(ctx: Any, inputs: Any, output: Any) -> None:
         ctx.num_tensors = len(inputs[0])
         ctx.save_for_backward(output[1], *inputs[0][:num_inputs])
 
     def backward_loss(ctx: Any, grad_loss: torch.Tensor, grad_rows: torch.Tensor) -> Any:
-        rows, *inputs = ctx.saved_tensors
-        parts = (rows[1] * grad_loss[:, None]).split([math.prod(each.shape[1:]) for each in inputs], dim=1)
+        numbers, *inputs = ctx.saved_tensors
+        parts = (gradient_rows(numbers, len(grad_loss)) * grad_loss[:, None]).split(
+            [math.prod(each.shape[1:]) for each in inputs], dim=1
+        )
         found = tuple(part.reshape(each.shape) for part, each in zip(parts, inputs, strict=True))
         grads = once(kind.name, found, grad_loss, *inputs)
         return [*grads, *[None] * (ctx.num_tensors - num_inputs)], *[None] * 5

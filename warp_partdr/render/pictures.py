@@ -11,7 +11,8 @@ import torch
 
 from ..interop.derivatives import once
 from ..interop.graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
-from ..interop.loss_graph import Recipe, Shapes, find_label_loss, row_length, split_rows
+from ..interop.layouts import Shapes, row_length, split_blocks
+from ..interop.loss_graph import Recipe, find_label_loss
 from .options import label_maps
 
 Tensors = tuple[torch.Tensor, ...]
@@ -104,14 +105,14 @@ def find_loss(
         operation = getattr(torch.ops.warp_partdr, f"{passes.kind}_label_loss")
         loss, _ = operation([*inputs, *passes.constants], target.contiguous(), needs_grad, *passes.settings())
         return loss, draw_picture(image, passes, inputs, size, 0)
-    loss, rows = find_label_loss(passes, inputs, target)
-    return loss, image.later(partial(_draw_rows, passes, rows, [tensor.shape for tensor in inputs], size))
+    loss, numbers = find_label_loss(passes, inputs, target)
+    return loss, image.later(partial(_draw_copy, passes, numbers, [tensor.shape for tensor in inputs], size))
 
 
 @torch.no_grad()
-def _draw_rows(passes: Passes, rows: torch.Tensor, shapes: Sequence[torch.Size], size: Size) -> Tensors:
+def _draw_copy(passes: Passes, numbers: torch.Tensor, shapes: Sequence[torch.Size], size: Size) -> Tensors:
     """Draw the picture of a loss, from its copy of the inputs."""
-    return passes.draw(split_rows(rows[0], tuple(shapes)), size)[:3]
+    return passes.draw(split_blocks(numbers, tuple(shapes)), size)[:3]
 
 
 @torch.no_grad()
@@ -123,8 +124,8 @@ def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any
     graph = graphs.find(key, device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device)) if batch else None
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
-    labels, rows = graph(inputs)
-    return image.later(partial(_draw_rows, passes, rows, shapes, size), labels=labels)
+    labels, numbers = graph(inputs)
+    return image.later(partial(_draw_copy, passes, numbers, shapes, size), labels=labels)
 
 
 class _LabelsGraph:
@@ -132,8 +133,8 @@ class _LabelsGraph:
 
     def __init__(self, passes: Passes, shapes: Shapes, size: Size, device: torch.device) -> None:
         batch = shapes[0][0]
-        self._rows = torch.empty(1, batch, row_length(shapes), device=device)
-        self._inputs = inputs = split_rows(self._rows[0], shapes)
+        self._numbers = torch.empty(batch * row_length(shapes), device=device)
+        self._inputs = inputs = split_blocks(self._numbers, shapes)
         self._labels = labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
 
         def prepare(part: slice) -> Callable[[], None]:
@@ -144,7 +145,7 @@ class _LabelsGraph:
     def __call__(self, inputs: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
         torch._foreach_copy_(self._inputs, inputs)
         self._launches.replay()
-        return self._labels.clone(), self._rows.clone()
+        return self._labels.clone(), self._numbers.clone()
 
 
 class _Maps(torch.autograd.Function):

@@ -96,7 +96,7 @@ class MeshRun:
         )
         self.labels, _ = passes.prepare_raster(self._points, (self._labels, *nothing), background=False)
         self._buffers = buffers = Buffers.empty(passes, (self._points.shape,), scene.targets, needs_grad=True)
-        buffers.rows.fill_(math.nan)
+        buffers.numbers.fill_(math.nan)
         buffers.losses.fill_(math.nan)
         buffers.inputs[0].copy_(self._points)
         self.gradient = passes.prepare(buffers)
