@@ -354,7 +354,8 @@ def empty_reach(
     reach[image // 2, image % 2, label, line] = wp.vec2i(wp.where(image % 2 == 0, width, height), -1)
 
 
-_CHUNK = 16  # pixels of a line a thread on CUDA
+_CHUNK = 16  # pixels of a line a thread on CUDA, or more
+_THREADS = 2**18  # that fill a GPU; more chunks only add work
 
 
 def launch_find_reach(target: wp.array, reach: wp.array) -> None:
@@ -362,7 +363,7 @@ def launch_find_reach(target: wp.array, reach: wp.array) -> None:
     batch, height, width = target.shape
     device = target.device
     lines = max(height, width)
-    chunks = 1 if device.is_cpu else -(-lines // _CHUNK)
+    chunks = 1 if device.is_cpu else max(min(-(-lines // _CHUNK), _THREADS // max(2 * batch * lines, 1)), 1)
     if chunks > 1:
         wp.launch(empty_reach, reach.size, [height, width], [reach], device=device)
     numbers = wp.array(ptr=reach.ptr, dtype=int, shape=(*reach.shape[:3], 2 * lines), device=device)
