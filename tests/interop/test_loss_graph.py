@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from scenes.pictures import draw_on_screen
 from scenes.renderers import RENDERERS, Scene
 
 from warp_partdr.interop import graph_cache
@@ -144,6 +145,29 @@ def test_without_a_gradient(device, renderer):
         assert loss == want[0]
         assert not loss.requires_grad
         assert torch.equal(image.labels, want[1])
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_pictures_are_captured_labels_until_more_is_wanted(device, renderer):
+    scenes = [Scene.make(seed, device) for seed in range(4)]
+    leaves = [scene.leaves(renderer) for scene in scenes]
+    set_graph_memory(0)
+    whole = [scene.draw(renderer, each) for scene, each in zip(scenes, leaves, strict=True)]
+    set_graph_memory(None)
+    drawn = [scene.draw(renderer, each) for scene, each in zip(scenes, leaves, strict=True)]
+    assert not any("depth" in vars(image) for image in drawn)
+    for have, want in zip(drawn, whole, strict=True):
+        assert torch.equal(have.labels, want.labels)
+        assert torch.equal(have.depth, want.depth)  # drawn now
+    assert "depth" in vars(scenes[0].draw(renderer, leaves[0]))  # from now on at once
+
+
+def test_many_vertices_are_not_copied_for_a_few_pixels(device):
+    scene = Scene.make(0, device, batch=2)
+    (points,) = scene.leaves("mesh")
+    many = torch.cat([points, torch.zeros(2, 2**18, 3, device=device)], dim=1)  # beyond those of the mesh
+    for _ in range(3):
+        assert "depth" in vars(draw_on_screen(many, scene.mesh, (48, 40)))
 
 
 def test_the_least_recently_used_graphs_go_first(device):

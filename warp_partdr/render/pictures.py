@@ -117,15 +117,36 @@ def _draw_copy(passes: Passes, numbers: torch.Tensor, shapes: Sequence[torch.Siz
 
 @torch.no_grad()
 def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any:
-    """Draw labels; what else there is, when it is first looked at. By a captured graph where memory has room."""
+    """Draw labels by a captured graph, and what else there is when it is first looked at; or all of it at once.
+
+    All, where memory has no room, where copies of the inputs would take longer than labels, and where somebody has
+    looked at more than labels before.
+    """
     shapes = tuple([tensor.shape for tensor in inputs])
-    batch, device = shapes[0][0], inputs[0].device
-    key, num_bytes = (passes, shapes, size), batch * math.prod(size) * BYTES_PER_PIXEL
-    graph = graphs.find(key, device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device)) if batch else None
+    batch, pixels, device = shapes[0][0], shapes[0][0] * math.prod(size), inputs[0].device
+    key, graph = (passes, shapes, size), None
+    if 4 * batch * row_length(shapes) <= max(pixels, _FEW_BYTES) and key not in _looked_at:
+        num_bytes = pixels * BYTES_PER_PIXEL
+        graph = graphs.find(key, device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device))
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
     labels, numbers = graph(inputs)
-    return image.later(partial(_draw_copy, passes, numbers, shapes, size), labels=labels)
+    return image.later(partial(_draw_rest, key, numbers), labels=labels)
+
+
+_looked_at: set[tuple[Passes, Shapes, Size]] = set()  # pictures of which more than labels was wanted
+_MOST_LOOKED_AT = 256
+_FEW_BYTES = 2**22  # that are copied as fast as a copy begins
+
+
+@torch.no_grad()
+def _draw_rest(key: tuple[Passes, Shapes, Size], numbers: torch.Tensor) -> Tensors:
+    """Draw what a labels' graph left out, and remember that it was wanted."""
+    if len(_looked_at) >= _MOST_LOOKED_AT:
+        _looked_at.clear()
+    _looked_at.add(key)
+    passes, shapes, size = key
+    return passes.draw(split_blocks(numbers, shapes), size)[:3]
 
 
 class _LabelsGraph:
