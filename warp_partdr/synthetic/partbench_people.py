@@ -13,6 +13,7 @@ from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Camera, Crop, Perspective, WeakPerspective
 from ..clothing.anny import anny, anny_shape
+from ..interop.torch_threads import one_torch_thread
 from . import people
 from .pose_recipes import POSES, draw_pose
 from .poses import mean_body
@@ -64,6 +65,7 @@ def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
 
 
 @lru_cache(maxsize=NUM_PEOPLE)
+@one_torch_thread()  # or sums, and so the last bits, would depend on their number
 def make_person(index: int) -> Person:
     """Person 0 to 199; each has a seed of its own."""
     phenotypes, rng = draw_phenotypes(index)
