@@ -57,6 +57,22 @@ def test_help_is_quick(line: str, tmp_path: Path) -> None:
     assert done.stderr.strip() == "set()"
 
 
+def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> None:
+    """It leaves without freeing what it had, but not before what others asked Python to do at the end."""
+    code = (
+        "import atexit, sys\nfrom warp_partdr.cli.main import run\n"
+        "atexit.register(lambda: print('done at the end'))\nrun()"
+    )
+    for line, returned, says in (("--version", 0, f"partdr {__version__}"), ("fit --nonsense", 2, "--nonsense")):
+        command = [sys.executable, "-c", code, *line.split()]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=HANG)
+        assert done.returncode == returned
+        assert says in done.stdout + done.stderr
+        assert done.stdout.endswith("done at the end\n")
+    module = [sys.executable, "-m", "warp_partdr", "--version"]
+    assert subprocess.run(module, capture_output=True, timeout=HANG).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("line", "says"),
     [
