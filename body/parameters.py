@@ -138,7 +138,8 @@ class BodyParameters(Movable):
 @lru_cache(maxsize=8)
 def _free_parts(device: torch.device) -> torch.Tensor:
     """0 for each locked part, 1 for the others, shape (20, 1)."""
-    return torch.tensor([[float(part not in LOCKED_PARTS)] for part in range(NUM_PARTS)], device=device)
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return torch.tensor([[float(part not in LOCKED_PARTS)] for part in range(NUM_PARTS)], device=device)
 
 
 def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:

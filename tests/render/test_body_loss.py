@@ -13,7 +13,7 @@ from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.interop.graph_cache import set_graph_memory
-from warp_partdr.network.predicted import Predicted
+from warp_partdr.network.predicted import Predicted, posed_landmarks
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import Renderer, RendererEllipsoids, RendererMesh
 
@@ -233,6 +233,25 @@ def test_on_a_side_stream(device):
             have = gradients(RENDERERS[0].crop_loss(leaves, target), list(leaves.tensors().values()))
     side.synchronize()
     assert all(torch.equal(one, other) for one, other in zip(have, want, strict=True))
+
+
+def test_what_inference_mode_made_serves_training(device):
+    """Graphs and constants that are first asked for in it."""
+    target, size = targets(device, (33, 33)), 33
+    with torch.inference_mode():
+        for _ in range(3):
+            given = bodies(0, device)
+            inside = RENDERERS[0].crop_loss(given, target)
+            drawn = draw_ellipsoids(given.posed(), given.camera(size), (size, size)).labels
+            posed_landmarks(given.posed(), ("left_heel",))
+    for _ in range(3):
+        leaves = bodies(0, device).leaves()
+        loss = RENDERERS[0].crop_loss(leaves, target)
+        (loss.sum() + leaves.free_rotations().sum() + leaves.posed().joints.sum()).backward()
+        posed_landmarks(leaves.posed(), ("left_heel",)).sum().backward()
+        assert all(tensor.grad is not None for tensor in leaves.tensors().values())
+        assert torch.equal(loss, inside)
+        assert torch.equal(draw_ellipsoids(leaves.posed(), leaves.camera(size), (size, size)).labels, drawn)
 
 
 def test_without_graphs(device):

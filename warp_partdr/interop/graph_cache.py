@@ -160,8 +160,10 @@ def _find_budget(device: torch.device) -> int:
 
 def _measure(device: torch.device, num_bytes: int, make: Callable[[], _T]) -> tuple[_T, int]:
     """A new graph, and the memory that it took."""
-    if device.type == "cpu":
-        return make(), num_bytes
-    before = torch.cuda.memory_allocated(device)
-    made = make()
-    return made, max(torch.cuda.memory_allocated(device) - before, 0)
+    # Tensors of torch's inference mode can't be written to outside of it.
+    with torch.inference_mode(False), torch.no_grad():
+        if device.type == "cpu":
+            return make(), num_bytes
+        before = torch.cuda.memory_allocated(device)
+        made = make()
+        return made, max(torch.cuda.memory_allocated(device) - before, 0)

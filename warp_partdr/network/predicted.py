@@ -61,4 +61,5 @@ def posed_landmarks(posed: Posed, names: tuple[str, ...]) -> torch.Tensor:
 
 @lru_cache(maxsize=8)
 def _gather(names: tuple[str, ...], device: torch.device) -> LandmarkGather:
-    return LandmarkGather(names, device)
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return LandmarkGather(names, device)

@@ -162,7 +162,8 @@ class BodyLoss:
 
 @lru_cache(maxsize=8)
 def _origin(batch: int, device: torch.device) -> torch.Tensor:
-    return torch.zeros(batch, 3, device=device)
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return torch.zeros(batch, 3, device=device)
 
 
 def _find_loss(passes: BodyPasses, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> torch.Tensor:
