@@ -188,6 +188,8 @@ def test_the_least_recently_used_graphs_go_first(device):
     assert graphs.num_bytes(torch.device(device, 0) if device == "cuda" else torch.device(device)) <= 2.7 * size
     set_graph_memory(size // 2)  # room for none
     assert call(320) == []
+    set_graph_memory(2 * size)
+    assert call(320) == [320]  # it is tried again
     with pytest.raises(ValueError, match="num_bytes: -1"):
         set_graph_memory(-1)
 
@@ -196,6 +198,15 @@ def test_what_is_asked_for_once_is_not_captured(device):
     scene = Scene.make(0, device)
     answer(scene, "coverage")
     assert not loss_graphs()
+
+
+def test_few_keys_are_remembered():
+    """Of pictures of ever new sizes, too, which are never captured."""
+    device = torch.device("cpu")
+    for number in range(2000):
+        assert graphs.find(("some", number), device, 10, lambda: pytest.fail("captured")) is None
+    assert 100 < len(graphs) <= 513
+    assert graphs.find(("some", 1999), device, 10, lambda: "graph") == "graph"
 
 
 def test_graphs_are_freed_where_memory_is_out(monkeypatch):

@@ -105,10 +105,14 @@ class GraphCache:
             kept = self._kept.get(key)
             if kept is None:
                 self._kept[key] = _Kept(None, device, 0, tried=False)
-                return None
-            self._kept.move_to_end(key)
-            if kept.tried:
-                return kept.graph  # type: ignore[return-value]
+            else:
+                self._kept.move_to_end(key)
+                if kept.tried:
+                    return kept.graph  # type: ignore[return-value]
+        if kept is None:
+            if len(self._kept) > _MOST_KEYS:
+                self.shrink(device)
+            return None
         if _find_budget(device) == 0:
             return None
         try:
@@ -123,18 +127,22 @@ class GraphCache:
         return graph if fits else None
 
     def shrink(self, device: torch.device | None = None, budget: int | None = None) -> None:
-        """Free the least recently used graphs until the others keep to the budget, on one device or on each."""
+        """Free the least recently used graphs until the others keep to the budget, on one device or on each.
+
+        On each, what was too large before is tried again.
+        """
         dropped = []
         with self._lock:
             for each in {kept.device for kept in self._kept.values()} if device is None else {device}:
                 allowed = _find_budget(each) if budget is None else budget
                 total = sum(kept.size for kept in self._kept.values() if kept.device == each)
                 for key, kept in list(self._kept.items()):
-                    if kept.device == each and (total > allowed or allowed == 0):
+                    refused = device is None and kept.tried and kept.graph is None
+                    if kept.device == each and (total > allowed or allowed == 0 or refused):
                         total -= kept.size
                         dropped.append(self._kept.pop(key))
-            while len(self._kept) > _MOST_KEYS:
-                dropped.append(self._kept.popitem(last=False)[1])
+            if len(self._kept) > _MOST_KEYS:
+                dropped += [self._kept.popitem(last=False)[1] for _ in range(len(self._kept) - _MOST_KEYS // 2)]
         with launching():  # no graph goes while another one is captured
             dropped.clear()
 
