@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 import warp as wp
 
 from ..interop.arrays import warp_array
+from ..interop.graph_cache import Launch
 from ..kernels import kinematics
 from ..kernels.turns import Numbers, TurnRule, Turns, launch_turn, launch_turn_adjoint
 from .ellipbody import bone_tree
@@ -19,10 +20,8 @@ DTYPES = {
     torch.float64: {"s": wp.float64, "v": wp.vec3d, "m": wp.mat33d},
 }
 
-Tensors = Sequence[torch.Tensor]
 
-
-def kinematic_arrays(tensors: Tensors, kinds: str) -> list[wp.array]:
+def kinematic_arrays(tensors: Sequence[torch.Tensor], kinds: str) -> list[wp.array]:
     """Warp arrays over tensors of one dtype: of scalars ("s"), vectors ("v") or matrices ("m")."""
     types = DTYPES[tensors[0].dtype]
     return [warp_array(tensor, types[kind]) for tensor, kind in zip(tensors, kinds, strict=True)]
@@ -44,7 +43,13 @@ class BoneLaunches:
         half_size: Of the crop that the camera's numbers are of, see ``kernels.turns`` [px]; 0: they are in pixels.
     """
 
-    def __init__(self, parameters: Tensors, locked: int = 0, camera: Tensors = (), half_size: float = 0.0) -> None:
+    def __init__(
+        self,
+        parameters: Sequence[torch.Tensor],
+        locked: int = 0,
+        camera: Sequence[torch.Tensor] = (),
+        half_size: float = 0.0,
+    ) -> None:
         orientation, translation, rotations, lengths, thicknesses = parameters
         self._like = lengths
         self._turns: Any = None
@@ -70,10 +75,10 @@ class BoneLaunches:
         self,
         rotations: wp.array,
         adjoints: Sequence[wp.array],
-        gradients: Tensors,
+        gradients: Sequence[torch.Tensor],
         adj_cameras: torch.Tensor | None = None,
-        camera_gradients: Tensors = (),
-    ) -> Callable[[], None]:
+        camera_gradients: Sequence[torch.Tensor] = (),
+    ) -> Launch:
         """Launches that fill gradients, after ``launch``.
 
         Args:
@@ -107,7 +112,7 @@ class BoneLaunches:
         return self._like.new_empty(batch, 3, 3), self._like.new_empty(batch, NUM_PARTS, 3, 3)
 
 
-def _numbers(orientation: torch.Tensor, rotations: torch.Tensor, camera: Tensors) -> Any:
+def _numbers(orientation: torch.Tensor, rotations: torch.Tensor, camera: Sequence[torch.Tensor]) -> Any:
     numbers = Numbers()
     numbers.orientation, numbers.rotations = warp_array(orientation.flatten(1)), warp_array(rotations.flatten(2))
     focal, centre = camera or [orientation.new_empty(0, 0)] * 2

@@ -241,7 +241,7 @@ def launch_pose(tree: BoneTree, parameters: Sequence[wp.array], posed: Sequence[
 
 
 class PoseScratch(NamedTuple):
-    """What ``pose_bones_adjoint`` keeps for itself."""
+    """Scratch of ``pose_bones_adjoint``."""
 
     left: wp.array
     shares: wp.array

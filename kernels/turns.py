@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Numbers:
-    """What turns and sees B bodies of P parts, or the gradient with respect to it."""
+    """Rotations and cameras of B bodies of P parts, or the gradient with respect to them."""
 
     orientation: wp.array2d[float]  # (B, 3, 6 or 9) of the whole body
     rotations: wp.array3d[float]  # (B, P, 3, 6 or 9) of each bone
@@ -34,7 +34,7 @@ class Turns:
 
 @wp.struct
 class TurnRule:
-    """What the numbers mean."""
+    """Meaning of the numbers."""
 
     locked: int  # bit k: part k keeps its rest rotation
     half_size: float  # of the crop that the camera's numbers are of [px]; 0: they are in pixels

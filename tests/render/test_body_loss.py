@@ -128,13 +128,7 @@ def have_hips(given: BodyParameters, renderer: Renderer, target: torch.Tensor) -
 def test_groups_and_one_camera_for_all(device):
     given, target = bodies(0, device), (targets(device) > 0).to(torch.uint8)
     camera = WeakPerspective(torch.tensor([20.0], device=device), torch.tensor([[24.0, 28.0]], device=device))
-    parameters = [
-        given.orientation,
-        torch.zeros(3, 3, device=device),
-        given.rotations,
-        given.lengths,
-        given.thicknesses,
-    ]
+    parameters = pose_arguments(given)
     for renderer in RENDERERS:
         leaves = [tensor.clone().requires_grad_() for tensor in parameters]
         options = {"part_labels": [1] * 20}
@@ -145,13 +139,7 @@ def test_groups_and_one_camera_for_all(device):
 
 def test_a_mesh_of_its_own_level(device):
     given, target = bodies(0, device), targets(device)
-    parameters = [
-        given.orientation,
-        torch.zeros(3, 3, device=device),
-        given.rotations,
-        given.lengths,
-        given.thicknesses,
-    ]
+    parameters = pose_arguments(given)
     camera = WeakPerspective(20 * given.log_scale.exp(), 20 * (given.shift + 1))
     automatic = RendererMesh("auto", tolerance=0.3)
     want = RendererMesh(automatic.fixed(pose(*parameters), camera).subdivisions).body_loss(parameters, camera, target)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import torch
 
 from .graph_cache import CapturedBodies, Launch, graphs
-from .layouts import Shapes, Tensors, split_blocks
+from .layouts import Shapes, Tensors, split_blocks, total_length
 from .streams import on_torch_stream
 
 Prepare = Callable[..., Launch]  # of inputs, outputs and options; allocates and returns launches that fill the outputs
@@ -33,7 +32,7 @@ def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options:
     if batch == 0:
         return tuple(first.new_empty(shape) for shape in outputs)
     key = prepare, options, inputs, outputs, dtype, device
-    size = 2 * first.element_size() * sum(map(math.prod, (*inputs, *outputs)))  # with what lies in between
+    size = 2 * first.element_size() * total_length((*inputs, *outputs))  # with what lies in between
     graph = graphs.find(key, device, size, lambda: _Graph(*key))
     if graph is not None:
         return graph(tensors)
@@ -48,7 +47,7 @@ class _Buffers:
     """Inputs and outputs of B bodies, one after the other in one tensor each."""
 
     def __init__(self, inputs: Shapes, outputs: Shapes, dtype: torch.dtype, device: torch.device) -> None:
-        ends = [torch.empty(sum(map(math.prod, each)), dtype=dtype, device=device) for each in (inputs, outputs)]
+        ends = [torch.empty(total_length(each), dtype=dtype, device=device) for each in (inputs, outputs)]
         self.found = ends[1]
         self.inputs, self.outputs = split_blocks(ends[0], inputs), split_blocks(ends[1], outputs)
 

@@ -21,6 +21,11 @@ def split_rows(numbers: torch.Tensor, shapes: Shapes, first: int = 0) -> Tensors
     return tuple([numbers.as_strided(shape, strides, first + start) for shape, strides, start in row_places(shapes)])
 
 
+def total_length(shapes: Shapes) -> int:
+    """Count the numbers of all."""
+    return sum(map(math.prod, shapes))
+
+
 def row_length(shapes: Shapes) -> int:
     """R, the number of a body's values."""
     return sum(math.prod(shape[1:]) for shape in shapes)

@@ -11,6 +11,7 @@ from ..errors import LARGEST
 from ..kernels.checks import launch_check_matrices, launch_check_values
 from .arrays import warp_array
 from .graph_cache import CapturedBodies, Launch, graphs
+from .layouts import Shapes, split_blocks, total_length
 
 VALUES, POSITIVE, ROTATIONS, FRAMES = range(4)  # frames are rotations that may mirror
 _SHARE = 0.99  # of the bounds, for numbers are rounded on the way
@@ -28,27 +29,23 @@ def are_good(tensors: list[torch.Tensor], kinds: tuple[int, ...], tolerance: flo
     if any(tensor.device != device for tensor in tensors):
         return False
     key = tuple([tensor.shape for tensor in tensors]), kinds, tolerance, device
-    size = 4 * sum(math.prod(shape) for shape in key[0])
-    graph = graphs.find(key, device, size, lambda: _Graph(*key))
+    graph = graphs.find(key, device, 4 * total_length(key[0]), lambda: _Graph(*key))
     return graph is not None and graph(tensors)
 
 
 class _Graph:
-    def __init__(
-        self, shapes: tuple[torch.Size, ...], kinds: tuple[int, ...], tolerance: float, device: torch.device
-    ) -> None:
-        sizes = [math.prod(shape) for shape in shapes]
-        parts = torch.empty(sum(sizes), device=device).split(sizes)
-        self._inputs = [part.view(shape) for part, shape in zip(parts, shapes, strict=True)]
+    def __init__(self, shapes: Shapes, kinds: tuple[int, ...], tolerance: float, device: torch.device) -> None:
+        self._inputs = split_blocks(torch.empty(total_length(shapes), device=device), shapes)
         self._faults = torch.zeros(1, dtype=torch.int32, device=device)
 
         def prepare(_: slice) -> Launch:
             faults = warp_array(self._faults)
-            values = [(warp_array(part), kind) for part, kind in zip(parts, kinds, strict=True) if part.numel()]
+            given = [each for each in zip(self._inputs, kinds, strict=True) if each[0].numel()]
+            values = [(warp_array(tensor.view(-1)), kind) for tensor, kind in given]
             matrices = [
-                (warp_array(part.view(-1, 3, 3), wp.mat33), kind)
-                for part, kind in zip(parts, kinds, strict=True)
-                if part.numel() and kind in (ROTATIONS, FRAMES)
+                (warp_array(tensor.view(-1, 3, 3), wp.mat33), kind)
+                for tensor, kind in given
+                if kind in (ROTATIONS, FRAMES)
             ]
 
             def launch() -> None:

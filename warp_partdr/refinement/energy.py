@@ -160,12 +160,13 @@ class Energy:
         posed = parameters.posed()
         if self.target is None or self._maps is not None:
             return self.terms(parameters, posed)
-        others = self.terms(parameters, posed, [term.name for term in TERMS if term.name != SEG.name])
+        found = self.terms(parameters, posed, [term.name for term in TERMS if term is not SEG])
         # From the parameters, in one graph.
         renderer = self._fix(parameters, posed)
-        loss = renderer.crop_loss(parameters, self._targets, part_labels=self._part_labels)
-        seg = {SEG.name: self.weight(SEG) * loss}
-        return {term.name: {**others, **seg}[term.name] for term in TERMS if term.applies(self)}
+        found[SEG.name] = self.weight(SEG) * renderer.crop_loss(
+            parameters, self._targets, part_labels=self._part_labels
+        )
+        return {term.name: found[term.name] for term in TERMS if term.name in found}
 
     def terms(
         self, parameters: BodyParameters, posed: Posed, names: Collection[str] | None = None

@@ -26,12 +26,12 @@ def energy_loss(energy: Energy, bodies: BodyParameters) -> torch.Tensor:
     Returns:
         The energy of each body, shape (B,).
     """
-    if torch.compiler.is_compiling() or bodies.lengths.dtype != torch.float32 or not can_capture(energy):
-        return torch.stack(list(energy(bodies).values())).sum(0)
-    tensors, device = tuple(bodies.tensors().values()), bodies.lengths.device
-    key, num_bytes = (energy.key, bodies.batch_size), bodies.batch_size * energy.size**2 * BYTES_PER_PIXEL
-    make = partial(CapturedRefinement, energy, bodies.batch_size, iterations=0)
-    captured = graphs.find(key, device, num_bytes, make) if num_bytes else None
+    tensors, batch, captured = tuple(bodies.tensors().values()), bodies.batch_size, None
+    served = can_capture(energy) and bodies.lengths.dtype == torch.float32 and not torch.compiler.is_compiling()
+    if served and batch > 0:
+        make = partial(CapturedRefinement, energy, batch, iterations=0)
+        num_bytes = batch * energy.size**2 * BYTES_PER_PIXEL
+        captured = graphs.find((energy.key, batch), bodies.lengths.device, num_bytes, make)
     if captured is None:
         return torch.stack(list(energy(bodies).values())).sum(0)
     with torch.no_grad():

@@ -24,7 +24,7 @@ ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
 
 
 class Seeing(NamedTuple):
-    """What the cameras of all bodies share, and bodies that are drawn alike.
+    """Properties that all bodies of a batch, and their cameras, share.
 
     Attributes:
         perspective: Kind of the cameras.

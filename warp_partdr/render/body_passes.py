@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -14,15 +14,14 @@ from ..body.bone_launches import BoneLaunches, camera_array, kinematic_arrays
 from ..body.ellipbody import bone_tree
 from ..body.template import NUM_JOINTS, NUM_PARTS
 from ..interop.arrays import warp_array
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..kernels import kinematics, turns
 from ..kernels.mesh import screen
 from .ellipsoid_passes import EllipsoidPasses
 from .mesh_passes import MeshPasses
-from .options import cached
-from .pictures import Tensors
 
-_Launch = Callable[[], None]
 _SHAPES = ((NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (4,))  # of centres, axes, semi-axes and camera
 
 
@@ -46,7 +45,7 @@ class BodyPasses:
         """As the renderer's."""
         return self.renderer.num_losses(device, batch, height, width)
 
-    def prepare(self, buffers: Buffers) -> _Launch:
+    def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
         focal, centre, *parameters = buffers.inputs
         prepare = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
@@ -72,12 +71,12 @@ class BodyPasses:
 
         return launch
 
-    def _prepare_ellipsoids(self, buffers: Buffers) -> tuple[Tensors, Tensors, _Launch]:
+    def _prepare_ellipsoids(self, buffers: Buffers) -> tuple[Tensors, Tensors, Launch]:
         """Ellipsoids and camera to be filled, their adjoints, and the launch that fills these and the loss."""
         inner = self._inner(buffers, _SHAPES)
         return inner.inputs, inner.grads or inner.inputs, self.renderer.prepare(inner)
 
-    def _prepare_mesh(self, buffers: Buffers) -> tuple[Tensors, Tensors, _Launch]:
+    def _prepare_mesh(self, buffers: Buffers) -> tuple[Tensors, Tensors, Launch]:
         device = buffers.target.device
         sphere = bone_tree(wp.device_from_torch(device).alias, wp.float32, self.subdivisions).unit_vertices
         inner = self._inner(buffers, ((NUM_PARTS * len(sphere), 3),))
@@ -102,9 +101,6 @@ class BodyPasses:
         batched = tuple([torch.Size((len(buffers.losses), *shape)) for shape in shapes])
         inner = Buffers.empty(self.renderer, batched, buffers.target, needs_grad=len(buffers.grads) > 0)
         return replace(inner, losses=buffers.losses)
-
-
-body_passes = cached(BodyPasses)
 
 
 def _seen(ellipsoids: Tensors) -> Any:

@@ -13,6 +13,7 @@ import torch
 import warp as wp
 
 from ..interop.arrays import contiguous, warp_array
+from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on, on_torch_stream
 from ..kernels.ellipsoids import coverage, edges, forces, partdr, silhouette
@@ -21,7 +22,7 @@ from ..kernels.ellipsoids.silhouette import Seen, launch_see
 from ..kernels.labels import DenseGradient, LabelTarget, launch_find_reach
 from .options import Gradient, cached
 from .part_mesh import MAX_LABEL
-from .pictures import Picture, Settings, Size, Tensors
+from .pictures import Picture, Settings, Size
 
 _HALVINGS = 4  # of a step at one sample a pixel, to find where on it the cost changes
 _MORE_HALVINGS = 1.6  # for each doubling of the samples

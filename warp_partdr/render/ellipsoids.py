@@ -14,12 +14,13 @@ from ..cameras import Camera, check_camera
 from ..errors import check_type, check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
+from ..interop.layouts import Tensors
 from ..interop.movable import Movable
 from . import compiled as compiled  # registers the operations for torch.compile
 from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
 from .options import DEFAULT_DEPTH_WEIGHT, Gradient, cached, check_partdr_options, check_target
 from .part_mesh import MAX_LABEL
-from .pictures import DrawnLater, Size, Tensors, draw_picture, find_loss
+from .pictures import DrawnLater, Size, draw_picture, find_loss
 
 MAX_PARTS = 255  # parts are counted in one byte, 0 = background
 MAX_SAMPLES = 64  # a pixel; the work on creases grows with their square

@@ -13,6 +13,8 @@ import torch
 import warp as wp
 
 from ..interop.arrays import contiguous, warp_array
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
@@ -20,9 +22,7 @@ from ..kernels.launch import launch_side_by_side
 from ..kernels.mesh import push_xy, push_z, rasterize
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
 from .options import cached
-from .pictures import Picture, Settings, Size, Tensors
-
-_Launch = Callable[[], None]
+from .pictures import Picture, Settings, Size
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class MeshPasses:
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return picture
 
-    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> _Launch:
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Launch:
         """Launch that fills ``labels``."""
         nothing = (torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
         return self.prepare_raster(inputs[0], (labels, *nothing), background=False)[0]
@@ -99,7 +99,7 @@ class MeshPasses:
         """One sum for each thread that compares pixels."""
         return math.prod(rasterize.pixel_lanes((batch, height, width), device.type == "cpu")[1:])
 
-    def prepare(self, buffers: Buffers) -> _Launch:
+    def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
         (vertices,) = buffers.inputs
         batch, device = vertices.shape[0], vertices.device
@@ -113,7 +113,7 @@ class MeshPasses:
         of_target.scale = wp.ones(batch, dtype=float, device=of_target.target.device)
         losses = warp_array(buffers.losses.view(rasterize.pixel_lanes(tuple(images[0].shape), vertices.is_cpu)))
         labels = warp_array(images[0])
-        push: _Launch | None = None
+        push: Launch | None = None
         if buffers.grads:
             push = self._prepare_gradient(vertices, images, lambda: [of_target], zbuffer.keys, buffers.grads[0])
 
@@ -127,7 +127,7 @@ class MeshPasses:
 
     def prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
-    ) -> tuple[_Launch, rasterize.ZBuffer]:
+    ) -> tuple[Launch, rasterize.ZBuffer]:
         """Launch that fills labels, depth and face-index map, and the z-buffer that it empties again."""
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         batch, height, width = images[0].shape
@@ -141,7 +141,7 @@ class MeshPasses:
         gradients: Callable[[], Iterable[Any]],
         keys: wp.array,
         grad_vertices: torch.Tensor,
-    ) -> _Launch:
+    ) -> Launch:
         """Launch that fills ``grad_vertices``.
 
         Args:

@@ -11,11 +11,10 @@ import torch
 
 from ..interop.derivatives import once
 from ..interop.graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
-from ..interop.layouts import Shapes, row_length, split_blocks
+from ..interop.layouts import Shapes, Tensors, row_length, split_blocks
 from ..interop.loss_graph import Recipe, find_label_loss
 from .options import label_maps
 
-Tensors = tuple[torch.Tensor, ...]
 Size = tuple[int, int]
 Settings = tuple[list[int], str, list[float]]  # integers, name of the gradient, numbers
 

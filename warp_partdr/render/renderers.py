@@ -16,7 +16,7 @@ from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
 from .body_loss import ALL_PARTS, BodyLoss, Seeing
-from .body_passes import BodyPasses, body_passes
+from .body_passes import BodyPasses
 from .ellipsoid_passes import ellipsoid_passes
 from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
@@ -134,12 +134,7 @@ class RendererMesh(BodyLoss):
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
         """Launches from parameters of bodies to L_seg, of a fixed level; errors as of ``draw_mesh``."""
-        assert self.subdivisions != "auto"
-        check_partdr_options(self.max_distance, self.depth_weight)
-        mesh = labelled_mesh(self.subdivisions, seeing.part_labels, device)
-        options = seeing.perspective, seeing.near_plane, float(self.max_distance), float(self.depth_weight)
-        passes = mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
-        return body_passes(passes, self.subdivisions, seeing.locked, seeing.half_size)
+        return _mesh_body_passes(self, seeing, device)
 
     def fixed(self, posed: Posed, camera: Camera) -> RendererMesh:
         """Renderer with the level that these bodies need, so that a loss does not jump while it is minimised."""
@@ -165,9 +160,19 @@ Renderer = RendererEllipsoids | RendererMesh
 
 @lru_cache(maxsize=64)
 def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> BodyPasses:
-    gradient, *numbers = check_rule(**vars(renderer))
+    gradient, *numbers = check_rule(**renderer._rule)
     passes = ellipsoid_passes(seeing.part_labels, seeing.perspective, gradient, seeing.near_plane, *numbers)
     return BodyPasses(passes, 0, seeing.locked, seeing.half_size)
+
+
+@lru_cache(maxsize=64)
+def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.device) -> BodyPasses:
+    assert renderer.subdivisions != "auto"
+    check_partdr_options(**renderer._rule)
+    mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
+    options = seeing.perspective, seeing.near_plane, float(renderer.max_distance), float(renderer.depth_weight)
+    passes = mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
+    return BodyPasses(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
 
 
 @lru_cache(maxsize=32)

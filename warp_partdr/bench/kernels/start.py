@@ -54,7 +54,7 @@ def _fastest(words: Sequence[str], times: int = 3) -> float:
 
 
 def _run(command: Sequence[str], environment: Mapping[str, str]) -> str:
-    """What a command prints."""
+    """Standard output of a command."""
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
