@@ -149,19 +149,6 @@ def may_have_gradient(g: DenseGradient, t: int, label: int, pixel: int):
 
 
 @wp.func
-def may_have_other_gradient(g: LabelTarget, t: int, shown: int, pixel: int):
-    """True if a pixel may have a gradient of a map whose label it does not show."""
-    expected = int(flat(g.target[t])[pixel])
-    return expected != IGNORE and expected != shown and expected > 0
-
-
-@wp.func
-def may_have_other_gradient(g: DenseGradient, t: int, shown: int, pixel: int):
-    """True for any pixel."""
-    return True
-
-
-@wp.func
 def cost_of(g: LabelTarget, expected: int, label: int):
     """Cost of one pixel of area that shows ``label`` where the target shows ``expected``; 0 = background."""
     if expected == IGNORE or expected == label:

@@ -3,9 +3,13 @@
 A thread of the CPU device is alone.
 """
 
+from typing import Any
+
 import warp as wp
 
 LANES = wp.constant(32)
+SIXTEEN = 16  # values that ``sum_sixteen`` adds at once
+Sixteen: Any = wp.types.vector(length=SIXTEEN, dtype=wp.float32)
 
 
 def num_lanes(device: wp.Device) -> int:
@@ -49,6 +53,25 @@ def sum_lanes(value: float) -> float:  # type: ignore[empty-body]
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    const int lane = threadIdx.x & 31;
+    for (int half = 8; half > 0; half /= 2)  // each thread keeps half of its values and sends the others
+        for (int i = 0; i < half; ++i) {
+            const bool upper = (lane & half) != 0;
+            const float sent = upper ? values[i] : values[i + half];
+            values[i] = (upper ? values[i + half] : values[i]) + __shfl_xor_sync(0xffffffffu, sent, half);
+        }
+    return values[0] + __shfl_xor_sync(0xffffffffu, values[0], 16);
+#else
+    return values[0];
+#endif
+""")
+def sum_sixteen(values: Sixteen) -> float:  # type: ignore[empty-body]
+    """Sum over all threads of value number ``lane % 16``, in a fixed order: 16 exchanges where one by one takes 80."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     for (int distance = 1; distance < 32; distance *= 2) {
         const int before = __shfl_up_sync(0xffffffffu, value, distance);
         if ((threadIdx.x & 31) >= distance)
@@ -74,6 +97,18 @@ def shuffle(value: wp.uint32, lane: int) -> wp.uint32:
     ...
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, lane);
+#else
+    return value;
+#endif
+""")
+def shuffle_float(value: float, lane: int) -> float:  # type: ignore[empty-body]
+    """Value of the thread ``lane``."""
+    ...
+
+
 @wp.func
 def lowest_bit(bits: wp.uint32):
     """Index of the lowest bit that is set."""
@@ -94,3 +129,20 @@ def nth_bit(bits: wp.uint32, n: int):
             rest = rest >> wp.uint32(half)
             index += half
     return index
+
+
+@wp.func
+def deal(bits: wp.uint32, found: int, owner: int, number: int, lanes: int):
+    """Owner and index of bit ``number`` of all bits that the threads found; for each thread another number.
+
+    ``found`` is the ``prefix_sum`` of the threads' counts, and ``owner`` what a thread calls its own bits.
+    """
+    finder = int(0)
+    step = lanes // 2
+    while step > 0:
+        if int(shuffle(wp.uint32(found), finder + step - 1)) <= number:
+            finder += step
+        step = step // 2
+    theirs = shuffle(bits, finder)
+    before = int(shuffle(wp.uint32(found), finder)) - wp.bit_count(theirs)
+    return wp.vec2i(int(shuffle(wp.uint32(owner), finder)), nth_bit(theirs, number - before))

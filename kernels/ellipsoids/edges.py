@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from ..labels import EACH_BYTE, HIGH_BITS, QUAD, are_words, excess_at, overload_gradients, unequal_bytes, words_of
-from ..lanes import nth_bit, prefix_sum, shuffle
+from ..lanes import deal, prefix_sum, shuffle
 from .borders import find_crossing, front_at, front_gap, nearness_slope, outline_end, outward_at
 from .forces import BLOCK, Ellipsoid, EllipsoidView, SceneArrays, SurfaceForces, load_ellipsoid, make_view, store_forces
 from .silhouette import Silhouette, middle_at, pixel_box
@@ -20,36 +20,47 @@ from .silhouette import Silhouette, middle_at, pixel_box
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 _LAST_BIT = wp.constant(wp.uint32(0x80000000))
+_Rows: Any = wp.types.vector(length=QUAD + 1, dtype=wp.uint32)
 
 
 @wp.func
-def find_shown(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
-    """Highest bits of four bytes, set where four pixels show the ellipsoid; past the picture's border as at it."""
-    value = view.k + 1
-    if in_words:
-        return unequal_bytes(words[row * (view.width // QUAD) + quad], wp.uint32(value) * EACH_BYTE) ^ HIGH_BITS
-    equal = wp.uint32(0)
+def load_quad(view: EllipsoidView, row: int, column: int):
+    """Four pixels of a row as one word, read one by one; past the picture's border as at it."""
+    quad = wp.uint32(0)
     for i in range(QUAD):
-        if int(view.parts[row * view.width + wp.min(QUAD * quad + i, view.width - 1)]) == value:
-            equal |= wp.uint32(0x80) << wp.uint32(8 * i)
-    return equal
+        pixel = view.parts[row * view.width + wp.min(column + i, view.width - 1)]
+        quad |= wp.uint32(pixel) << wp.uint32(8 * i)
+    return quad
 
 
 @wp.func
 def find_borders(view: EllipsoidView, words: wp.array[wp.uint32], in_words: bool, row: int, quad: int):
     """Set of the borders of 4 by 4 pixels with their neighbours to the right and below; ``place_of`` locates a bit."""
-    borders = wp.uint32(0)
     last_row = view.height - 1
-    here = find_shown(view, words, in_words, wp.min(row, last_row), quad)
+    after = wp.min(QUAD * (quad + 1), view.width - 1)
+    rows = _Rows()
+    nexts = wp.vec4i()
+    # All that is needed is loaded before any of it is looked at, so as to wait for memory once.
+    if in_words:
+        pitch = view.width // QUAD
+        for i in range(QUAD + 1):
+            rows[i] = words[wp.min(row + i, last_row) * pitch + quad]
+    else:
+        for i in range(QUAD + 1):
+            rows[i] = load_quad(view, wp.min(row + i, last_row), QUAD * quad)
+    for i in range(QUAD):
+        nexts[i] = int(view.parts[wp.min(row + i, last_row) * view.width + after])
+
+    borders = wp.uint32(0)
+    value = view.k + 1
+    four = wp.uint32(value) * EACH_BYTE
+    here = unequal_bytes(rows[0], four) ^ HIGH_BITS  # the highest bit of each byte that shows the ellipsoid
     for i in range(QUAD):
         # Beyond the picture its last pixels repeat, so that there is no border.
-        at = wp.min(row + i, last_row)
-        below = find_shown(view, words, in_words, wp.min(at + 1, last_row), quad)
-        if row + i <= last_row:
-            right = here >> wp.uint32(8)
-            if int(view.parts[at * view.width + wp.min(QUAD * (quad + 1), view.width - 1)]) == view.k + 1:
-                right |= _LAST_BIT
-            borders |= ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
+        below = unequal_bytes(rows[i + 1], four) ^ HIGH_BITS
+        right = (here >> wp.uint32(8)) | wp.where(nexts[i] == value, _LAST_BIT, wp.uint32(0))
+        found = ((here ^ right) >> wp.uint32(2 * i)) | ((here ^ below) >> wp.uint32(2 * i + 1))
+        borders |= wp.where(row + i <= last_row, found, wp.uint32(0))
         here = below
     return borders
 
@@ -164,18 +175,6 @@ def push_border(
 
 
 @wp.func
-def find_lane(found: int, number: int, lanes: int):
-    """Thread that found border ``number`` of all; ``found`` is the cumulative count of each thread."""
-    lane = int(0)
-    step = lanes // 2
-    while step > 0:
-        if int(shuffle(wp.uint32(found), lane + step - 1)) <= number:
-            lane += step
-        step = step // 2
-    return lane
-
-
-@wp.func
 def push_borders(view: EllipsoidView, gradient: Any):
     """Share of one thread in the forces on an ellipsoid."""
     sums = SurfaceForces()
@@ -206,14 +205,11 @@ def push_borders(view: EllipsoidView, gradient: Any):
         total = int(shuffle(wp.uint32(found), lanes - 1))
         for first in range(0, total, lanes):
             number = first + view.lane
-            finder = find_lane(found, number, lanes)
-            theirs = shuffle(borders, finder)
-            before = int(shuffle(wp.uint32(found), finder)) - wp.bit_count(theirs)
-            origin = int(shuffle(wp.uint32(square), finder))
+            mine = deal(borders, found, square, number, lanes)
             if number < total:
-                place = place_of(nth_bit(theirs, number - before))
-                row = first_row + QUAD * (origin // across) + place[0]
-                column = QUAD * (first_quad + origin % across) + place[1]
+                place = place_of(mine[1])
+                row = first_row + QUAD * (mine[0] // across) + place[0]
+                column = QUAD * (first_quad + mine[0] % across) + place[1]
                 sums = push_border(sums, view, e, row, column, place[2], gradient)
     # The lever becomes the point of the unit sphere.
     e = load_ellipsoid(view)

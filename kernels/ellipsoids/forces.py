@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..labels import flat, target_of
-from ..lanes import num_lanes, sum_lanes
+from ..lanes import SIXTEEN, Sixteen, num_lanes, shuffle_float, sum_lanes, sum_sixteen
 from .silhouette import Seen, Silhouette, launch_find_neighbours
 
 wp.set_module_options({"enable_backward": False})
@@ -186,19 +186,48 @@ def add_nearness_force(
 @wp.func
 def store_forces(forces: wp.array4d[float], view: EllipsoidView, sums: SurfaceForces):
     """Add up the threads of a share and store it."""
-    shares = forces[view.b, view.k]
+    values = Sixteen()
     for i in range(3):
-        force = sum_lanes(sums.force[i])
-        if view.lane == 0:
-            shares[view.share, i] = force
+        values[i] = sums.force[i]
         for j in range(3):
-            moment = sum_lanes(sums.moment[i, j])
-            if view.lane == 0:
-                shares[view.share, 3 + 3 * i + j] = moment
+            values[3 + 3 * i + j] = sums.moment[i, j]
     for i in range(4):
-        camera = sum_lanes(sums.camera[i])
-        if view.lane == 0:
-            shares[view.share, 12 + i] = camera
+        values[12 + i] = sums.camera[i]
+    share = forces[view.b, view.k, view.share]
+    if view.scene.lanes == 1:
+        for i in range(SIXTEEN):
+            share[i] = values[i]
+    else:
+        total = sum_sixteen(values)
+        if view.lane < SIXTEEN:
+            share[view.lane] = total
+
+
+@wp.func
+def add_shares(shares: wp.array2d[float], lane: int, lanes: int):
+    """Sums over the shares (S, 16) of an ellipsoid's forces, for all threads of a warp."""
+    sums = Sixteen()
+    if lanes == 1:
+        for share in range(shares.shape[0]):
+            for i in range(SIXTEEN):
+                sums[i] += shares[share, i]
+    else:
+        # Half of the threads take every other share.
+        own = float(0.0)
+        for share in range(lane // SIXTEEN, shares.shape[0], 2):
+            own += shares[share, lane % SIXTEEN]
+        for i in range(SIXTEEN):
+            sums[i] = shuffle_float(own, i) + shuffle_float(own, SIXTEEN + i)
+    return sums
+
+
+@wp.func
+def sum_row(values: wp.array[float], lane: int, lanes: int):
+    """Sum of a row, in a fixed order."""
+    total = float(0.0)
+    for i in range(lane, values.shape[0], lanes):
+        total += values[i]
+    return sum_lanes(total)
 
 
 @wp.kernel
@@ -206,20 +235,29 @@ def spread_forces(
     axes: wp.array2d[wp.mat33],  # (B, P)
     semi_axes: wp.array2d[wp.vec3],  # (B, P)
     forces: wp.array4d[float],  # (B, P, S, 16) force, moment row by row, camera: in shares to be added up
-    lanes: int,  # threads of a warp, each of which adds some of the shares
+    losses: wp.array2d[float],  # (B, T) partial sums of L_seg, or empty
+    lanes: int,  # threads of a warp, which share an ellipsoid
     grad_centres: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_axes: wp.array2d[wp.mat33],  # (B, P)  OUTPUT
     grad_semi_axes: wp.array2d[wp.vec3],  # (B, P)  OUTPUT
     grad_camera: wp.array[wp.vec4],  # (B,)  OUTPUT
+    totals: wp.array[float],  # (B,) L_seg, or empty  OUTPUT
 ):
-    """Gradients with respect to centres, axes, semi-axes and, by one warp more, the camera."""
+    """Gradients with respect to centres, axes and semi-axes and, by a warp each, to the camera, and the loss's sum."""
     thread = wp.tid()
     parts = axes.shape[1]
     lane = thread % lanes
-    b = (thread // lanes) // (parts + 1)
-    k = thread // lanes - b * (parts + 1)
-    shares = forces.shape[2]
-    if k == parts:
+    b = (thread // lanes) // (parts + 2)
+    k = thread // lanes - b * (parts + 2)
+    if k < parts:
+        sums = add_shares(forces[b, k], lane, lanes)
+        if lane == 0:
+            moment = wp.mat33(sums[3], sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
+            grad_centres[b, k] = wp.vec3(sums[0], sums[1], sums[2])
+            grad_axes[b, k] = moment * wp.diag(semi_axes[b, k])
+            grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * moment)
+    elif k == parts:
+        shares = forces.shape[2]
         camera = wp.vec4()
         for n in range(lane, parts * shares, lanes):
             values = forces[b, n // shares]
@@ -229,23 +267,10 @@ def spread_forces(
             camera[i] = sum_lanes(camera[i])
         if lane == 0:
             grad_camera[b] = camera
-        return
-    force = wp.vec3()
-    moment = wp.mat33()
-    values = forces[b, k]
-    for share in range(lane, shares, lanes):
-        for i in range(3):
-            force[i] += values[share, i]
-            for j in range(3):
-                moment[i, j] += values[share, 3 + 3 * i + j]
-    for i in range(3):
-        force[i] = sum_lanes(force[i])
-        for j in range(3):
-            moment[i, j] = sum_lanes(moment[i, j])
-    if lane == 0:
-        grad_centres[b, k] = force
-        grad_axes[b, k] = moment * wp.diag(semi_axes[b, k])
-        grad_semi_axes[b, k] = wp.get_diag(wp.transpose(axes[b, k]) * moment)
+    elif losses.shape[0] > 0:
+        total = sum_row(losses[b], lane, lanes)
+        if lane == 0:
+            totals[b] = total
 
 
 @wp.kernel
@@ -258,19 +283,14 @@ def sum_rows(
     thread = wp.tid()
     b = thread // lanes
     lane = thread - b * lanes
-    total = float(0.0)
-    i = lane
-    while i < values.shape[1]:
-        total += values[b, i]
-        i += lanes
-    total = sum_lanes(total)
+    total = sum_row(values[b], lane, lanes)
     if lane == 0:
         totals[b] = total
 
 
 _FEW = 32  # threads a block where a launch has few: more blocks, so more of the GPU, share them
 BLOCK = 64  # of the kernels that fill forces
-NUM_SUMS = 16  # of an ellipsoid's forces
+NUM_SUMS = SIXTEEN  # of an ellipsoid's forces
 _WARPS_TO_FILL = 2048  # of 132 multiprocessors
 _MAX_SHARES = 16  # measured: docs/performance.md
 
@@ -306,13 +326,23 @@ def launch_forces(
     wp.launch(kernel, dim, [scene, *options, gradient], [forces], device=forces.device, block_dim=BLOCK)
 
 
-def launch_spread(axes: wp.array, semi_axes: wp.array, forces: wp.array, gradients: Sequence[wp.array]) -> None:
-    """Fill the gradients with respect to centres, axes, semi-axes and camera from the sums of forces."""
+def launch_spread(
+    axes: wp.array,
+    semi_axes: wp.array,
+    forces: wp.array,
+    gradients: Sequence[wp.array],
+    losses: wp.array,
+    totals: wp.array,
+) -> None:
+    """Fill the gradients with respect to centres, axes, semi-axes and camera from the sums of forces.
+
+    ``totals`` become the sums of the rows of ``losses``, if these are not empty.
+    """
     batch, parts = axes.shape
     lanes = num_lanes(axes.device)
-    inputs = [axes, semi_axes, forces, lanes]
-    dim = batch * (parts + 1) * lanes
-    wp.launch(spread_forces, dim, inputs, list(gradients), device=axes.device, block_dim=BLOCK)
+    dim = batch * (parts + 2) * lanes
+    inputs, outputs = [axes, semi_axes, forces, losses, lanes], [*gradients, totals]
+    wp.launch(spread_forces, dim, inputs, outputs, device=axes.device, block_dim=BLOCK)
 
 
 def launch_sum_rows(values: wp.array, totals: wp.array) -> None:

@@ -9,7 +9,22 @@ from typing import Any
 
 import warp as wp
 
-from ..labels import gradient_at, may_have_gradient, may_have_other_gradient, overload_gradients, pull_range
+from ..labels import (
+    EACH_BYTE,
+    HIGH_BITS,
+    IGNORE,
+    QUAD,
+    DenseGradient,
+    LabelTarget,
+    are_words,
+    gradient_at,
+    load_word,
+    may_have_gradient,
+    overload_gradients,
+    pull_range,
+    unequal_bytes,
+)
+from ..lanes import ballot, deal, prefix_sum, shuffle
 from ..mesh.push_z import MIN_DELTA_Z
 from .borders import front_at, line_root, outline_end
 from .forces import (
@@ -46,6 +61,7 @@ def walk_line(
     line: int,
     side: int,  # -1: the outline's low end on this line, 1: its high end
     crossing: float,
+    far: float,  # beyond which no pixel shows the ellipsoid's label
     edge_nearness: float,
     max_distance: float,
     gradient: Any,
@@ -93,12 +109,22 @@ def walk_line(
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         at = begin + pixel * pitch
         part = int(view.parts[at])
-        if part == 0 or distance > max_distance:
+        if part == 0 or distance > max_distance or float(side) * (float(pixel) + 0.5 - far) < 0.0:
             break
         if label_at(view.silhouettes, part) == label:
             slope += float(side) * gradient_at(gradient, view.target, label, at, label) / wp.max(distance, 1.0)
         pixel -= side
     return slope
+
+
+@wp.func
+def is_alone(view: EllipsoidView):
+    """True if no other ellipsoid of the body shows the same label."""
+    others = bool(False)
+    for j in range(view.lane, view.silhouettes.shape[0], view.scene.lanes):
+        if j != view.k and view.silhouettes[j].label == view.own.label:
+            others = True
+    return ballot(others) == wp.uint32(0)
 
 
 @wp.func
@@ -108,6 +134,7 @@ def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_dista
     left, right, top, bottom = pixel_box(s, view.height, view.width)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
+    alone = is_alone(view)
     n = int(view.number)
     while n < 2 * (rows + columns):
         side = 2 * (n % 2) - 1
@@ -122,7 +149,11 @@ def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_dista
             x = wp.where(axis == 0, crossing, across)
             y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            slope = walk_line(view, axis, line, side, crossing, nearness, max_distance, gradient)
+            far = -float(side) * wp.inf
+            if alone:
+                # One pixel more, since rounding decides what the outline covers.
+                far = outline_end(s, across, across, axis, -float(side)) - float(side)
+            slope = walk_line(view, axis, line, side, crossing, far, nearness, max_distance, gradient)
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness))
                 push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
@@ -158,50 +189,102 @@ def depth_between(front: float, back: float, perspective: bool):
 
 
 @wp.func
-def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_weight: float, gradient: Any):
-    """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
+def may_push_depths(g: LabelTarget, t: int, own: wp.uint32, shown: wp.uint32, label: int, row: int, column: int):
+    """Highest bit of each of four pixels where a depth may matter: the ellipsoid hides the target, or is it and hidden.
+
+    ``own`` are the bits of pixels that show the ellipsoid, ``shown`` the parts that pixels show.
+    """
+    expected = load_word(g.target[t], row, column, are_words(g.target))
+    wanted = unequal_bytes(expected, wp.uint32(label) * EACH_BYTE)
+    some = unequal_bytes(expected, wp.uint32(0)) & unequal_bytes(expected, wp.uint32(IGNORE) * EACH_BYTE)
+    return (own & wanted & some) | (~own & ~wanted & unequal_bytes(shown, wp.uint32(0)))
+
+
+@wp.func
+def may_push_depths(g: DenseGradient, t: int, own: wp.uint32, shown: wp.uint32, label: int, row: int, column: int):
+    """Highest bit of each of four pixels that show a part."""
+    return unequal_bytes(shown, wp.uint32(0))
+
+
+@wp.func
+def push_behind(
+    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, depth_weight: float, gradient: Any
+):
+    """Force back where the ellipsoid, which shows at a pixel, hides another that should."""
     s = view.own
     silhouettes = view.silhouettes
-    left, right, top, bottom = pixel_box(s, view.height, view.width)
-    columns = right - left + 1
-    n = int(view.number)
-    while n < columns * (bottom - top + 1):
-        row = top + n // columns
-        column = left + n % columns
-        n += view.count
-        at = row * view.width + column
-        part = int(view.parts[at])
-        if part == 0:
-            continue
-        x = float(column) + 0.5
-        y = float(row) + 0.5
-        shown = silhouettes[part - 1].label
-        if part == view.k + 1:
-            if not may_have_other_gradient(gradient, view.target, shown, at):
-                continue
-            front = front_at(s, x, y)
-            for j in range(silhouettes.shape[0]):
-                other = silhouettes[j].label
-                if (
-                    other != shown
-                    and may_have_gradient(gradient, view.target, other, at)
-                    and in_box(silhouettes[j], x, y)
-                ):
-                    g = gradient_at(gradient, view.target, other, at, shown)
-                    if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
-                        back = front_at(silhouettes[j], x, y)
-                        if is_nearest_of_label(silhouettes, j, back, x, y):
-                            between = depth_between(front, back, e.perspective)
-                            amount = depth_weight * g * wp.log(1.0 / between + 1.0)
-                            sums = push_depth(sums, e, x, y, front, amount)
-        elif shown != s.label and may_have_gradient(gradient, view.target, s.label, at) and inside_at(s, x, y) > 0.0:
-            g = gradient_at(gradient, view.target, s.label, at, shown)
-            if g != 0.0:
-                back = front_at(s, x, y)
-                if is_nearest_of_label(silhouettes, view.k, back, x, y):
-                    between = depth_between(front_at(silhouettes[part - 1], x, y), back, e.perspective)
-                    amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
-                    sums = push_depth(sums, e, x, y, back, amount)
+    at = row * view.width + column
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    front = front_at(s, x, y)
+    for j in range(silhouettes.shape[0]):
+        other = silhouettes[j].label
+        if other != s.label and may_have_gradient(gradient, view.target, other, at) and in_box(silhouettes[j], x, y):
+            g = gradient_at(gradient, view.target, other, at, s.label)
+            if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
+                back = front_at(silhouettes[j], x, y)
+                if is_nearest_of_label(silhouettes, j, back, x, y):
+                    between = depth_between(front, back, e.perspective)
+                    amount = depth_weight * g * wp.log(1.0 / between + 1.0)
+                    sums = push_depth(sums, e, x, y, front, amount)
+    return sums
+
+
+@wp.func
+def pull_forward(
+    sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, row: int, column: int, depth_weight: float, gradient: Any
+):
+    """Force forward where the ellipsoid is hidden at a pixel that another shows."""
+    s = view.own
+    at = row * view.width + column
+    front = view.silhouettes[int(view.parts[at]) - 1]
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    if front.label != s.label and inside_at(s, x, y) > 0.0:
+        g = gradient_at(gradient, view.target, s.label, at, front.label)
+        if g != 0.0:
+            back = front_at(s, x, y)
+            if is_nearest_of_label(view.silhouettes, view.k, back, x, y):
+                between = depth_between(front_at(front, x, y), back, e.perspective)
+                amount = -depth_weight * g * wp.log(1.0 / between + 1.0)
+                sums = push_depth(sums, e, x, y, back, amount)
+    return sums
+
+
+@wp.func
+def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_weight: float, gradient: Any):
+    """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
+    left, right, top, bottom = pixel_box(view.own, view.height, view.width)
+    image = view.scene.parts[view.b]
+    in_words = are_words(view.scene.parts)
+    four = wp.uint32(view.k + 1) * EACH_BYTE
+    first_quad = left // QUAD
+    across = wp.max(right // QUAD - first_quad + 1, 0)
+    squares = across * wp.max((bottom - top) // QUAD + 1, 0)
+    # Each thread looks at 4 by 4 pixels, then all share those that matter.
+    for turn in range((squares + view.count - 1) // view.count):
+        square = turn * view.count + view.number
+        pixels = wp.uint32(0)
+        if square < squares:
+            row = top + QUAD * (square // across)
+            column = QUAD * (first_quad + square % across)
+            for i in range(QUAD):
+                shown = load_word(image, row + i, column, in_words)
+                own = unequal_bytes(shown, four) ^ HIGH_BITS
+                some = may_push_depths(gradient, view.target, own, shown, view.own.label, row + i, column)
+                pixels |= some >> wp.uint32(i)
+        found = prefix_sum(wp.bit_count(pixels))
+        total = int(shuffle(wp.uint32(found), view.scene.lanes - 1))
+        for first in range(0, total, view.scene.lanes):
+            number = first + view.lane
+            mine = deal(pixels, found, square, number, view.scene.lanes)
+            if number < total:
+                row = top + QUAD * (mine[0] // across) + 7 - mine[1] % 8
+                column = QUAD * (first_quad + mine[0] % across) + mine[1] // 8
+                if int(view.parts[row * view.width + column]) == view.k + 1:
+                    sums = push_behind(sums, view, e, row, column, depth_weight, gradient)
+                else:
+                    sums = pull_forward(sums, view, e, row, column, depth_weight, gradient)
     return sums
 
 

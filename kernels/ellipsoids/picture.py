@@ -22,6 +22,7 @@ _QUADS = wp.constant(4)  # a row of a strip
 _BLOCK = 128
 _MAX_STRIPS = 8  # 64 bits hold one for each strip and each of a thread's 8 ellipsoids
 _WARPS_TO_FILL = 4096  # of 132 multiprocessors
+_EACH_WORD = wp.constant(wp.uint64(0x0101010101010101))  # bit 0 of each byte
 _SLACK = wp.constant(1.0e-5)  # relative margin of bounds in float32
 
 
@@ -35,14 +36,17 @@ def pack(values: wp.vec4i):
 
 
 @wp.func
-def write_quad(images: wp.array3d[wp.uint8], b: int, row: int, column: int, values: wp.vec4i, in_words: bool):
-    """Write up to four pixels of a row."""
-    if in_words:
-        words_of(images[b])[(row * images.shape[2] + column) // QUAD] = pack(values)
-    else:
-        for i in range(QUAD):
-            if column + i < images.shape[2]:
-                images[b, row, column + i] = wp.uint8(values[i])
+def byte_of(word: wp.uint32, i: int):
+    """Byte i of a word, the first one in memory lowest."""
+    return int(word >> wp.uint32(8 * i)) & 255
+
+
+@wp.func
+def write_quad(images: wp.array3d[wp.uint8], b: int, row: int, column: int, word: wp.uint32):
+    """Write up to four pixels of a row one by one."""
+    for i in range(QUAD):
+        if column + i < images.shape[2]:
+            images[b, row, column + i] = wp.uint8(byte_of(word, i))
 
 
 @wp.func
@@ -84,9 +88,9 @@ def draw_tiles(
     width = parts.shape[2]
     tile_height = strips * _STRIP_ROWS
     tiles = (width + _STRIP_WIDTH - 1) // _STRIP_WIDTH
-    in_picture = tiles * ((height + tile_height - 1) // tile_height)
-    b = (thread // LANES) // in_picture
-    tile = (thread // LANES) - b * in_picture
+    num_tiles = tiles * ((height + tile_height - 1) // tile_height)
+    b = (thread // LANES) // num_tiles
+    tile = (thread // LANES) - b * num_tiles
     if b >= parts.shape[0]:
         return
     ellipsoids = silhouettes[b]
@@ -94,62 +98,88 @@ def draw_tiles(
     top = (tile // tiles) * tile_height
     column = left + (lane % _QUADS) * QUAD
     x = float(column) + 0.5
+    right = float(left + _STRIP_WIDTH)
     count = silhouettes.shape[1]
     words = (count + LANES - 1) // LANES
     t = target_of(target, b)
     has_labels = labels.shape[0] > 0
     has_losses = losses.shape[0] > 0
     in_words = are_words(parts) and (are_words(labels) or not has_labels)
-    by_word = in_words and has_losses and are_words(target.target)
+    in_words = in_words and (are_words(target.target) or not has_losses)
+    # Views and places are found once: for each strip they would be half of the instructions.
+    part_words = words_of(parts[b])
+    label_words = words_of(labels[b])
+    target_words = words_of(target.target[t])
+    first_word = ((top + lane // _QUADS) * width + column) // QUAD
     # Which strips each thread's own ellipsoids may meet: bit 8 word + strip.
     meets = wp.uint64(0)
     for word in range(words):
         k = LANES * word + lane
         if k < count:
             own = ellipsoids[k]
-            for strip in range(strips):
-                first = float(top + strip * _STRIP_ROWS)
-                if may_meet(own, float(left), float(left + _STRIP_WIDTH), first, first + float(_STRIP_ROWS)):
-                    meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
+            if may_meet(own, float(left), right, float(top), float(top + tile_height)):
+                for strip in range(strips):
+                    first = float(top + strip * _STRIP_ROWS)
+                    if may_meet(own, float(left), right, first, first + float(_STRIP_ROWS)):
+                        meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
     loss = float(0.0)
     for strip in range(strips):
         row = top + strip * _STRIP_ROWS + lane // _QUADS
-        y = float(row) + 0.5
+        in_picture = row < height and column < width
+        at = first_word + strip * (_STRIP_ROWS * width // QUAD)
+        expected = wp.uint32(0)
+        if has_losses and in_picture:
+            if in_words:
+                expected = target_words[at]
+            else:
+                expected = load_word(target.target[t], row, column, False)
         best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
-        shown = wp.vec4i(0, 0, 0, 0)
-        label = wp.vec4i(0, 0, 0, 0)
-        for word in range(words):
-            bits = ballot((meets >> wp.uint64(8 * word + strip)) & wp.uint64(1) == wp.uint64(1))
-            while bits != wp.uint32(0):
-                k = LANES * word + lowest_bit(bits)
-                bits &= bits - wp.uint32(1)
-                s = ellipsoids[k]
-                place = to_disc(s, x - s.mean[0], y - s.mean[1])
-                first_middle = middle_at(s, x, y)
-                for i in range(QUAD):
-                    # Selects, not branches: neighbours disagree.
-                    u = place[0] + float(i) * s.factor[0]
-                    v = place[1] + float(i) * s.factor[1]
-                    inside = 1.0 - u * u - v * v
-                    nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
-                    nearer = inside > 0.0 and nearness > best[i]
-                    best[i] = wp.where(nearer, nearness, best[i])
-                    shown[i] = wp.where(nearer, k + 1, shown[i])
-                    label[i] = wp.where(nearer, s.label, label[i])
-        if row < height and column < width:
-            write_quad(parts, b, row, column, shown, in_words)
-            if has_labels:
-                write_quad(labels, b, row, column, label, in_words)
+        shown_word = wp.uint32(0)
+        label_word = wp.uint32(0)
+        mine = meets >> wp.uint64(strip)
+        # Four in five strips of a person's picture are background.
+        if ballot((mine & _EACH_WORD) != wp.uint64(0)) != wp.uint32(0):
+            y = float(row) + 0.5
+            shown = wp.vec4i(0, 0, 0, 0)
+            label = wp.vec4i(0, 0, 0, 0)
+            for word in range(words):
+                bits = ballot((mine >> wp.uint64(8 * word)) & wp.uint64(1) == wp.uint64(1))
+                while bits != wp.uint32(0):
+                    k = LANES * word + lowest_bit(bits)
+                    bits &= bits - wp.uint32(1)
+                    s = ellipsoids[k]
+                    place = to_disc(s, x - s.mean[0], y - s.mean[1])
+                    first_middle = middle_at(s, x, y)
+                    for i in range(QUAD):
+                        # Selects, not branches: neighbours disagree.
+                        u = place[0] + float(i) * s.factor[0]
+                        v = place[1] + float(i) * s.factor[1]
+                        inside = 1.0 - u * u - v * v
+                        nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
+                        nearer = inside > 0.0 and nearness > best[i]
+                        best[i] = wp.where(nearer, nearness, best[i])
+                        shown[i] = wp.where(nearer, k + 1, shown[i])
+                        label[i] = wp.where(nearer, s.label, label[i])
+            shown_word = pack(shown)
+            label_word = pack(label)
+        if in_picture:
+            if in_words:
+                part_words[at] = shown_word
+                if has_labels:
+                    label_words[at] = label_word
+            else:
+                write_quad(parts, b, row, column, shown_word)
+                if has_labels:
+                    write_quad(labels, b, row, column, label_word)
             if depth.shape[0] > 0:
                 for i in range(QUAD):
                     if column + i < width:
-                        depth[b, row, column + i] = wp.where(shown[i] > 0, depth_of(best[i], perspective), wp.inf)
-            if has_losses:
-                expected = load_word(target.target[t], row, column, by_word)
-                if expected != pack(label):
-                    for i in range(QUAD):
-                        if column + i < width:
-                            loss += cost_of(target, int(expected >> wp.uint32(8 * i)) & 255, label[i])
+                        shows = byte_of(shown_word, i) > 0
+                        depth[b, row, column + i] = wp.where(shows, depth_of(best[i], perspective), wp.inf)
+            if has_losses and expected != label_word:
+                for i in range(QUAD):
+                    if column + i < width:
+                        loss += cost_of(target, byte_of(expected, i), byte_of(label_word, i))
     if has_losses:
         total = sum_lanes(loss)
         if lane == 0:

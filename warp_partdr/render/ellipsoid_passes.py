@@ -126,13 +126,15 @@ class EllipsoidPasses:
             parts = wp.empty((inputs[0].shape[0], *size), dtype=wp.uint8, device=where)
             draw, seen, losses = self.prepare_picture(posed, target, parts=parts)
             totals = warp_array(buffers.losses[:, 0])
-            push = self._prepare_gradients(posed, seen, parts, target, buffers.grads) if buffers.grads else None
+            sums = losses, totals
+            push = self._prepare_gradients(posed, seen, parts, target, buffers.grads, sums) if buffers.grads else None
 
         def launch() -> None:
             draw(everything)
-            forces.launch_sum_rows(losses, totals)
             launch_reach(target)
-            if push is not None:
+            if push is None:
+                forces.launch_sum_rows(losses, totals)
+            else:
                 push(everything)
 
         return launch
@@ -172,10 +174,21 @@ class EllipsoidPasses:
         return partial(launch_see, part_labels=labels, near=self.near, perspective=self.perspective)
 
     def _prepare_gradients(
-        self, posed: Sequence[wp.array], seen: Seen, parts: wp.array, gradient: Any, grads: Tensors
+        self,
+        posed: Sequence[wp.array],
+        seen: Seen,
+        parts: wp.array,
+        gradient: Any,
+        grads: Tensors,
+        losses: tuple[wp.array, wp.array] | None = None,
     ) -> Launch:
-        """Launch that fills ``grads``; ``gradient`` is a LabelTarget or a DenseGradient."""
+        """Launch that fills ``grads``, and of ``losses`` the second by sums of the first's rows.
+
+        ``gradient`` is a LabelTarget or a DenseGradient.
+        """
         batch, count = posed[0].shape
+        if losses is None:
+            losses = _nothing(2, float, posed[0].device.alias), _nothing(1, float, posed[0].device.alias)
         sums, outputs = forces.make_forces(batch, count, posed[0].device), _arrays(grads)
         launch_forces = self.force_launcher()
 
@@ -183,7 +196,8 @@ class EllipsoidPasses:
             bodies, here = [_cut(array, part) for array in posed], _cut(sums, part)
             shown = _cut_seen(seen, part), _cut(parts, part)
             launch_forces(bodies, *shown, gradient=_cut_gradient(gradient, part), forces=here)
-            forces.launch_spread(bodies[1], bodies[2], here, [_cut(array, part) for array in outputs])
+            sums_of_losses = [_cut(array, part) for array in losses]
+            forces.launch_spread(bodies[1], bodies[2], here, [_cut(array, part) for array in outputs], *sums_of_losses)
 
         return launch
 
