@@ -1,4 +1,4 @@
-"""L_seg from parameters in one graph: what kinematics, camera and renderer give one after the other."""
+"""L_seg and maps from parameters, by graphs: what kinematics, camera and renderer give one after the other."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import torch
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
-from warp_partdr.cameras import Perspective, WeakPerspective
+from warp_partdr.cameras import Camera, Perspective, WeakPerspective
+from warp_partdr.interop import loss_graph
 from warp_partdr.interop.graph_cache import set_graph_memory
 from warp_partdr.network.predicted import Predicted, posed_landmarks
+from warp_partdr.render.body_passes import BodyPasses
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import Renderer, RendererEllipsoids, RendererMesh
 
@@ -45,6 +47,32 @@ def pose_arguments(given: BodyParameters) -> list[torch.Tensor]:
     """Arguments of ``pose``, the pelvis at the origin."""
     pelvis = torch.zeros_like(given.lengths[:, :3])
     return [given.orientation, pelvis, given.rotations, given.lengths, given.thicknesses]
+
+
+def seen_bodies(
+    given: BodyParameters, kind: str, whole: torch.Tensor, turns: torch.Tensor
+) -> tuple[list[torch.Tensor], Camera]:
+    """Leaves: arguments of ``pose`` with these rotations, and the numbers of a camera, which comes with them."""
+    far = torch.tensor([0.05, -0.1, 2.5], device=whole.device).expand(len(whole), 3)
+    cameras = 20 * given.log_scale.exp(), 20 * (given.shift + 1)
+    if kind == "perspective":
+        cameras = 60 * torch.stack([given.log_scale.exp(), (1.1 * given.log_scale).exp()], 1), cameras[1]
+    numbers = whole, far, turns, given.lengths, given.thicknesses, *cameras
+    leaves = [tensor.detach().clone().requires_grad_() for tensor in numbers]
+    return leaves, (WeakPerspective if kind == "weak" else Perspective)(*leaves[5:])
+
+
+def maps_scene(seed: int, device: str, batch: int = 3, kind: str = "weak") -> tuple[list[torch.Tensor], Camera]:
+    """Leaves and camera of bodies, rotations as numbers."""
+    given = bodies(seed, device, batch)
+    return seen_bodies(given, kind, given.orientation, given.free_rotations())
+
+
+def map_gradients(maps: torch.Tensor, leaves: list[torch.Tensor]) -> list[torch.Tensor]:
+    """Gradients of maps whose pixels have any weights, but for the pelvis' depth, which a weak camera does not see."""
+    weights = torch.rand(maps.shape, generator=torch.Generator().manual_seed(7)).to(maps.device) - 0.3
+    found = torch.autograd.grad(maps, leaves, weights)
+    return [found[0], found[1][:, :2], *found[2:]]
 
 
 def targets(device: str, size: tuple[int, int] = SIZE, batch: int = 3) -> torch.Tensor:
@@ -83,15 +111,7 @@ def test_as_one_after_the_other(device, renderer, form, kind):
             whole = given.orientation  # the camera looks at faces: half a turn has many axes
         if form == "6D":
             turns = rotation_to_6d(turns)
-        far = torch.tensor([0.05, -0.1, 2.5], device=device).expand(3, 3)
-        cameras = 20 * given.log_scale.exp(), 20 * (given.shift + 1)
-        if kind == "perspective":
-            cameras = 60 * torch.stack([given.log_scale.exp(), (1.1 * given.log_scale).exp()], 1), cameras[1]
-        make = WeakPerspective if kind == "weak" else Perspective
-        leaves = [
-            t.detach().clone().requires_grad_() for t in (whole, far, turns, given.lengths, given.thicknesses, *cameras)
-        ]
-        camera = make(*leaves[5:])
+        leaves, camera = seen_bodies(given, kind, whole, turns)
         have = gradients(renderer.body_loss(leaves[:5], camera, target), leaves)
         want = gradients(renderer.label_loss(pose(*leaves[:5]), camera, target)[0], leaves)
         used = [i for i in range(8) if i != 2 or kind == "perspective" or have[2].abs().max() > 0]
@@ -281,4 +301,164 @@ def test_bad_calls_name_the_argument(device):
     total = RENDERERS[0].crop_loss(leaves, targets(device, (48, 48))).square().sum()
     (first,) = torch.autograd.grad(total, leaves.lengths, create_graph=True)
     with pytest.raises(NotImplementedError, match="differentiated twice"):
+        first.sum().backward()
+
+
+@renderers
+@pytest.mark.parametrize("kind", ["weak", "perspective"])
+@pytest.mark.parametrize("batch", [1, 3, 4])
+def test_maps_as_one_after_the_other(device, renderer, batch, kind):
+    """For batches that threads share or not, three times: launched, captured, replayed."""
+    seen = []
+    for seed in range(3):
+        leaves, camera = maps_scene(seed, device, batch, kind)
+        have = renderer.body_maps(leaves[:5], camera, SIZE)
+        want = renderer.draw(pose(*leaves[:5]), camera, SIZE, num_maps=20).maps
+        assert torch.equal(have, want)
+        assert_near(map_gradients(have, leaves), map_gradients(want, leaves))
+        seen.append(have)
+    assert not torch.equal(seen[1], seen[2])
+
+
+@renderers
+def test_maps_before_the_gradients(device, renderer):
+    """Bodies drawn between the maps of others and their gradient, by the same graphs; and gradients that are kept."""
+    alone = []
+    for seed in (0, 1, 2):
+        leaves, camera = maps_scene(seed, device)
+        one_by_one = map_gradients(renderer.body_maps(leaves[:5], camera, SIZE), leaves)
+        alone.append([gradient.clone() for gradient in one_by_one])
+    scenes = [maps_scene(seed, device) for seed in (0, 1, 2)]
+    maps = [renderer.body_maps(leaves[:5], camera, SIZE) for leaves, camera in scenes]
+    found = [map_gradients(one, leaves) for one, (leaves, _) in reversed(list(zip(maps, scenes, strict=True)))]
+    for have, want in zip(reversed(found), alone, strict=True):
+        assert_near(have, want)
+
+
+@renderers
+def test_maps_are_captured(device, renderer, monkeypatch):
+    """Nothing is prepared in a third call; without room for graphs, or for a copy of the gradient, all is the same."""
+    leaves, camera = maps_scene(0, device)
+
+    def found() -> list[torch.Tensor]:
+        maps = renderer.body_maps(leaves[:5], camera, (52, 44))
+        return [maps.detach(), *map_gradients(maps, leaves)]
+
+    with monkeypatch.context() as limits:
+        limits.setattr(loss_graph, "_MOST_ON_CPU", 0)
+        limits.setattr(loss_graph, "_MOST_ON_CUDA", 0)
+        launched = [found() for _ in range(3)][2]
+    try:
+        set_graph_memory(0)
+        without = found()
+    finally:
+        set_graph_memory(None)
+    for _ in range(2):
+        found()
+    monkeypatch.setattr(BodyPasses, "_prepare", None)
+    captured = found()
+    assert_near(launched, captured)
+    assert_near(without, captured)
+    leaves, camera = maps_scene(1, device)
+    assert not torch.equal(found()[0], captured[0])
+
+
+def test_maps_of_groups_and_one_camera_for_all(device):
+    leaves, _ = maps_scene(0, device)
+    camera = WeakPerspective(torch.tensor([20.0], device=device), torch.tensor([[24.0, 28.0]], device=device))
+    options = {"part_labels": [*[1] * 5, 0, 255, *[3] * 13], "num_maps": 4}
+    for renderer in RENDERERS:
+        have = renderer.body_maps(leaves[:5], camera, SIZE, **options)
+        want = renderer.draw(pose(*leaves[:5]), camera, SIZE, **options).maps
+        assert torch.equal(have, want)
+        assert have.shape == (3, 4, *SIZE)
+        assert_near(map_gradients(have, leaves[:5]), map_gradients(want, leaves[:5]))
+        nobody = [tensor[:0] for tensor in leaves[:5]]
+        assert renderer.body_maps(nobody, camera, SIZE).shape == (0, 20, *SIZE)
+
+
+def test_maps_of_a_mesh_of_its_own_level(device):
+    leaves, camera = maps_scene(0, device)
+    automatic = RendererMesh("auto", tolerance=0.3)
+    fixed = automatic.fixed(pose(*leaves[:5]), camera)
+    want = fixed.body_maps(leaves[:5], camera, SIZE)
+    assert torch.equal(automatic.body_maps(leaves[:5], camera, SIZE), want)
+
+
+def test_maps_in_other_precisions_and_without_gradient(device):
+    leaves, camera = maps_scene(0, device)
+    double = [tensor.detach().double().requires_grad_() for tensor in leaves]
+    have = RENDERERS[0].body_maps(double[:5], WeakPerspective(*double[5:]), SIZE)
+    assert have.dtype == torch.float32
+    found = map_gradients(have, double)
+    assert all(gradient.dtype == torch.float64 for gradient in found)
+    assert_near([each.float() for each in found], map_gradients(have_single(leaves, camera), leaves))
+    with torch.inference_mode():
+        assert torch.equal(have_single(leaves, camera), have)
+    with torch.no_grad():
+        assert not have_single(leaves, camera).requires_grad
+
+
+def have_single(leaves: list[torch.Tensor], camera: Camera) -> torch.Tensor:
+    """Maps in single precision."""
+    return RENDERERS[0].body_maps(leaves[:5], camera, SIZE)
+
+
+@renderers
+def test_compiled_maps(device, renderer):
+    leaves, _ = maps_scene(0, device, 2)
+
+    def maps_of(*tensors):
+        return renderer.body_maps(tensors[:5], WeakPerspective(*tensors[5:]), (40, 40), validate=False)
+
+    torch._dynamo.reset()
+    whole = isinstance(renderer, RendererEllipsoids)
+    have = torch.compile(maps_of, fullgraph=whole, backend="aot_eager")(*leaves)
+    want = maps_of(*leaves)
+    assert torch.equal(have, want)
+    assert_near(map_gradients(have, leaves), map_gradients(want, leaves))
+
+
+def test_maps_on_a_side_stream(device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams")
+    leaves, camera = maps_scene(0, device)
+    want = map_gradients(have_single(leaves, camera), leaves)
+    torch.cuda.synchronize()
+    side = torch.cuda.Stream()
+    with torch.cuda.stream(side):
+        for _ in range(4):
+            torch.cuda._sleep(1_000_000)
+            have = map_gradients(have_single(leaves, camera), leaves)
+    side.synchronize()
+    assert all(torch.equal(one, other) for one, other in zip(have, want, strict=True))
+
+
+def test_bad_calls_for_maps_name_the_argument(device):
+    leaves, camera = maps_scene(0, device)
+    good, maps = leaves[:5], RENDERERS[0].body_maps
+    for _ in range(3):  # launched, captured, replayed
+        maps(good, camera, SIZE)
+        for index, value, message in [
+            (1, good[1][:, :2], "translation: shape"),
+            (2, torch.full_like(good[2], torch.nan), "rotations: holds NaN"),
+            (2, torch.zeros(3, 20, 3, 3, device=device), "rotations: matrix"),
+            (4, -good[4], "thicknesses: -"),
+        ]:
+            with pytest.raises(ValueError, match=message):
+                maps([*good[:index], value, *good[index + 1 :]], camera, SIZE)
+        with pytest.raises(ValueError, match="camera: holds NaN"):
+            maps(good, WeakPerspective(leaves[5] * torch.nan, leaves[6]), SIZE)
+    for size, options, message in [
+        ((0, 4), {}, "image_size: "),
+        (SIZE, {"num_maps": 0}, "num_maps: 0"),
+        (SIZE, {"num_maps": 255}, "num_maps: 255"),
+        (SIZE, {"part_labels": [1, 2]}, "part_labels: 2 of them"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            maps(good, camera, size, **options)
+    with pytest.raises(NotImplementedError, match="body_maps: called under"):
+        torch.func.grad(lambda lengths: maps([*good[:3], lengths, good[4]], camera, SIZE).sum())(good[3])
+    (first,) = torch.autograd.grad(maps(good, camera, SIZE).square().sum(), good[3], create_graph=True)
+    with pytest.raises(NotImplementedError, match="body_maps: differentiated twice"):
         first.sum().backward()

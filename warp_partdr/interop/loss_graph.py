@@ -13,7 +13,7 @@ import torch
 
 from .derivatives import once
 from .graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
-from .layouts import Shapes, row_length, row_places, split_blocks, split_rows
+from .layouts import Shapes, Tensors, row_length, row_places, split_blocks, split_rows
 from .streams import launch_bodies_on
 
 
@@ -24,8 +24,9 @@ class Buffers:
     Attributes:
         numbers: The inputs, one after the other, and if needed their gradients, as rows (B, R), one of each body.
         inputs: Views of them, each of shape (B, ...).
-        target: Target labels, shape (N, H, W), N = 1 or B, uint8.
-        losses: Partial sums of L_seg, shape (B, K).
+        target: Target labels, shape (N, H, W), N = 1 or B, uint8; or the gradient with respect to part maps, shape
+            (B, K, H, W), float32: then there is no loss.
+        losses: Partial sums of L_seg, shape (B, M).
         grads: Views of the gradients, as of the inputs; empty if not needed.
     """
 
@@ -38,12 +39,17 @@ class Buffers:
     @classmethod
     def empty(cls, recipe: Recipe, shapes: Shapes, target: torch.Tensor, needs_grad: bool) -> Buffers:
         """Allocate for inputs of these shapes."""
-        batch, (_, height, width), device = shapes[0][0], target.shape, target.device
+        batch, (*_, height, width), device = shapes[0][0], target.shape, target.device
         size = batch * row_length(shapes)
         numbers = torch.empty(size * (2 if needs_grad else 1), device=device)
         losses = torch.empty(batch, recipe.num_losses(device, batch, height, width), device=device)
         grads = split_rows(numbers, shapes, size) if needs_grad else ()
         return cls(numbers, split_blocks(numbers, shapes), target, losses, grads)
+
+    @property
+    def of_maps(self) -> bool:
+        """True if the target is the gradient with respect to part maps."""
+        return self.target.dim() == 4
 
     def of_bodies(self, part: slice) -> Buffers:
         """Buffers of a slice of the bodies."""
@@ -69,7 +75,7 @@ class Recipe(Protocol):
         ...
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """K, the number of partial sums of a body's loss."""
+        """M, the number of partial sums of a body's loss."""
         ...
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:
@@ -92,16 +98,33 @@ def find_label_loss(
         tensors for ``split_blocks``.
     """
     needs_grad = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    shapes = tuple([tensor.shape for tensor in tensors])
-    key, device = (recipe, shapes, target.shape, needs_grad), target.device
-    num_bytes = shapes[0][0] * math.prod(target.shape[1:]) * BYTES_PER_PIXEL
-    with torch.no_grad():
-        graph = graphs.find(key, device, num_bytes, partial(LossGraph, *key, device)) if num_bytes else None
-        found = launch_label_loss(recipe, needs_grad, tensors, target) if graph is None else graph(tensors, target)
-    loss, numbers = found
+    loss, numbers = _find_numbers(recipe, needs_grad, tensors, target)
     if needs_grad:
         loss = LabelLoss.apply(recipe.name, (loss, numbers), *tensors)
     return loss, numbers
+
+
+def find_gradients(recipe: Recipe, tensors: Tensors, grad_maps: torch.Tensor) -> Tensors:
+    """Gradients with respect to the inputs, from that with respect to part maps, shape (B, K, H, W)."""
+    _, numbers = _find_numbers(recipe, True, tensors, grad_maps.float())
+    return split_rows(numbers, tuple([tensor.shape for tensor in tensors]), numbers.numel() // 2)
+
+
+@torch.no_grad()
+def _find_numbers(
+    recipe: Recipe, needs_grad: bool, tensors: Tensors, target: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Loss and numbers, by a captured graph where memory has room and a copy of the target is faster than launches."""
+    shapes = tuple([tensor.shape for tensor in tensors])
+    key, device, graph = (recipe, shapes, target.shape, needs_grad), target.device, None
+    grad_bytes = target.nbytes if target.dim() == 4 else 0
+    num_bytes = shapes[0][0] * math.prod(target.shape[-2:]) * BYTES_PER_PIXEL + grad_bytes
+    if num_bytes and grad_bytes <= (_MOST_ON_CPU if device.type == "cpu" else _MOST_ON_CUDA):
+        graph = graphs.find(key, device, num_bytes, partial(LossGraph, *key, device))
+    return launch_label_loss(recipe, needs_grad, tensors, target) if graph is None else graph(tensors, target)
+
+
+_MOST_ON_CPU, _MOST_ON_CUDA = 2**25, 2**30  # bytes of a gradient of maps that are copied faster than launches begin
 
 
 class LabelLoss(torch.autograd.Function):
@@ -162,7 +185,7 @@ class LossGraph:
     def __init__(
         self, recipe: Recipe, shapes: Shapes, targets: torch.Size, needs_grad: bool, device: torch.device
     ) -> None:
-        target = torch.empty(targets, dtype=torch.uint8, device=device)
+        target = torch.empty(targets, dtype=torch.float32 if len(targets) == 4 else torch.uint8, device=device)
         self._buffers = buffers = Buffers.empty(recipe, shapes, target, needs_grad)
         self._launches = CapturedBodies(lambda part: recipe.prepare(buffers.of_bodies(part)), shapes[0][0], device)
 

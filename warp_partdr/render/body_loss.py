@@ -1,4 +1,4 @@
-"""L_seg from the parameters of bodies, with its gradient, in one captured graph: what a training step needs."""
+"""L_seg or part maps from the parameters of bodies, with gradient, in captured graphs: what a training step needs."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from ..body.parameters import LOCKED_BITS
 from ..body.posing import Posed, check_parameters, matrices_of, pose_parts
 from ..body.template import BODY_SHAPES, NUM_PARTS
 from ..cameras import Camera, WeakPerspective, check_camera
+from ..errors import check_whole
 from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tensor
 from ..interop.derivatives import refuse_transforms
+from ..interop.layouts import Tensors
 from ..interop.loss_graph import find_label_loss
 from .body_passes import BodyPasses
 from .mesh import check_labels
 from .mesh_passes import MeshPasses
 from .options import check_target
+from .part_mesh import MAX_LABEL
+from .pictures import draw_maps
 
 ALL_PARTS = tuple(range(1, NUM_PARTS + 1))
 
@@ -76,7 +80,11 @@ class CropBodies(Protocol):
 
 
 class BodyLoss:
-    """Mixin for renderers: L_seg of bodies, and its first derivative, without a step between in torch."""
+    """Mixin for renderers: L_seg and maps of bodies, with first derivatives, without a step between in torch."""
+
+    def draw(self, *arguments: Any, **options: Any) -> Any:
+        """Picture of posed bodies."""
+        raise NotImplementedError
 
     def label_loss(self, *arguments: Any, **options: Any) -> tuple[torch.Tensor, Any]:
         """L_seg of posed bodies."""
@@ -87,7 +95,7 @@ class BodyLoss:
         raise NotImplementedError
 
     def body_passes(self, seeing: Seeing, device: torch.device) -> BodyPasses:
-        """Launches of a fixed renderer."""
+        """Launches of a fixed renderer, of L_seg and of maps."""
         raise NotImplementedError
 
     def body_loss(
@@ -115,26 +123,66 @@ class BodyLoss:
             ValueError: As ``pose`` and ``label_loss``.
             NotImplementedError: Under ``torch.func``, and in a second derivative.
         """
-        refuse_transforms("body_loss", target, *parameters)
-        check_parameters(parameters, dtypes=FLOATS)
+        refuse_transforms("body_loss", target)
+        numbers = _check("body_loss", parameters, camera)
         lengths, labels = parameters[3], tuple(part_labels)
-        intrinsics = check_camera(camera, len(lengths), ("lengths", lengths)).expand(len(lengths), 4)
-        refuse_transforms("body_loss", intrinsics)
         check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
         check_image_size(target.shape[1:], len(lengths))
         check_target(target, ("lengths", lengths), len(lengths))
         if torch.compiler.is_compiling():
             return self.label_loss(pose_parts(*parameters), camera, target, part_labels=labels, validate=False)[0]
-        if validate:
-            numbers = dict(zip(BODY_SHAPES, parameters, strict=True))
-            sizes = ("lengths", "thicknesses")
-            check_numbers({**numbers, "camera": intrinsics}, rotations=matrices_of(parameters), positive=sizes)
-        with torch.no_grad():
-            fixed = self.fixed(pose_parts(*parameters), camera) if getattr(self, "subdivisions", 0) == "auto" else self
-        passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), lengths.device)
+        passes, inputs = self._prepare_bodies(numbers, camera, labels, validate)
         if validate and isinstance(passes.renderer, MeshPasses):
             check_labels(target, passes.renderer.num_labels)
-        return _find_loss(passes, (intrinsics[:, :2], intrinsics[:, 2:], *parameters), target)
+        return find_label_loss(passes, inputs, target)[0]
+
+    def body_maps(
+        self,
+        parameters: Sequence[torch.Tensor],
+        camera: Camera,
+        image_size: tuple[int, int],
+        *,
+        num_maps: int = NUM_PARTS,
+        part_labels: Sequence[int] = ALL_PARTS,
+        validate: bool = True,
+    ) -> torch.Tensor:
+        """Part maps of bodies, the same as ``draw(pose(*parameters), camera, image_size, num_maps=num_maps).maps``.
+
+        Args:
+            parameters: As in ``body_loss``, like all that is not named here.
+            camera: One a body, or one for all.
+            image_size: (H, W) [px].
+            num_maps: K, from 1; maps of labels 1 to K are made.
+            part_labels: Label that each part shows.
+            validate: Look for NaN, infinity and matrices that are no rotations; on CUDA that waits for the device.
+
+        Returns:
+            The maps, shape (B, K, H, W), float32. Their gradient is the renderer's, and draws the bodies once more.
+
+        Raises:
+            ValueError: As ``pose`` and ``draw``.
+            NotImplementedError: Under ``torch.func``, and in a second derivative.
+        """
+        numbers = _check("body_maps", parameters, camera)
+        size, labels = check_image_size(image_size, len(parameters[3])), tuple(part_labels)
+        num_maps = check_whole("num_maps", num_maps, 1, MAX_LABEL)
+        if torch.compiler.is_compiling():
+            options = {"part_labels": labels, "num_maps": num_maps, "validate": False}
+            return self.draw(pose_parts(*parameters), camera, size, **options).maps
+        passes, inputs = self._prepare_bodies(numbers, camera, labels, validate)
+        return draw_maps(passes, inputs, size, num_maps)
+
+    def _prepare_bodies(
+        self, numbers: dict[str, torch.Tensor], camera: Camera, labels: tuple[int, ...], validate: bool
+    ) -> tuple[BodyPasses, Tensors]:
+        """Launches and their inputs, from what ``_check`` returned."""
+        *parameters, intrinsics = numbers.values()
+        if validate:
+            check_numbers(numbers, rotations=matrices_of(parameters), positive=("lengths", "thicknesses"))
+        with torch.no_grad():
+            fixed = self.fixed(pose_parts(*parameters), camera) if getattr(self, "subdivisions", 0) == "auto" else self
+        passes = fixed.body_passes(Seeing(camera.perspective, camera.near_plane, labels), intrinsics.device)
+        return passes, _as_floats(intrinsics[:, :2], intrinsics[:, 2:], *parameters)
 
     def crop_loss(
         self, bodies: CropBodies, target: torch.Tensor, *, part_labels: Sequence[int] = ALL_PARTS
@@ -157,7 +205,17 @@ class BodyLoss:
         passes = self.body_passes(Seeing(False, WeakPerspective.near, labels, locked, size / 2), lengths.device)
         pelvis = _origin(len(lengths), lengths.device)
         parameters = bodies.orientation, pelvis, bodies.rotations, lengths, bodies.thicknesses
-        return _find_loss(passes, (bodies.log_scale, bodies.shift, *parameters), target)
+        return find_label_loss(passes, _as_floats(bodies.log_scale, bodies.shift, *parameters), target)[0]
+
+
+def _check(name: str, parameters: Sequence[torch.Tensor], camera: Camera) -> dict[str, torch.Tensor]:
+    """Check parameters and camera of the function ``name``; return them by name, the camera's numbers last."""
+    refuse_transforms(name, *parameters)
+    check_parameters(parameters, dtypes=FLOATS)
+    lengths = parameters[3]
+    intrinsics = check_camera(camera, len(lengths), ("lengths", lengths)).expand(len(lengths), 4)
+    refuse_transforms(name, intrinsics)
+    return {**dict(zip(BODY_SHAPES, parameters, strict=True)), "camera": intrinsics}
 
 
 @lru_cache(maxsize=8)
@@ -166,5 +224,5 @@ def _origin(batch: int, device: torch.device) -> torch.Tensor:
         return torch.zeros(batch, 3, device=device)
 
 
-def _find_loss(passes: BodyPasses, tensors: tuple[torch.Tensor, ...], target: torch.Tensor) -> torch.Tensor:
-    return find_label_loss(passes, tuple([tensor.float() for tensor in tensors]), target)[0]
+def _as_floats(*tensors: torch.Tensor) -> Tensors:
+    return tuple([tensor.float() for tensor in tensors])

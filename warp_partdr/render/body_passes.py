@@ -1,8 +1,8 @@
-"""Launches from a body's parameters to L_seg and back: kinematics, a renderer's passes, and the adjoint."""
+"""Launches from a body's parameters to L_seg or labels, and back: kinematics, a renderer's passes, the adjoint."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -16,25 +16,26 @@ from ..body.template import NUM_JOINTS, NUM_PARTS
 from ..interop.arrays import warp_array
 from ..interop.graph_cache import Launch
 from ..interop.layouts import Tensors
-from ..interop.loss_graph import Buffers
+from ..interop.loss_graph import Buffers, find_gradients
 from ..kernels import kinematics, turns
 from ..kernels.mesh import screen
 from .ellipsoid_passes import EllipsoidPasses
 from .mesh_passes import MeshPasses
+from .pictures import Picture, Size, draw_labels
 
 _SHAPES = ((NUM_PARTS, 3), (NUM_PARTS, 3, 3), (NUM_PARTS, 3), (4,))  # of centres, axes, semi-axes and camera
 
 
 @dataclass(frozen=True, eq=False)
 class BodyPasses:
-    """A ``Recipe``; its inputs are focal lengths, centres and the arguments of ``pose``."""
+    """``Passes`` that draw labels alone; their inputs are focal lengths, centres and the arguments of ``pose``."""
 
     renderer: EllipsoidPasses | MeshPasses
     subdivisions: int  # of the mesh
     locked: int  # parts that keep their rest rotation, as bits
     half_size: float  # of the crop that the camera's numbers are of [px]; 0: they are in pixels
 
-    name = "body_label_loss"
+    name, drawing = "body_label_loss", "body_maps"
 
     @property
     def modules(self) -> Sequence[ModuleType]:
@@ -45,11 +46,30 @@ class BodyPasses:
         """As the renderer's."""
         return self.renderer.num_losses(device, batch, height, width)
 
+    def draw(self, inputs: Tensors, size: Size) -> Picture:
+        """Draw labels, and nothing else."""
+        labels = draw_labels(self, inputs, size)
+        return Picture(labels, labels.new_empty(0), labels.new_empty(0))
+
+    def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
+        """Gradients with respect to the inputs; kinematics and picture are made again, for nothing of them was kept."""
+        return find_gradients(self, inputs, grad_maps)
+
+    def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Launch:
+        """Launches that fill ``labels``."""
+        empty = Buffers.empty(self, tuple([tensor.shape for tensor in inputs]), labels, needs_grad=False)
+        buffers = replace(empty, inputs=inputs)
+        return self._prepare(buffers, lambda inner: self.renderer.prepare_labels(inner.inputs, labels))
+
     def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
+        return self._prepare(buffers, self.renderer.prepare)
+
+    def _prepare(self, buffers: Buffers, prepare: Callable[[Buffers], Launch]) -> Launch:
+        """Launches of kinematics, of what ``prepare`` gives for the renderer's buffers, and of the adjoint."""
         focal, centre, *parameters = buffers.inputs
-        prepare = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
-        (*ellipsoids, camera), (*adjoints, adj_camera), draw = prepare(buffers)
+        place = self._prepare_mesh if isinstance(self.renderer, MeshPasses) else self._prepare_ellipsoids
+        (*ellipsoids, camera), (*adjoints, adj_camera), draw = place(buffers, prepare)
         bones = BoneLaunches(parameters, self.locked, (focal, centre, camera), self.half_size)
         batch = len(focal)
         moved = focal.new_empty(batch, NUM_JOINTS, 3), focal.new_empty(batch, NUM_PARTS, 3, 3)
@@ -71,12 +91,14 @@ class BodyPasses:
 
         return launch
 
-    def _prepare_ellipsoids(self, buffers: Buffers) -> tuple[Tensors, Tensors, Launch]:
+    def _prepare_ellipsoids(
+        self, buffers: Buffers, prepare: Callable[[Buffers], Launch]
+    ) -> tuple[Tensors, Tensors, Launch]:
         """Ellipsoids and camera to be filled, their adjoints, and the launch that fills these and the loss."""
         inner = self._inner(buffers, _SHAPES)
-        return inner.inputs, inner.grads or inner.inputs, self.renderer.prepare(inner)
+        return inner.inputs, inner.grads or inner.inputs, prepare(inner)
 
-    def _prepare_mesh(self, buffers: Buffers) -> tuple[Tensors, Tensors, Launch]:
+    def _prepare_mesh(self, buffers: Buffers, prepare: Callable[[Buffers], Launch]) -> tuple[Tensors, Tensors, Launch]:
         device = buffers.target.device
         sphere = bone_tree(wp.device_from_torch(device).alias, wp.float32, self.subdivisions).unit_vertices
         inner = self._inner(buffers, ((NUM_PARTS * len(sphere), 3),))
@@ -86,7 +108,7 @@ class BodyPasses:
         seen, gradient = _seen(filled), _seen(adjoints)
         points = warp_array(inner.inputs[0], wp.vec3)
         adj_points = warp_array(inner.grads[0], wp.vec3) if inner.grads else None
-        draw, perspective = self.renderer.prepare(inner), self.renderer.perspective
+        draw, perspective = prepare(inner), self.renderer.perspective
 
         def launch() -> None:
             screen.launch_place_on_screen(sphere, seen, points, perspective=perspective)

@@ -106,8 +106,7 @@ class EllipsoidPasses:
             if seen is None:
                 seen = _empty_seen(posed)
                 self._prepare_see(device)(posed, seen=seen)
-            dense = DenseGradient()
-            dense.maps = warp_array(contiguous(grad_maps.float()))
+            dense = _dense_gradient(warp_array(contiguous(grad_maps.float())))
             launch = self._prepare_gradients(posed, seen, warp_array(picture.nearest), dense, grads)
         launch_bodies_on(device, launch, grad_maps.shape[0], (_ESTIMATORS[self.gradient], forces))
         return grads
@@ -118,24 +117,26 @@ class EllipsoidPasses:
 
     def prepare(self, buffers: Buffers) -> Callable[[], None]:
         """Launches of loss and gradient for all bodies of the buffers."""
-        inputs, size = buffers.inputs, buffers.target.shape[1:]
+        inputs, size = buffers.inputs, buffers.target.shape[-2:]
         everything = slice(0, inputs[0].shape[0])
         with on_torch_stream(buffers.target.device) as where:
-            target = self.label_target(buffers.target, needs_grad=len(buffers.grads) > 0)
+            target = None if buffers.of_maps else self.label_target(buffers.target, needs_grad=len(buffers.grads) > 0)
+            gradient = _dense_gradient(warp_array(buffers.target)) if target is None else target
             posed = _arrays(inputs)
             parts = wp.empty((inputs[0].shape[0], *size), dtype=wp.uint8, device=where)
             draw, seen, losses = self.prepare_picture(posed, target, parts=parts)
             totals = warp_array(buffers.losses[:, 0])
             sums = losses, totals
-            push = self._prepare_gradients(posed, seen, parts, target, buffers.grads, sums) if buffers.grads else None
+            push = self._prepare_gradients(posed, seen, parts, gradient, buffers.grads, sums) if buffers.grads else None
 
         def launch() -> None:
             draw(everything)
-            launch_reach(target)
-            if push is None:
-                forces.launch_sum_rows(losses, totals)
-            else:
+            if target is not None:
+                launch_reach(target)
+            if push is not None:
                 push(everything)
+            elif target is not None:
+                forces.launch_sum_rows(losses, totals)
 
         return launch
 
@@ -257,6 +258,10 @@ def _cut_gradient(gradient: Any, part: slice) -> Any:  # LabelTarget or DenseGra
     """Slice of the maps of bodies; a label target stays whole, for all bodies of a launch share it."""
     if not hasattr(gradient, "maps"):
         return gradient
+    return _dense_gradient(gradient.maps[part])
+
+
+def _dense_gradient(maps: wp.array) -> DenseGradient:
     dense = DenseGradient()
-    dense.maps = gradient.maps[part]
+    dense.maps = maps
     return dense

@@ -80,17 +80,11 @@ class MeshPasses:
         grad_maps = contiguous(grad_maps.float())
         grad_vertices = torch.empty(vertices.shape, device=vertices.device)
 
-        def of_each_map(part: slice) -> Iterator[DenseGradient]:
-            gradient = DenseGradient()
-            gradient.maps = warp_array(grad_maps[part])
-            for label in range(1, grad_maps.shape[1] + 1):
-                gradient.label = label
-                yield gradient
-
         def work(part: slice) -> None:
             images = [image[part] for image in picture[:3]]
             keys = rasterize.empty_keys(tuple(images[0].shape), wp.device_from_torch(vertices.device))
-            self._prepare_gradient(vertices[part], images, partial(of_each_map, part), keys, grad_vertices[part])()
+            of_each = partial(_of_each_map, warp_array(grad_maps[part]))
+            self._prepare_gradient(vertices[part], images, of_each, keys, grad_vertices[part])()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return (grad_vertices,)
@@ -103,10 +97,19 @@ class MeshPasses:
         """Launches of loss and gradient for all bodies of the buffers."""
         (vertices,) = buffers.inputs
         batch, device = vertices.shape[0], vertices.device
-        target = buffers.target.expand(batch, -1, -1)  # a view: what is written there later is seen
-        images = _empty_picture((batch, *target.shape[1:]), device)[:3]
-        extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+        images = _empty_picture((batch, *buffers.target.shape[-2:]), device)[:3]
         draw, zbuffer = self.prepare_raster(vertices, images, background=False)
+        if buffers.of_maps:
+            of_each = partial(_of_each_map, warp_array(buffers.target))
+            push_maps = self._prepare_gradient(vertices, images, of_each, zbuffer.keys, buffers.grads[0])
+
+            def launch_maps() -> None:
+                draw()
+                push_maps()
+
+            return launch_maps
+        target = buffers.target.expand(batch, -1, -1)  # a view: what is written there later is seen
+        extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
         of_target = LabelTarget()
         of_target.target = warp_array(target)
         of_target.extents = warp_array(extents, wp.vec4i)
@@ -200,6 +203,15 @@ class MeshPasses:
 
 
 mesh_passes = cached(MeshPasses)  # the same object, which is a graph's key, for the same mesh and options
+
+
+def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
+    """Gradient with respect to part maps (B, K, H, W), once for each map."""
+    gradient = DenseGradient()
+    gradient.maps = grad_maps
+    for label in range(1, grad_maps.shape[1] + 1):
+        gradient.label = label
+        yield gradient
 
 
 def _empty_picture(shape: tuple[int, ...], device: torch.device) -> Picture:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 
+from ..interop.arrays import contiguous
 from ..interop.derivatives import once
 from ..interop.graph_cache import BYTES_PER_PIXEL, CapturedBodies, graphs
 from ..interop.layouts import Shapes, Tensors, row_length, split_blocks
 from ..interop.loss_graph import Recipe, find_label_loss
+from ..interop.streams import launch_bodies_on
 from .options import label_maps
 
 Size = tuple[int, int]
@@ -35,18 +37,10 @@ class Picture(NamedTuple):
     scratch: Any = None
 
 
-class Passes(Recipe, Protocol):
-    """A renderer's launches, with its options."""
+class MapPasses(Recipe, Protocol):
+    """Launches that draw, and those of the gradient."""
 
-    kind: str  # of the custom operations: "mesh" or "ellipsoid"
     drawing: str  # name of the public function that draws
-
-    @property
-    def constants(self) -> Tensors:
-        """Tensors that are drawn, too, but have no gradient."""
-
-    def settings(self) -> Settings:
-        """Options as custom operations take them."""
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw the picture."""
@@ -56,6 +50,19 @@ class Passes(Recipe, Protocol):
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradients with respect to the inputs, from that with respect to part maps (B, K, H, W)."""
+
+
+class Passes(MapPasses, Protocol):
+    """A renderer's launches, with its options."""
+
+    kind: str  # of the custom operations: "mesh" or "ellipsoid"
+
+    @property
+    def constants(self) -> Tensors:
+        """Tensors that are drawn, too, but have no gradient."""
+
+    def settings(self) -> Settings:
+        """Options as custom operations take them."""
 
 
 class DrawnLater:
@@ -94,6 +101,27 @@ def draw_picture(image: Callable[..., _Image], passes: Passes, inputs: Tensors, 
     return image(*_Maps.apply(passes, size, num_maps, *inputs))
 
 
+def draw_maps(passes: MapPasses, inputs: Tensors, size: Size, num_maps: int) -> torch.Tensor:
+    """Draw maps of labels 1 to ``num_maps``, shape (B, K, H, W), that carry gradients back to the inputs."""
+    return _Maps.apply(passes, size, num_maps, *inputs)[-1]
+
+
+@torch.no_grad()
+def draw_labels(passes: MapPasses, inputs: Tensors, size: Size) -> torch.Tensor:
+    """Draw labels alone, shape (B, H, W), uint8, by a captured graph where memory has room."""
+    batch, device = inputs[0].shape[0], inputs[0].device
+    if batch and (graph := _find_graph(passes, tuple([tensor.shape for tensor in inputs]), size, device)):
+        return graph(inputs)[0]
+    labels = torch.empty(batch, *size, dtype=torch.uint8, device=device)
+    given = tuple(map(contiguous, inputs))
+
+    def launch(part: slice) -> None:
+        passes.prepare_labels(tuple(tensor[part] for tensor in given), labels[part])()
+
+    launch_bodies_on(device, launch, batch, passes.modules)
+    return labels
+
+
 def find_loss(
     image: type[_Image], passes: Passes, inputs: Tensors, target: torch.Tensor
 ) -> tuple[torch.Tensor, _Image]:
@@ -125,12 +153,16 @@ def _draw_labels(image: Any, passes: Passes, inputs: Tensors, size: Size) -> Any
     batch, pixels, device = shapes[0][0], shapes[0][0] * math.prod(size), inputs[0].device
     key, graph = (passes, shapes, size), None
     if 4 * batch * row_length(shapes) <= max(pixels, _FEW_BYTES) and key not in _looked_at:
-        num_bytes = pixels * BYTES_PER_PIXEL
-        graph = graphs.find(key, device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device))
+        graph = _find_graph(*key, device)
     if graph is None:
         return image(*passes.draw(inputs, size)[:3])
     labels, numbers = graph(inputs)
     return image.later(partial(_draw_rest, key, numbers), labels=labels)
+
+
+def _find_graph(passes: MapPasses, shapes: Shapes, size: Size, device: torch.device) -> _LabelsGraph | None:
+    num_bytes = shapes[0][0] * math.prod(size) * BYTES_PER_PIXEL
+    return graphs.find((passes, shapes, size), device, num_bytes, lambda: _LabelsGraph(passes, shapes, size, device))
 
 
 _looked_at: set[tuple[Passes, Shapes, Size]] = set()  # pictures of which more than labels was wanted
@@ -151,7 +183,7 @@ def _draw_rest(key: tuple[Passes, Shapes, Size], numbers: torch.Tensor) -> Tenso
 class _LabelsGraph:
     """Label images by a captured graph in fixed buffers; returns copies of labels and inputs."""
 
-    def __init__(self, passes: Passes, shapes: Shapes, size: Size, device: torch.device) -> None:
+    def __init__(self, passes: MapPasses, shapes: Shapes, size: Size, device: torch.device) -> None:
         batch = shapes[0][0]
         self._numbers = torch.empty(batch * row_length(shapes), device=device)
         self._inputs = inputs = split_blocks(self._numbers, shapes)
@@ -170,7 +202,7 @@ class _LabelsGraph:
 
 class _Maps(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, passes: Passes, size: Size, num_maps: int, *inputs: torch.Tensor) -> Tensors:
+    def forward(ctx: Any, passes: MapPasses, size: Size, num_maps: int, *inputs: torch.Tensor) -> Tensors:
         *images, scratch = passes.draw(inputs, size)
         ctx.save_for_backward(*inputs, *images)
         ctx.passes, ctx.scratch = passes, scratch
