@@ -78,13 +78,12 @@ def map_weight(label: int):
 class LabelTarget:
     """L_seg (paper, eq. 6) against a label image; a wrong pixel misses one map and dirties another.
 
-    The last three members are read by one renderer each, and stay empty for the other.
+    The last two members stay empty where nothing reads them.
     """
 
     target: wp.array3d[wp.uint8]  # (N, H, W), 255 = ignore
-    reach: wp.array4d[wp.vec2i]  # ellipsoids: (N, 2, L, max(H, W)) from ``find_reach``
     scale: wp.array[float]  # mesh: (B,) gradient of the loss itself
-    extents: wp.array3d[wp.vec4i]  # mesh: (B, 3, L) where pixels are wrong, from ``launch_compare_labels``
+    extents: wp.array3d[wp.vec4i]  # (B, 3, L) where pixels are wrong, zeroed and then grown by ``note_wrong``
 
 
 @wp.struct
@@ -175,20 +174,6 @@ def excess_at(g: DenseGradient, t: int, inside: int, outside: int, pixel: int):
 
 
 @wp.func
-def pull_range(g: LabelTarget, t: int, axis: int, label: int, line: int, count: int):
-    """First and last pixel of a scan line that can pull this label's edges out: those whose target it is."""
-    if label >= g.reach.shape[2]:
-        return wp.vec2i(count, -1)  # no pixel's target
-    return g.reach[t, axis, label, line]
-
-
-@wp.func
-def pull_range(g: DenseGradient, t: int, axis: int, label: int, line: int, count: int):
-    """All pixels of the scan line."""
-    return wp.vec2i(0, count - 1)
-
-
-@wp.func
 def pixels_of(g: LabelTarget, b: int, label: int):
     """Pixels that ``pixel_gradient`` reads for a label: the target's."""
     return flat(g.target[b])
@@ -257,6 +242,18 @@ def extent(g: DenseGradient, b: int, kind: int, label: int):
 
 
 @wp.func
+def has_extent(g: LabelTarget, label: int):
+    """True if wrong pixels of a label are recorded; they are not of IGNORE, which may hide others."""
+    return label < g.extents.shape[2]
+
+
+@wp.func
+def has_extent(g: DenseGradient, label: int):
+    """True if a label has a map."""
+    return label <= g.maps.shape[1]
+
+
+@wp.func
 def all_wrong(gradient: Any, b: int, label: int):
     """Union of the ``extent`` of pixels that miss a label and of those that show it wrongly."""
     missing = extent(gradient, b, MISSING, label)
@@ -269,89 +266,34 @@ def all_wrong(gradient: Any, b: int, label: int):
     )
 
 
-@wp.kernel
-def find_reach(
-    target: wp.array3d[wp.uint8],  # (B, H, W)
-    chunks: int,  # threads that share a line
-    reach: wp.array4d[int],  # (B, 2, L, 2 max(H, W)) first and last pixel by turns; with several chunks empty  OUTPUT
-):
-    """Find the first and last pixel of each label in the target's rows (axis 0) and columns (axis 1).
-
-    Run by run: most pixels show what the one before them shows, and of a row four are one word.
-    """
-    thread = wp.tid()
-    lines = reach.shape[3] // 2
-    image = thread // (lines * chunks)
-    place = thread - image * (lines * chunks)
-    b = image // 2
-    axis = image - 2 * b
-    # Neighbours in a warp read neighbouring pixels: of a row its chunks, of columns the same chunk of the next one.
-    line = wp.where(axis == 0, place // chunks, place % lines)
-    chunk = wp.where(axis == 0, place % chunks, place // lines)
-    if line >= target.shape[1 + axis]:
-        return
-    count = target.shape[2 - axis]
-    if chunks == 1:
-        for label in range(reach.shape[2]):
-            reach[b, axis, label, 2 * line] = count
-            reach[b, axis, label, 2 * line + 1] = -1
-    size = (count + chunks - 1) // chunks
-    pixel = int(chunk * size)
-    end = wp.min(pixel + size, count)
-    in_words = axis == 0 and are_words(target)
-    run = int(-1)
-    first = int(0)
-    while pixel < end:
-        skip = in_words and run >= 0 and pixel % QUAD == 0 and pixel + QUAD <= end
-        if skip:
-            skip = load_word(target[b], line, pixel, True) == wp.uint32(run) * EACH_BYTE
-        if skip:
-            pixel += QUAD
-        else:
-            label = int(target[b, wp.where(axis == 0, line, pixel), wp.where(axis == 0, pixel, line)])
-            if label != run:
-                extend_reach(reach, wp.vec4i(b, axis, run, line), first, pixel - 1)
-                run = label
-                first = pixel
-            pixel += 1
-    extend_reach(reach, wp.vec4i(b, axis, run, line), first, end - 1)
+@wp.func
+def wrong_on_line(reach: wp.vec4i, axis: int, line: int, count: int):
+    """First and last pixel of an extent on a row (axis 0) or column (axis 1) of ``count``; none: the last is -1."""
+    rows = wp.vec2i(reach[0], reach[1])
+    columns = wp.vec2i(reach[2], reach[3])
+    lines = wp.where(axis == 0, rows, columns)
+    if line < lines[0] or line > lines[1]:
+        return wp.vec2i(count, -1)
+    return wp.where(axis == 0, columns, rows)
 
 
 @wp.func
-def extend_reach(reach: wp.array4d[int], at: wp.vec4i, first: int, last: int):
-    """Extend a label's reach in a line by a run; ``at`` is the body, the axis, the label and the line."""
-    if at[2] >= 0 and at[2] < reach.shape[2]:
-        wp.atomic_min(reach, at[0], at[1], at[2], 2 * at[3], first)
-        wp.atomic_max(reach, at[0], at[1], at[2], 2 * at[3] + 1, last)
+def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, target: int, reach: wp.vec4i):
+    """Record a block with pixels that show one label and should show the other."""
+    if shown != 0:
+        grow(extents, b, SURPLUS, shown, reach)
+    if target != 0:
+        grow(extents, b, MISSING, target, reach)
+        if shown != 0:
+            grow(extents, b, HIDDEN, target, reach)
 
 
-@wp.kernel
-def empty_reach(
-    height: int,
-    width: int,
-    reach: wp.array4d[wp.vec2i],  # (B, 2, L, max(H, W))  OUTPUT
-):
-    """Set no pixel at all, the first one after the last."""
-    thread = wp.tid()
-    lines, labels = reach.shape[3], reach.shape[2]
-    line = thread % lines
-    rest = thread // lines
-    label = rest % labels
-    image = rest // labels
-    reach[image // 2, image % 2, label, line] = wp.vec2i(wp.where(image % 2 == 0, width, height), -1)
-
-
-_CHUNK = 16  # pixels of a line a thread on CUDA, or more
-_THREADS = 2**18  # that fill a GPU; more chunks only add work
-
-
-def launch_find_reach(target: wp.array, reach: wp.array) -> None:
-    """Fill ``reach``, of shape (B, 2, L, max(H, W)) for labels 0 to L - 1."""
-    batch, height, width = target.shape
-    device = target.device
-    lines = max(height, width)
-    chunks = 1 if device.is_cpu else max(min(-(-lines // _CHUNK), _THREADS // max(2 * batch * lines, 1)), 1)
-    if chunks > 1:
-        wp.launch(empty_reach, reach.size, [height, width], [reach], device=device)
-    numbers = wp.array(ptr=reach.ptr, dtype=int, shape=(*reach.shape[:3], 2 * lines), device=device)
-    wp.launch(find_reach, batch * 2 * lines * chunks, [target, chunks], [numbers], device=device)
+@wp.func
+def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp.vec4i):
+    """Extend a label's extent to a block; all four numbers count from a border of the picture, so that 0 is empty."""
+    if label >= extents.shape[2]:
+        return
+    have = extents[b, kind, label]
+    # Extents only grow, so a stale value is safe; hardly any block needs the atomic.
+    if reach[0] > have[0] or reach[1] > have[1] or reach[2] > have[2] or reach[3] > have[3]:
+        wp.atomic_max(extents, b, kind, label, reach)

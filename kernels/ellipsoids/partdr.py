@@ -13,16 +13,21 @@ from ..labels import (
     EACH_BYTE,
     HIGH_BITS,
     IGNORE,
+    MISSING,
     QUAD,
+    SURPLUS,
     DenseGradient,
     LabelTarget,
+    all_wrong,
     are_words,
+    extent,
     gradient_at,
+    has_extent,
     load_word,
     may_have_gradient,
     overload_gradients,
-    pull_range,
     unequal_bytes,
+    wrong_on_line,
 )
 from ..lanes import ballot, deal, prefix_sum, shuffle
 from ..mesh.push_z import MIN_DELTA_Z
@@ -84,9 +89,10 @@ def walk_line(
         # An outline inside its own label's picture bounds nothing.
         if label_at(view.silhouettes, int(view.parts[begin + outside * pitch])) == label:
             return slope
-    pulls = pull_range(gradient, view.target, axis, label, line, count)
+    missing = wrong_on_line(extent(gradient, view.b, MISSING, label), axis, line, count)
+    last = wp.where(side > 0, missing[1], missing[0])
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
-    while pixel * side <= pulls[wp.where(side > 0, 1, 0)] * side and pixel >= 0 and pixel < count:
+    while pixel * side <= last * side and pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         if distance > max_distance:
             break
@@ -104,8 +110,10 @@ def walk_line(
             if switches:
                 slope += float(side) * gradient_at(gradient, view.target, label, at, shown) / wp.max(distance, 1.0)
         pixel += side
+    surplus = wrong_on_line(extent(gradient, view.b, SURPLUS, label), axis, line, count)
+    last = wp.where(side > 0, surplus[0], surplus[1])
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
-    while pixel >= 0 and pixel < count:
+    while pixel * side >= last * side and pixel >= 0 and pixel < count:
         distance = wp.abs(float(pixel) + 0.5 - crossing)
         at = begin + pixel * pitch
         part = int(view.parts[at])
@@ -128,10 +136,18 @@ def is_alone(view: EllipsoidView):
 
 
 @wp.func
+def wrong_box(view: EllipsoidView, gradient: Any):
+    """First and last column, first and last row of the outline's pixel box in which its label is wrong anywhere."""
+    left, right, top, bottom = pixel_box(view.own, view.height, view.width)
+    wrong = all_wrong(gradient, view.b, view.own.label)
+    return wp.max(left, wrong[2]), wp.min(right, wrong[3]), wp.max(top, wrong[0]), wp.min(bottom, wrong[1])
+
+
+@wp.func
 def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_distance: float, gradient: Any):
     """Forces in x and y: from rows and columns that meet the outline, two ends each."""
     s = view.own
-    left, right, top, bottom = pixel_box(s, view.height, view.width)
+    left, right, top, bottom = wrong_box(view, gradient)
     rows = wp.max(bottom - top + 1, 0)
     columns = wp.max(right - left + 1, 0)
     alone = is_alone(view)
@@ -255,6 +271,8 @@ def pull_forward(
 def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_weight: float, gradient: Any):
     """Forces in z: where the target's label is hidden, its ellipsoid comes forward, the one that hides it goes back."""
     left, right, top, bottom = pixel_box(view.own, view.height, view.width)
+    if has_extent(gradient, view.own.label):
+        left, right, top, bottom = wrong_box(view, gradient)
     image = view.scene.parts[view.b]
     in_words = are_words(view.scene.parts)
     four = wp.uint32(view.k + 1) * EACH_BYTE

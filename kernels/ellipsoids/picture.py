@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
-from ..labels import QUAD, LabelTarget, are_words, cost_of, flat, load_word, target_of, words_of
+from ..labels import IGNORE, QUAD, LabelTarget, are_words, cost_of, flat, load_word, note_wrong, target_of, words_of
 from ..lanes import LANES, ballot, lowest_bit, sum_lanes
 from .silhouette import Silhouette, along_row, depth_of, inside_at, middle_at, row_lean, row_root, to_disc
 
@@ -47,6 +47,14 @@ def write_quad(images: wp.array3d[wp.uint8], b: int, row: int, column: int, word
     for i in range(QUAD):
         if column + i < images.shape[2]:
             images[b, row, column + i] = wp.uint8(byte_of(word, i))
+
+
+@wp.func
+def note_pixel(target: LabelTarget, b: int, row: int, column: int, expected: int, label: int):
+    """Record where a pixel is wrong, if the gradient asks for it."""
+    if target.extents.shape[0] > 0 and expected != label and expected != IGNORE:
+        height, width = target.target.shape[1], target.target.shape[2]
+        note_wrong(target.extents, b, label, expected, wp.vec4i(height - row, row + 1, width - column, column + 1))
 
 
 @wp.func
@@ -180,6 +188,7 @@ def draw_tiles(
                 for i in range(QUAD):
                     if column + i < width:
                         loss += cost_of(target, byte_of(expected, i), byte_of(label_word, i))
+                        note_pixel(target, b, row, column + i, byte_of(expected, i), byte_of(label_word, i))
     if has_losses:
         total = sum_lanes(loss)
         if lane == 0:
@@ -273,7 +282,9 @@ def draw_rows(
                         if part > 0:
                             depth[b, row, column + i] = depth_of(fronts[at], perspective)
                     if losses.shape[0] > 0:
-                        loss += cost_of(target, int(target.target[t, row, column + i]), label)
+                        expected = int(target.target[t, row, column + i])
+                        loss += cost_of(target, expected, label)
+                        note_pixel(target, b, row, column + i, expected, label)
             column += together
         if losses.shape[0] > 0:
             losses[b, row] = loss

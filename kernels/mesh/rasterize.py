@@ -5,7 +5,7 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import EACH_BYTE, HIDDEN, MISSING, QUAD, SURPLUS, are_words, flat, load_word, map_weight, unequal_bytes
+from ..labels import EACH_BYTE, QUAD, are_words, flat, load_word, map_weight, note_wrong, unequal_bytes
 from ..lanes import LANES, ballot, lowest_bit, shuffle
 from .triangles import (
     ImageArrays,
@@ -235,28 +235,6 @@ def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy 
         return wp.uint32(0)
     shift = wp.uint32(lowest_bit(bits) & 24)
     return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
-
-
-@wp.func
-def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, target: int, reach: wp.vec4i):
-    """Record a block with pixels that show one label and should show the other."""
-    if shown != 0:
-        grow(extents, b, SURPLUS, shown, reach)
-    if target != 0:
-        grow(extents, b, MISSING, target, reach)
-        if shown != 0:
-            grow(extents, b, HIDDEN, target, reach)
-
-
-@wp.func
-def grow(extents: wp.array3d[wp.vec4i], b: int, kind: int, label: int, reach: wp.vec4i):
-    """Extend a label's extent to a block; all four numbers count from a border of the picture, so that 0 is empty."""
-    if label >= extents.shape[2]:
-        return
-    have = extents[b, kind, label]
-    # Extents only grow, so a stale value is safe; hardly any block needs the atomic.
-    if reach[0] > have[0] or reach[1] > have[1] or reach[2] > have[2] or reach[3] > have[3]:
-        wp.atomic_max(extents, b, kind, label, reach)
 
 
 def launch_rasterize(mesh: MeshArrays, images: ImageArrays, *, zbuffer: ZBuffer, background: bool = True) -> None:

@@ -70,18 +70,15 @@ for _column, _rule in RULES:
 
 
 @wp.func
-def cost_rules(problem: Problem, state: State, drawn: Drawn, b: int, k: int):
-    """Cost of part k by all ``RULES``, which begin its gradient, and its partial sums of L_seg."""
+def cost_rules(problem: Problem, state: State, b: int, k: int):
+    """Cost of part k by all ``RULES``, which begin its gradient."""
     state.gradient.rotations[b, k] = wp.vec3(0.0)
     if k < state.bodies.lengths.shape[1]:
         state.gradient.lengths[b, k] = 0.0
     if k < state.bodies.thicknesses.shape[1]:
         state.gradient.thicknesses[b, k] = 0.0
     state.pushes[b, k] = wp.vec3(0.0)
-    cost = cost_each_rule(problem, state, b, k)
-    for i in range(k, drawn.loss.shape[1], state.costs.shape[1]):
-        cost[SEG] += problem.weights[SEG] * drawn.loss[b, i]
-    state.costs[b, k] = cost
+    state.costs[b, k] = cost_each_rule(problem, state, b, k)
 
 
 @wp.func

@@ -50,11 +50,11 @@ def gather_length(problem: Problem, state: State, b: int, i: int):
     """Gradient of length i, of one part or of two."""
     length = state.gradient.lengths[b, i]
     for part in range(state.wrenches.shape[1]):
-        if problem.bones[part].shape[0] == i:
-            wrench = state.wrenches[b, part]
-            # A longer bone moves its subtree by as much, and its own centre by half.
-            carried = state.loads[b, part].force - 0.5 * wrench.force
-            length += wp.dot(carried, column(state.ellipsoids.axes[b, part], 0)) + 0.5 * wrench.semi_axes[0]
+        wrench = state.wrenches[b, part]
+        # A longer bone moves its subtree by as much, and its own centre by half.
+        carried = state.loads[b, part].force - 0.5 * wrench.force
+        amount = wp.dot(carried, column(state.ellipsoids.axes[b, part], 0)) + 0.5 * wrench.semi_axes[0]
+        length += wp.where(problem.bones[part].shape[0] == i, amount, 0.0)  # see ``sum_subtree``
     state.gradient.lengths[b, i] = length
 
 
@@ -63,10 +63,8 @@ def gather_thickness(problem: Problem, state: State, b: int, i: int):
     thickness = state.gradient.thicknesses[b, i]
     for part in range(state.wrenches.shape[1]):
         shape = problem.bones[part].shape
-        if shape[1] == i:
-            thickness += 0.5 * state.wrenches[b, part].semi_axes[1]
-        if shape[2] == i:
-            thickness += 0.5 * state.wrenches[b, part].semi_axes[2]
+        semi_axes = state.wrenches[b, part].semi_axes
+        thickness += wp.where(shape[1] == i, 0.5 * semi_axes[1], 0.0) + wp.where(shape[2] == i, 0.5 * semi_axes[2], 0.0)
     state.gradient.thicknesses[b, i] = thickness
 
 

@@ -1,4 +1,4 @@
-"""Iterations of the refinement: everything beside the renderer in one launch.
+"""Iterations of the refinement: one launch for the prior, beside the renderer, and one for all the rest.
 
 On CUDA a block of threads works on a body: they share out the tasks of a stage and wait for one another after it. Tasks
 of different kinds go to different warps, which run at once. On the CPU device a block is one thread.
@@ -6,27 +6,16 @@ of different kinds go to different warps, which run at once. On the CPU device a
 
 import warp as wp
 
+from ..ellipsoids.forces import sum_row
 from ..lanes import LANES, wait_for_block
 from .costs import add_drawn, cost_rules, pull_landmark, sum_forces
 from .gradient import gather_camera, gather_length, gather_orientation, gather_rotation, gather_thickness, sum_subtree
 from .pose import place_part, turn_body, turn_part
-from .prior import share_component, slope_component, sum_exponent
-from .state import MODULE, Drawn, Problem, State
+from .prior import compare_component, share_component
+from .state import MODULE, SEG, Drawn, Problem, State
 from .step import record_energy, step_number
 
-BLOCK = 512  # threads a body on CUDA, a power of two: the longest stage has 14 x 19 = 266 tasks of the packaged prior
-_LINE = wp.constant(32)  # floats in a line of the cache
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    float unused;
-    asm volatile("ld.global.ca.f32 %0, [%1];" : "=f"(unused) : "l"(values.data + i));
-#endif
-""")
-def fetch(values: wp.array3d[float], i: int):
-    """Bring a number, and the line of memory that it is in, into the cache."""
-    ...
+BLOCK = 512  # threads a body on CUDA, a power of two: the first stage's kinds of tasks have 15 warps
 
 
 @wp.func
@@ -37,7 +26,7 @@ def first_task(lane: int, warp: int):
 
 @wp.func
 def pose_body(problem: Problem, state: State, b: int, lane: int):
-    """Compute the ellipsoids from the parameters, and the prior's exponents."""
+    """Compute the ellipsoids from the parameters."""
     lanes = wp.block_dim()
     num_parts = state.wrenches.shape[1]
     for k in range(lane, num_parts, lanes):
@@ -48,12 +37,6 @@ def pose_body(problem: Problem, state: State, b: int, lane: int):
 
     for k in range(lane, num_parts, lanes):
         place_part(problem, state, b, k)
-    for i in range(first_task(lane, 1), problem.mixture.precisions.shape[2], lanes):
-        slope_component(problem.mixture, state.likelihood, b, i)
-    wait_for_block()
-
-    for k in range(lane, problem.mixture.means.shape[0], lanes):
-        sum_exponent(problem.mixture, state.likelihood, b, k)
 
 
 @wp.kernel(module=MODULE, launch_bounds=(BLOCK, 2), grid_stride=False)
@@ -78,19 +61,19 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     b = thread // lanes
     lane = thread - b * lanes
     num_parts = state.wrenches.shape[1]
-    # Idle threads bring the prior's matrices into the cache.
-    matrices = problem.mixture.precisions
-    size = matrices.shape[0] * matrices.shape[1] * matrices.shape[2]
-    for i in range(_LINE * first_task(lane, 4), size, _LINE * lanes):
-        fetch(matrices, i)
     for i in range(lane, num_parts * state.drawn.shape[2], lanes):
         add_drawn(problem, state, drawn, b, i)
-    for i in range(lane, state.pulls.shape[1], lanes):
+    for i in range(first_task(lane, 10), state.pulls.shape[1], lanes):
         pull_landmark(problem, state, b, i)
-    for k in range(first_task(lane, 2), num_parts, lanes):
-        cost_rules(problem, state, drawn, b, k)
-    for k in range(first_task(lane, 3), problem.mixture.means.shape[0], lanes):
+    for k in range(first_task(lane, 12), num_parts, lanes):
+        cost_rules(problem, state, b, k)
+    for k in range(first_task(lane, 13), problem.mixture.means.shape[0], lanes):
         share_component(state.likelihood, b, k)
+    member = first_task(lane, 14)
+    if member < LANES:
+        cost = sum_row(drawn.loss[b], member, wp.min(lanes, LANES))
+        if member == 0:
+            state.drawn_cost[b] = problem.weights[SEG] * cost
     wait_for_block()
 
     for k in range(lane, num_parts, lanes):
@@ -125,17 +108,38 @@ def step_bodies(problem: Problem, state: State, drawn: Drawn):
     pose_body(problem, state, b, lane)
 
 
-def _launch(kernel: wp.Kernel, inputs: list[object], state: State) -> None:
-    device = state.iteration.device
-    lanes = 1 if device.is_cpu else BLOCK
-    wp.launch(kernel, state.iteration.shape[0] * lanes, inputs, device=device, block_dim=lanes)
+@wp.kernel(module=MODULE)
+def compare_components(problem: Problem, state: State):
+    """Compare the poses with the prior: a warp for each component of a body's density."""
+    thread = wp.tid()
+    lanes = wp.block_dim()
+    components = problem.mixture.means.shape[0]
+    task = thread // lanes
+    b = task // components
+    compare_component(problem.mixture, state.likelihood, b, task - b * components, thread - task * lanes, lanes)
+
+
+def _launch(
+    kernel: wp.Kernel, problem: Problem, state: State, *drawn: Drawn, tasks: int = 1, block: int = BLOCK
+) -> None:
+    """Launch a block for each of a body's tasks; on the CPU device it is one thread."""
+    device, batch = state.iteration.device, state.iteration.shape[0]
+    lanes = 1 if device.is_cpu else block
+    wp.launch(kernel, batch * tasks * lanes, [problem, state, *drawn], device=device, block_dim=lanes)
 
 
 def launch_start(problem: Problem, state: State) -> None:
     """Start from ``state.bodies``: reset the optimiser and pose the bodies."""
-    _launch(start_bodies, [problem, state], state)
+    _launch(start_bodies, problem, state)
+
+
+def launch_compare(problem: Problem, state: State) -> None:
+    """Compare the bodies as they are posed with the prior, if there is one."""
+    components = problem.mixture.means.shape[0]
+    if components > 0:
+        _launch(compare_components, problem, state, tasks=components, block=int(LANES))
 
 
 def launch_step(problem: Problem, state: State, drawn: Drawn) -> None:
-    """Take one step from what was ``drawn``, and pose the bodies anew."""
-    _launch(step_bodies, [problem, state, drawn], state)
+    """Take one step from what was ``drawn`` and what the prior says, and pose the bodies anew."""
+    _launch(step_bodies, problem, state, drawn)

@@ -6,33 +6,38 @@ product d.Ad of the packaged prior loses nothing in float32: its covariances hav
 
 import warp as wp
 
+from ..lanes import sum_lanes
 from .state import Likelihood, Mixture
 
 
 @wp.func
-def slope_component(mixture: Mixture, likelihood: Likelihood, b: int, task: int):
-    """Slope of a component along one direction; neighbouring tasks read neighbouring numbers."""
+def slope_component(mixture: Mixture, likelihood: Likelihood, b: int, k: int, slot: int):
+    """Slope of component k along one direction, and its share of the squared deviation."""
     num_directions = mixture.means.shape[1]
-    k = task // num_directions
-    slot = task - k * num_directions
+    # One dimension, for addresses would be most of the work; neighbouring slots read neighbouring numbers.
+    pitch = mixture.precisions.shape[2]
+    numbers = wp.array(ptr=mixture.precisions.ptr, shape=(9 * num_directions * pitch,), dtype=float)
+    at = k * num_directions + slot
     slope = wp.vec3(0.0)
     for other in range(num_directions):
-        m = mixture.precisions[other]
-        block = wp.mat33(
-            m[0, task], m[1, task], m[2, task], m[3, task], m[4, task], m[5, task], m[6, task], m[7, task], m[8, task]
-        )
+        block = wp.mat33()
+        for i in range(9):
+            block[i // 3, i % 3] = numbers[at + i * pitch]
         slope += block * (likelihood.directions[b, other] - mixture.means[k, other])
+        at += 9 * pitch
     likelihood.slopes[b, k, slot] = slope
-    likelihood.squares[b, k, slot] = wp.dot(likelihood.directions[b, slot] - mixture.means[k, slot], slope)
+    return wp.dot(likelihood.directions[b, slot] - mixture.means[k, slot], slope)
 
 
 @wp.func
-def sum_exponent(mixture: Mixture, likelihood: Likelihood, b: int, k: int):
-    """Log of component k's share of the density."""
+def compare_component(mixture: Mixture, likelihood: Likelihood, b: int, k: int, lane: int, lanes: int):
+    """Log of component k's share of the density, and its slopes, by the threads of a warp."""
     square = float(0.0)
-    for slot in range(mixture.means.shape[1]):
-        square += likelihood.squares[b, k, slot]
-    likelihood.exponents[b, k] = mixture.log_weights[k] - 0.5 * square
+    for slot in range(lane, mixture.means.shape[1], lanes):
+        square += slope_component(mixture, likelihood, b, k, slot)
+    square = sum_lanes(square)
+    if lane == 0:
+        likelihood.exponents[b, k] = mixture.log_weights[k] - 0.5 * square
 
 
 @wp.func

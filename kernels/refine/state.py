@@ -153,7 +153,6 @@ class Likelihood:
 
     directions: wp.array2d[wp.vec3]  # (B, S) the mixture's variables
     slopes: wp.array3d[wp.vec3]  # (B, K, S) precision times deviation
-    squares: wp.array3d[float]  # (B, K, S) shares of deviation times slope
     exponents: wp.array2d[float]  # (B, K) log of each component's share of the density
     shares: wp.array2d[float]  # (B, K) of the density; they sum to 1
     log_density: wp.array[float]  # (B,)
@@ -209,6 +208,7 @@ class State:
     ellipsoids: EllipsoidArrays
     likelihood: Likelihood
     drawn: wp.array3d[float]  # (B, P, 16) all shares of the renderer's forces, weighted
+    drawn_cost: wp.array[float]  # (B,) L_seg, weighted
     pulls: wp.array2d[Pull]  # (B, L)
     wrenches: wp.array2d[Wrench]  # (B, P)
     loads: wp.array2d[Load]  # (B, P + 1) the last one is the root's

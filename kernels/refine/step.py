@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .state import NUM_TERMS, PRIOR, Problem, State, Terms
+from .state import NUM_TERMS, PRIOR, SEG, Problem, State, Terms
 
 BETAS = (0.9, 0.999)  # torch's defaults, as is the next
 _EPSILON = wp.constant(1.0e-8)
@@ -18,6 +18,7 @@ def record_energy(problem: Problem, state: State, b: int):
     terms = Terms()
     for part in range(state.costs.shape[1]):
         terms += state.costs[b, part]
+    terms[SEG] = state.drawn_cost[b]
     if problem.mixture.log_weights.shape[0] > 0:
         terms[PRIOR] = -problem.weights[PRIOR] * state.likelihood.log_density[b]
     energy = float(0.0)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 import torch
-import warp as wp
 from scenes.pictures import (
     CAMERAS,
     GRADIENTS,
@@ -26,7 +23,7 @@ from scenes.pictures import (
 
 from warp_partdr import label_set
 from warp_partdr.body.posing import pose
-from warp_partdr.kernels.labels import launch_find_reach
+from warp_partdr.kernels.labels import IGNORE
 from warp_partdr.reference import ellipsoids as reference
 from warp_partdr.reference.losses import label_gradient
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
@@ -139,6 +136,29 @@ def test_partdr_gradient_of_the_label_loss_is_the_reference_on_bodies(device, la
     assert loss.item() == pytest.approx(np.abs(g).sum() / 2, rel=1e-5)
 
 
+@pytest.mark.parametrize("perspective", CAMERAS)
+def test_partdr_gradient_of_few_wrong_pixels_is_the_reference(device, perspective):
+    """Lines and pixels outside of the wrong ones' extent are left out, but what hides without a label is not."""
+    size, count, pushed = (33, 44), 4, 0
+    for seed in range(16):
+        scene = random_scene(seed, size, perspective, labels=GROUPS)
+        drawn, generator = reference.ray_cast(scene, size)[0], np.random.default_rng(seed)
+        target = np.where(drawn == IGNORE, 0, drawn).astype(np.uint8)
+        row, column = generator.integers(0, 24, 2)
+        target[row : row + 9, column : column + 12] = generator.integers(0, count + 1)
+        target[row + 2, column : column + 3] = IGNORE
+        leaves = Leaves.of(scene, device=device)
+        _, image = leaves.push_by_loss(target, part_labels=GROUPS, gradient="partdr")
+        g = label_gradient(image.labels[0].cpu().numpy(), target, count)
+        want = reference.partdr_gradient(scene, image.parts[0].cpu().numpy(), g)
+        if want.centres.any():
+            pushed += 1
+            check_forces(leaves, want)
+        else:
+            assert not leaves.gradients(0)["centres"].any()
+    assert pushed > 6
+
+
 def test_of_hidden_twins_the_first_comes_forward(device):
     """Of equally deep ellipsoids of a hidden label, the lower index gets the force along z, and it alone."""
     size = (24, 24)
@@ -220,21 +240,3 @@ def test_groups_are_unions(device):
         leaves.push_by_loss(target, part_labels=[1, 1], gradient=gradient)
         assert (bodies.centres.grad[0, 1] == 0).all()
         assert (bodies.centres.grad[0, 0, :2] != 0).all()
-
-
-@pytest.mark.parametrize("size", [(7, 9), (16, 32), (33, 12)])
-def test_reach_of_labels(device, size):
-    """First and last pixel of each label in each row and column, of runs and of single pixels."""
-    generator = np.random.default_rng(0)
-    _, width = size
-    labels = generator.integers(0, 8, (2, *size)).astype(np.uint8)
-    labels[1] = np.repeat(labels[1], 3, axis=1)[:, :width]
-    labels[generator.random(labels.shape) < 0.05] = 255
-    reach = wp.zeros((2, 2, 6, max(size)), dtype=wp.vec2i, device=device)
-    launch_find_reach(wp.array(labels, dtype=wp.uint8, device=device), reach)
-    for b, axis in product(range(2), range(2)):
-        lines = labels[b] if axis == 0 else labels[b].T
-        for line, label in product(range(len(lines)), range(6)):
-            where = np.flatnonzero(lines[line] == label)
-            expected = (where[0], where[-1]) if len(where) else (lines.shape[1], -1)
-            assert tuple(reach.numpy()[b, axis, label, line]) == expected

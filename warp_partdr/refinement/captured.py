@@ -17,8 +17,8 @@ from ..interop.arrays import warp_array
 from ..interop.checks import check_steps, check_tensor
 from ..interop.streams import capture_graph, on_torch_stream
 from ..kernels.ellipsoids.forces import NUM_SUMS
-from ..kernels.launch import run_slices, split_batch
-from ..kernels.refine.iteration import launch_start, launch_step
+from ..kernels.launch import launch_side_by_side, run_slices, split_batch
+from ..kernels.refine.iteration import launch_compare, launch_start, launch_step
 from ..kernels.refine.state import (
     NUM_TERMS,
     Bodies,
@@ -107,9 +107,7 @@ class CapturedRefinement:
             return None
         assert isinstance(renderer, RendererEllipsoids)
         labels = [int(group) for group in label_set.part_groups[1:]]
-        made = CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids)
-        made.update()
-        return made
+        return CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids)
 
     def _make_state(self, where: str) -> State:
         """Allocate the bodies' state."""
@@ -137,11 +135,10 @@ class CapturedRefinement:
         likelihood = state.likelihood
         likelihood.directions = zeros(directions, dtype=wp.vec3)
         likelihood.slopes = zeros(components, directions, dtype=wp.vec3)
-        likelihood.squares = zeros(components, directions)
         likelihood.exponents, likelihood.shares = zeros(components), zeros(components)
         likelihood.log_density = zeros()
         state.pulls = zeros(len(LANDMARK_NAMES), dtype=Pull)
-        state.drawn = zeros(NUM_PARTS, NUM_SUMS)
+        state.drawn, state.drawn_cost = zeros(NUM_PARTS, NUM_SUMS), zeros()
         state.pushes = zeros(NUM_PARTS, dtype=wp.vec3)
         state.wrenches, state.costs = zeros(NUM_PARTS, dtype=Wrench), zeros(NUM_PARTS, dtype=Terms)
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
@@ -173,9 +170,13 @@ class CapturedRefinement:
 
         After ``iterations`` of them the last one repeats, at rate 0: it leaves the bodies where they are.
         """
+        # The prior looks at poses alone, so it needs no picture.
+        launch_side_by_side(self._draw, partial(launch_compare, self._problem, self._state))
+        launch_step(self._problem, self._state, self._drawn)
+
+    def _draw(self) -> None:
         if self._renderer is not None:
             self._renderer.launch()
-        launch_step(self._problem, self._state, self._drawn)
 
     @torch.no_grad()
     def _put(self, bodies: BodyParameters) -> None:

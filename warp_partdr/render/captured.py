@@ -11,7 +11,7 @@ import warp as wp
 
 from ..kernels.ellipsoids.forces import make_forces
 from ..kernels.refine.state import Drawn, EllipsoidArrays
-from .ellipsoid_passes import ellipsoid_passes, launch_reach
+from .ellipsoid_passes import ellipsoid_passes
 from .renderers import RendererEllipsoids
 
 
@@ -22,7 +22,7 @@ class CapturedEllipsoids:
         renderer: The gradient's options.
         part_labels: Label that each ellipsoid shows.
         targets: Label images, shape (N, size, size), uint8, on the bodies' device; body b is compared with number
-            b % N. What is written there later is seen after ``update``.
+            b % N.
         ellipsoids: Posed parts and cameras, B of them.
 
     Attributes:
@@ -41,16 +41,12 @@ class CapturedEllipsoids:
         posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
         shown = wp.empty((batch, *size), dtype=wp.uint8, device=device)
         passes = ellipsoid_passes(tuple(part_labels), False, near=-math.inf, **vars(renderer))
-        target = self._target = passes.label_target(targets)
+        target = passes.label_target(targets, batch)
         drawn = self.drawn = Drawn()
         self._draw, seen, drawn.loss = passes.prepare_picture(posed, target, parts=shown)
         drawn.forces = make_forces(batch, parts, device)
         self._push = partial(passes.force_launcher(), posed, seen, shown, gradient=target, forces=drawn.forces)
         self._bodies = slice(0, batch)
-
-    def update(self) -> None:
-        """Update what depends on the targets after they were written to."""
-        launch_reach(self._target)
 
     def launch(self) -> None:
         """Project, draw, compare, sum the forces."""

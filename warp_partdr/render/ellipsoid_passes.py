@@ -19,7 +19,7 @@ from ..interop.streams import launch_bodies_on, on_torch_stream
 from ..kernels.ellipsoids import coverage, edges, forces, partdr, silhouette
 from ..kernels.ellipsoids import picture as ellipsoid_picture
 from ..kernels.ellipsoids.silhouette import Seen, launch_see
-from ..kernels.labels import DenseGradient, LabelTarget, launch_find_reach
+from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
 from .options import Gradient, cached
 from .part_mesh import MAX_LABEL
 from .pictures import Picture, Settings, Size
@@ -120,7 +120,7 @@ class EllipsoidPasses:
         inputs, size = buffers.inputs, buffers.target.shape[-2:]
         everything = slice(0, inputs[0].shape[0])
         with on_torch_stream(buffers.target.device) as where:
-            target = None if buffers.of_maps else self.label_target(buffers.target, needs_grad=len(buffers.grads) > 0)
+            target = None if buffers.of_maps else self.label_target(buffers.target, len(inputs[0]), buffers.grads)
             gradient = _dense_gradient(warp_array(buffers.target)) if target is None else target
             posed = _arrays(inputs)
             parts = wp.empty((inputs[0].shape[0], *size), dtype=wp.uint8, device=where)
@@ -131,8 +131,6 @@ class EllipsoidPasses:
 
         def launch() -> None:
             draw(everything)
-            if target is not None:
-                launch_reach(target)
             if push is not None:
                 push(everything)
             elif target is not None:
@@ -165,6 +163,8 @@ class EllipsoidPasses:
             here, cut = _cut_seen(seen, part), [_cut(array, part) for array in outputs]
             see([_cut(array, part) for array in posed], seen=here)
             scratch = _cut(nearest, part)
+            if compared.extents is not None and compared.extents.size:
+                compared.extents.zero_()
             ellipsoid_picture.launch_draw(here.silhouettes, compared, scratch, cut, perspective=self.perspective)
 
         return launch, seen, losses
@@ -202,24 +202,17 @@ class EllipsoidPasses:
 
         return launch
 
-    def label_target(self, target: torch.Tensor, *, needs_grad: bool = True) -> LabelTarget:
-        """Label images (N, H, W) for the kernels; with ``reach``, to be filled, if the gradient asks for it."""
+    def label_target(self, target: torch.Tensor, batch: int, gradient: object = True) -> LabelTarget:
+        """Label images (N, H, W) for the kernels; with ``extents``, to be filled, if a ``gradient`` asks for them."""
         found = LabelTarget()
         found.target = warp_array(target)
         num_labels = max((label for label in self.labels if label <= MAX_LABEL), default=0)
-        reach = (len(target), 2, num_labels + 1, max(target.shape[1:]))
-        needed = needs_grad and self.gradient == "partdr"
-        found.reach = wp.empty(reach if needed else (0, 0, 0, 0), dtype=wp.vec2i, device=found.target.device)
+        extents = (batch, NUM_EXTENTS, num_labels + 1) if gradient and self.gradient == "partdr" else (0, 0, 0)
+        found.extents = wp.empty(extents, dtype=wp.vec4i, device=found.target.device)
         return found
 
 
 ellipsoid_passes = cached(EllipsoidPasses)  # the same object, which is a graph's key, for the same options
-
-
-def launch_reach(target: LabelTarget) -> None:
-    """Fill the target's ``reach``, if there is one."""
-    if target.reach.size > 0:
-        launch_find_reach(target.target, target.reach)
 
 
 @lru_cache(maxsize=64)
