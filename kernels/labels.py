@@ -11,6 +11,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 IGNORE = wp.constant(255)  # a target pixel that neither attracts nor repels
+IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four such pixels
 EACH_BYTE = wp.constant(wp.uint32(0x01010101))  # times a label: four pixels that show it
 HIGH_BITS = wp.constant(wp.uint32(0x80808080))  # of each byte
 QUAD = wp.constant(4)  # pixels a word

@@ -26,6 +26,8 @@ from ..labels import (
     load_word,
     may_have_gradient,
     overload_gradients,
+    pixel_gradient,
+    pixels_of,
     unequal_bytes,
     wrong_on_line,
 )
@@ -66,7 +68,7 @@ def walk_line(
     line: int,
     side: int,  # -1: the outline's low end on this line, 1: its high end
     crossing: float,
-    far: float,  # beyond which no pixel shows the ellipsoid's label
+    alone: bool,  # no other ellipsoid shows the label
     edge_nearness: float,
     max_distance: float,
     gradient: Any,
@@ -87,8 +89,15 @@ def walk_line(
     pitch = wp.where(axis == 0, 1, view.width)
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
-        if label_at(view.silhouettes, int(view.parts[begin + outside * pitch])) == label:
+        part = int(view.parts[begin + outside * pitch])
+        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
             return slope
+    far = -float(side) * wp.inf  # beyond which no pixel shows the label
+    if alone:
+        # One pixel more, since rounding decides what the outline covers.
+        across = float(line) + 0.5
+        far = outline_end(view.own, across, across, axis, -float(side)) - float(side)
+    pixels = pixels_of(gradient, view.target, label)
     missing = wrong_on_line(extent(gradient, view.b, MISSING, label), axis, line, count)
     last = wp.where(side > 0, missing[1], missing[0])
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
@@ -98,17 +107,17 @@ def walk_line(
             break
         at = begin + pixel * pitch
         part = int(view.parts[at])
-        shown = label_at(view.silhouettes, part)
-        if part > 0 and shown == label:
+        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
             break
-        if may_have_gradient(gradient, view.target, label, at):
+        g = pixel_gradient(pixels, at, label, False)
+        if g != 0.0:
             switches = part == 0
             if part > 0:
                 x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
                 y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
                 switches = front_at(view.silhouettes[part - 1], x, y) < edge_nearness
             if switches:
-                slope += float(side) * gradient_at(gradient, view.target, label, at, shown) / wp.max(distance, 1.0)
+                slope += g / wp.max(distance, 1.0)
         pixel += side
     surplus = wrong_on_line(extent(gradient, view.b, SURPLUS, label), axis, line, count)
     last = wp.where(side > 0, surplus[0], surplus[1])
@@ -119,10 +128,10 @@ def walk_line(
         part = int(view.parts[at])
         if part == 0 or distance > max_distance or float(side) * (float(pixel) + 0.5 - far) < 0.0:
             break
-        if label_at(view.silhouettes, part) == label:
-            slope += float(side) * gradient_at(gradient, view.target, label, at, label) / wp.max(distance, 1.0)
+        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
+            slope += pixel_gradient(pixels, at, label, True) / wp.max(distance, 1.0)
         pixel -= side
-    return slope
+    return float(side) * slope
 
 
 @wp.func
@@ -165,11 +174,7 @@ def walk_lines(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, max_dista
             x = wp.where(axis == 0, crossing, across)
             y = wp.where(axis == 0, across, crossing)
             nearness = middle_at(s, x, y)
-            far = -float(side) * wp.inf
-            if alone:
-                # One pixel more, since rounding decides what the outline covers.
-                far = outline_end(s, across, across, axis, -float(side)) - float(side)
-            slope = walk_line(view, axis, line, side, crossing, far, nearness, max_distance, gradient)
+            slope = walk_line(view, axis, line, side, crossing, alone, nearness, max_distance, gradient)
             if slope != 0.0:
                 unit = to_unit(e, unproject(e, x, y, nearness))
                 push = wp.vec2(wp.where(axis == 0, slope, 0.0), wp.where(axis == 0, 0.0, slope))
@@ -306,7 +311,7 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_we
     return sums
 
 
-@wp.kernel(launch_bounds=(BLOCK, 12))  # 80 registers
+@wp.kernel(launch_bounds=(BLOCK, 8))  # 128 registers
 def partdr_forces(
     scene: SceneArrays,
     max_distance: float,  # [px]
@@ -319,7 +324,8 @@ def partdr_forces(
     view = make_view(scene, forces, gradient, wp.tid())
     if view.own.low[0] <= view.own.high[0]:
         e = load_ellipsoid(view)
-        sums = walk_lines(sums, view, e, max_distance, gradient)
+        if has_extent(gradient, view.own.label):
+            sums = walk_lines(sums, view, e, max_distance, gradient)
         if depth_weight != 0.0:
             sums = walk_depths(sums, view, e, depth_weight, gradient)
     store_forces(forces, view, sums)

@@ -5,11 +5,26 @@ shows, and of equal ones that with the lower index.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import warp as wp
 
-from ..labels import IGNORE, QUAD, LabelTarget, are_words, cost_of, flat, load_word, note_wrong, target_of, words_of
-from ..lanes import LANES, ballot, lowest_bit, sum_lanes
+from ..labels import (
+    EACH_BYTE,
+    IGNORE,
+    IGNORED,
+    QUAD,
+    LabelTarget,
+    are_words,
+    cost_of,
+    flat,
+    load_word,
+    note_wrong,
+    target_of,
+    unequal_bytes,
+    words_of,
+)
+from ..lanes import LANES, ballot, lowest_bit, shuffle, sum_lanes
 from .silhouette import Silhouette, along_row, depth_of, inside_at, middle_at, row_lean, row_root, to_disc
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -21,6 +36,7 @@ _STRIP_ROWS = wp.constant(8)
 _QUADS = wp.constant(4)  # a row of a strip
 _BLOCK = 128
 _MAX_STRIPS = 8  # 64 bits hold one for each strip and each of a thread's 8 ellipsoids
+_Strips: Any = wp.types.vector(length=_MAX_STRIPS, dtype=wp.uint32)
 _WARPS_TO_FILL = 4096  # of 132 multiprocessors
 _EACH_WORD = wp.constant(wp.uint64(0x0101010101010101))  # bit 0 of each byte
 _SLACK = wp.constant(1.0e-5)  # relative margin of bounds in float32
@@ -77,6 +93,55 @@ def may_meet(s: Silhouette, left: float, right: float, top: float, bottom: float
     return not s.mean[0] - (wp.sqrt(root) + row_lean(s, dy)) / along - slack > right
 
 
+@wp.func
+def draw_quad(ellipsoids: wp.array[Silhouette], meets: wp.uint64, words: int, x: float, y: float):
+    """Index + 1 of the nearest ellipsoid at four pixels, and its nearness, of those that any thread says may meet them.
+
+    Bit 8 word of ``meets`` says it of the thread's ellipsoid in that word.
+    """
+    shown = wp.vec4i(0, 0, 0, 0)
+    best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
+    for word in range(words):
+        bits = ballot((meets >> wp.uint64(8 * word)) & wp.uint64(1) == wp.uint64(1))
+        while bits != wp.uint32(0):
+            k = LANES * word + lowest_bit(bits)
+            bits &= bits - wp.uint32(1)
+            s = ellipsoids[k]
+            place = to_disc(s, x - s.mean[0], y - s.mean[1])
+            first_middle = middle_at(s, x, y)
+            for i in range(QUAD):
+                # Selects, not branches: neighbours disagree.
+                u = place[0] + float(i) * s.factor[0]
+                v = place[1] + float(i) * s.factor[1]
+                inside = 1.0 - u * u - v * v
+                nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
+                nearer = inside > 0.0 and nearness > best[i]
+                best[i] = wp.where(nearer, nearness, best[i])
+                shown[i] = wp.where(nearer, k + 1, shown[i])
+    return shown, best
+
+
+@wp.func
+def note_strip(target: LabelTarget, b: int, label_word: wp.uint32, expected: wp.uint32, left: int, top: int):
+    """Record where a strip is wrong, one pair of labels after another, the same for all threads."""
+    height, width = target.target.shape[1], target.target.shape[2]
+    wrong = unequal_bytes(label_word, expected) & unequal_bytes(expected, IGNORED)
+    waiting = ballot(wrong != wp.uint32(0))
+    while waiting != wp.uint32(0):
+        finder = lowest_bit(waiting)
+        shift = wp.uint32(lowest_bit(shuffle(wrong, finder)) & 24)
+        label = shuffle(label_word, finder) >> shift & wp.uint32(255)
+        wanted = shuffle(expected, finder) >> shift & wp.uint32(255)
+        other = unequal_bytes(label_word, label * EACH_BYTE) | unequal_bytes(expected, wanted * EACH_BYTE)
+        if wrong & ~other != wp.uint32(0):  # each of these threads says the same
+            reach = wp.vec4i(
+                height - top, wp.min(top + _STRIP_ROWS, height), width - left, wp.min(left + _STRIP_WIDTH, width)
+            )
+            note_wrong(target.extents, b, int(label), int(wanted), reach)
+        wrong &= other
+        waiting = ballot(wrong != wp.uint32(0))
+
+
 @wp.kernel(launch_bounds=(_BLOCK, 8))  # 64 registers
 def draw_tiles(
     silhouettes: wp.array2d[Silhouette],  # (B, P)
@@ -130,65 +195,67 @@ def draw_tiles(
                     first = float(top + strip * _STRIP_ROWS)
                     if may_meet(own, float(left), right, first, first + float(_STRIP_ROWS)):
                         meets |= wp.uint64(1) << wp.uint64(8 * word + strip)
+    pitch = _STRIP_ROWS * width // QUAD
+    if ballot(meets != wp.uint64(0)) == wp.uint32(0) and in_words and depth.shape[0] == 0:
+        # Most tiles are background, and should be. All loads come before any store, which might be to the same place.
+        wanted = _Strips()
+        for strip in range(_MAX_STRIPS):
+            if strip < strips and column < width and top + strip * _STRIP_ROWS + lane // _QUADS < height:
+                if has_losses:
+                    wanted[strip] = target_words[first_word + strip * pitch]
+        some = wp.uint32(0)
+        for strip in range(_MAX_STRIPS):
+            some |= wanted[strip]
+            if strip < strips and column < width and top + strip * _STRIP_ROWS + lane // _QUADS < height:
+                part_words[first_word + strip * pitch] = wp.uint32(0)
+                if has_labels:
+                    label_words[first_word + strip * pitch] = wp.uint32(0)
+        if ballot(some != wp.uint32(0)) == wp.uint32(0):
+            if has_losses and lane == 0:
+                losses[b, tile] = 0.0
+            return
     loss = float(0.0)
     for strip in range(strips):
         row = top + strip * _STRIP_ROWS + lane // _QUADS
         in_picture = row < height and column < width
-        at = first_word + strip * (_STRIP_ROWS * width // QUAD)
-        expected = wp.uint32(0)
-        if has_losses and in_picture:
-            if in_words:
-                expected = target_words[at]
-            else:
-                expected = load_word(target.target[t], row, column, False)
-        best = wp.vec4(-wp.inf, -wp.inf, -wp.inf, -wp.inf)
+        at = first_word + strip * pitch
+        best = wp.vec4()
         shown_word = wp.uint32(0)
         label_word = wp.uint32(0)
         mine = meets >> wp.uint64(strip)
-        # Four in five strips of a person's picture are background.
         if ballot((mine & _EACH_WORD) != wp.uint64(0)) != wp.uint32(0):
-            y = float(row) + 0.5
-            shown = wp.vec4i(0, 0, 0, 0)
-            label = wp.vec4i(0, 0, 0, 0)
-            for word in range(words):
-                bits = ballot((mine >> wp.uint64(8 * word)) & wp.uint64(1) == wp.uint64(1))
-                while bits != wp.uint32(0):
-                    k = LANES * word + lowest_bit(bits)
-                    bits &= bits - wp.uint32(1)
-                    s = ellipsoids[k]
-                    place = to_disc(s, x - s.mean[0], y - s.mean[1])
-                    first_middle = middle_at(s, x, y)
-                    for i in range(QUAD):
-                        # Selects, not branches: neighbours disagree.
-                        u = place[0] + float(i) * s.factor[0]
-                        v = place[1] + float(i) * s.factor[1]
-                        inside = 1.0 - u * u - v * v
-                        nearness = first_middle + float(i) * s.slope[0] + s.bulge * wp.sqrt(wp.max(inside, 0.0))
-                        nearer = inside > 0.0 and nearness > best[i]
-                        best[i] = wp.where(nearer, nearness, best[i])
-                        shown[i] = wp.where(nearer, k + 1, shown[i])
-                        label[i] = wp.where(nearer, s.label, label[i])
+            shown, best = draw_quad(ellipsoids, mine, words, x, float(row) + 0.5)
             shown_word = pack(shown)
-            label_word = pack(label)
+            for i in range(QUAD):
+                if shown[i] > 0 and column + i < width:
+                    label_word |= wp.uint32(ellipsoids[shown[i] - 1].label) << wp.uint32(8 * i)
+        expected = wp.uint32(0)
         if in_picture:
             if in_words:
                 part_words[at] = shown_word
                 if has_labels:
                     label_words[at] = label_word
+                if has_losses:
+                    expected = target_words[at]
             else:
                 write_quad(parts, b, row, column, shown_word)
                 if has_labels:
                     write_quad(labels, b, row, column, label_word)
+                if has_losses:
+                    expected = load_word(target.target[t], row, column, False)
             if depth.shape[0] > 0:
                 for i in range(QUAD):
                     if column + i < width:
                         shows = byte_of(shown_word, i) > 0
                         depth[b, row, column + i] = wp.where(shows, depth_of(best[i], perspective), wp.inf)
-            if has_losses and expected != label_word:
+        if has_losses:
+            if not in_picture:
+                label_word = wp.uint32(0)
+            if expected != label_word:
                 for i in range(QUAD):
-                    if column + i < width:
-                        loss += cost_of(target, byte_of(expected, i), byte_of(label_word, i))
-                        note_pixel(target, b, row, column + i, byte_of(expected, i), byte_of(label_word, i))
+                    loss += cost_of(target, byte_of(expected, i), byte_of(label_word, i))
+            if target.extents.shape[0] > 0:
+                note_strip(target, b, label_word, expected, left, top + strip * _STRIP_ROWS)
     if has_losses:
         total = sum_lanes(loss)
         if lane == 0:

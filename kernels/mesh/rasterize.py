@@ -5,7 +5,7 @@ from typing import Any, Self
 
 import warp as wp
 
-from ..labels import EACH_BYTE, QUAD, are_words, flat, load_word, map_weight, note_wrong, unequal_bytes
+from ..labels import EACH_BYTE, IGNORED, QUAD, are_words, flat, load_word, map_weight, note_wrong, unequal_bytes
 from ..lanes import LANES, ballot, lowest_bit, shuffle
 from .triangles import (
     ImageArrays,
@@ -34,7 +34,6 @@ TILE_COLUMNS = wp.constant(32)
 
 # Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread.
 _Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
-_IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four times IGNORE
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
 # few faces would leave the device idle. Measured on an H200: docs/performance.md.
@@ -194,7 +193,7 @@ def compare_labels(
             expected[k] = load_word(target[b], top + k, left, in_words)
         wrong = _Words()
         for k in range(QUAD):
-            wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], _IGNORED)
+            wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], IGNORED)
         # all four count from a border of the picture, so that zero is empty
         reach = wp.vec4i(height - top, wp.min(top + QUAD, height), width - left, wp.min(left + QUAD, width))
         # one pair of labels after another, the same for all threads
