@@ -45,11 +45,11 @@ def bone_tree(device: str, dtype: type = wp.float32, subdivisions: int = DEFAULT
     subtrees = subtree_masks()[:-1]
     bones = (
         wp.array(PARENTS, dtype=int, device=device),
-        wp.array(levels, dtype=int, device=device),
-        wp.array(subtrees, dtype=int, device=device),
         wp.array(SHAPE_INDICES, dtype=wp.vec3i, device=device),
         wp.array(constants.rest_directions, dtype=vec, device=device),
         wp.array(constants.rest_axes, dtype=mat, device=device),
+        wp.array(levels, dtype=int, device=device),
+        wp.array(subtrees, dtype=int, device=device),
     )
     return kinematics.BoneTree(bones, max(levels) + 1, wp.array(vertices, dtype=vec, device=device))
 

@@ -22,8 +22,6 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def pose_bones(
     parents: wp.array[int],  # (P,) parent bone, -1 = root
-    levels: wp.array[int],  # (P,) number of bones above
-    subtrees: wp.array[int],  # (P,) bit j: part j moves with the bone
     shape_indices: wp.array[wp.vec3i],  # (P,) which length, first and second thickness a part uses
     rest_directions: wp.array[Any],  # (P,) vec3, unit
     rest_axes: wp.array[Any],  # (P,) mat33, columns: bone, first thickness, second thickness
@@ -69,11 +67,11 @@ def pose_bones(
 @wp.kernel(grid_stride=False)
 def pose_bones_adjoint(
     parents: wp.array[int],
-    levels: wp.array[int],
-    subtrees: wp.array[int],
     shape_indices: wp.array[wp.vec3i],
     rest_directions: wp.array[Any],
     rest_axes: wp.array[Any],
+    levels: wp.array[int],  # (P,) number of bones above
+    subtrees: wp.array[int],  # (P,) bit j: part j moves with the bone
     global_orient: wp.array[Any],
     local_rotations: wp.array2d[Any],
     lengths: wp.array2d[Any],
@@ -203,11 +201,12 @@ def place_vertices_adjoint(
 
 def _register(vec: type, mat: type, scalar: type) -> None:
     """Register one precision up front: an overload that appears later would compile the module again."""
-    constants = [*[wp.array[int]] * 3, wp.array[wp.vec3i], wp.array[vec], wp.array[mat]]
+    constants = [wp.array[int], wp.array[wp.vec3i], wp.array[vec], wp.array[mat]]
+    trees = [*constants, wp.array[int], wp.array[int]]
     v1, m1, v2, m2, s2 = wp.array[vec], wp.array[mat], wp.array2d[vec], wp.array2d[mat], wp.array2d[scalar]
     wp.overload(pose_bones, [*constants, m1, v1, m2, s2, s2, v2, m2, v2, m2, v2])
     scratch = [wp.array3d[mat], s2]
-    wp.overload(pose_bones_adjoint, [*constants, m1, m2, s2, m2, v2, m2, v2, m2, v2, *scratch, m1, v1, m2, s2, s2])
+    wp.overload(pose_bones_adjoint, [*trees, m1, m2, s2, m2, v2, m2, v2, m2, v2, *scratch, m1, v1, m2, s2, s2])
     wp.overload(place_vertices, [v1, v2, m2, v2, wp.array3d[vec]])
     wp.overload(place_vertices_adjoint, [v1, m2, v2, wp.array3d[vec], v2, m2, v2])
 
@@ -223,7 +222,7 @@ class BoneTree(NamedTuple):
     """Constant arrays that the kernels read, on one device and in one precision.
 
     Attributes:
-        bones: The first six arguments of ``pose_bones``.
+        bones: The first six arguments of ``pose_bones_adjoint``, of which ``pose_bones`` takes four.
         num_levels: Bones in the longest chain.
         unit_vertices: The unit sphere's mesh, shape (N,), vec3.
     """
@@ -236,7 +235,7 @@ class BoneTree(NamedTuple):
 def launch_pose(tree: BoneTree, parameters: Sequence[wp.array], posed: Sequence[wp.array]) -> None:
     """Fill the ``posed`` bones, outputs of ``pose_bones``, from its inputs after the constants."""
     rotations = parameters[2]
-    inputs = [*tree.bones, *parameters]
+    inputs = [*tree.bones[:4], *parameters]
     wp.launch(pose_bones, rotations.size, inputs, [*posed], device=rotations.device, block_dim=_FEW)
 
 
@@ -249,7 +248,7 @@ class PoseScratch(NamedTuple):
     @classmethod
     def empty(cls, tree: BoneTree, batch: int) -> Self:
         """Allocate for B bodies."""
-        parents, axes, device = tree.bones[0], tree.bones[-1], tree.bones[0].device
+        parents, axes, device = tree.bones[0], tree.bones[3], tree.bones[0].device
         shape = batch, parents.shape[0]
         left = wp.empty((*shape, tree.num_levels + 1), dtype=axes.dtype, device=device)
         return cls(left, wp.empty(shape, dtype=axes.dtype._wp_scalar_type_, device=device))

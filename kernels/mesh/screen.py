@@ -29,6 +29,12 @@ def project_depth(z: float):
     return z
 
 
+@wp.func
+def place_point(seen: EllipsoidsSeen, b: int, k: int, unit: wp.vec3):
+    """Point of ellipsoid k where the unit sphere has one (the paper's E, eq. 14) [m]."""
+    return seen.centres[b, k] + seen.axes[b, k] * wp.cw_mul(seen.semi_axes[b, k], unit)
+
+
 @wp.kernel
 def place_on_screen(
     unit_vertices: wp.array[wp.vec3],  # (N,) on the unit sphere
@@ -44,7 +50,7 @@ def place_on_screen(
     b = ellipsoid // parts
     k = ellipsoid - b * parts
     camera = seen.cameras[b, 0]
-    point = seen.centres[b, k] + seen.axes[b, k] * wp.cw_mul(seen.semi_axes[b, k], unit_vertices[n])
+    point = place_point(seen, b, k, unit_vertices[n])
     ray = wp.vec2(point[0], point[1])
     if perspective:
         ray = ray / project_depth(point[2])
@@ -75,7 +81,7 @@ def place_on_screen_adjoint(
     while n < count:
         unit = unit_vertices[n]
         adj = adj_screen[b, k * count + n]
-        point = seen.centres[b, k] + seen.axes[b, k] * wp.cw_mul(seen.semi_axes[b, k], unit)
+        point = place_point(seen, b, k, unit)
         ray = wp.vec2(point[0], point[1])
         push = wp.vec3(adj[0] * camera[0], adj[1] * camera[1], adj[2])
         if perspective:

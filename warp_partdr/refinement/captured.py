@@ -90,7 +90,7 @@ class CapturedRefinement:
         # At rate 0, after the last step, the energy is looked at once more.
         shares = [rate_share(step, iterations) for step in range(iterations)]
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
-        with on_torch_stream(self._device) as where:
+        with on_torch_stream(self._device, torch_memory=True) as where:  # a graph's budget counts it
             self._state = self._make_state(where)
             self._problem = self._make_problem(where, energies, free)
             self._renderer = self._make_renderer(energies)
