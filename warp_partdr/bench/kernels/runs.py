@@ -55,7 +55,6 @@ class ExactRun:
         draw, _, _ = passes.prepare_picture(posed, parts=self._labels)
         self.labels = partial(draw, slice(0, scene.batch_size))
         picture = CapturedEllipsoids(self._renderer, labels, scene.targets, ellipsoids)
-        picture.update()
         self.gradient, self._drawn = picture.launch, picture.drawn
 
     def check(self) -> None:
