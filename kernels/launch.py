@@ -104,8 +104,8 @@ def launch_side_by_side(first: Callable[[], None], second: Callable[[], None]) -
     """
     side = getattr(_branch, "stream", None)
     if side is None:
+        second()  # the order of a capture, too
         first()
-        second()
         return
     try:
         with wp.ScopedStream(side):  # it waits for what was launched so far

@@ -34,7 +34,7 @@ def draw_kernel_chart(figures: Mapping[str, Any]) -> Figure:
     batches = sorted({row["batch"] for row in rows})
     longest = max(1, *map(len, panels))
     figure = empty_figure(15, 1.5 + _LINE * longest)
-    figure.suptitle(in_words(figures["machine"]), fontsize=8)
+    figure.supxlabel(in_words(figures["machine"]), fontsize=8)
     for axes, lines in zip(figure.subplots(1, 2), panels, strict=True):
         _draw_panel(axes, lines, batches)
         axes.set_ylim(longest - 0.5, -0.5)
