@@ -42,7 +42,7 @@ DRAWN: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 
 MEASURED = {
     "bench-cpu.png": "partdr bench kernels --device cpu",
-    "bench-h200.png": "partdr bench kernels --device cuda",
+    "bench-h100.png": "partdr bench kernels --device cuda",
     "tradeoff-cpu.png": "partdr bench tradeoff --device cpu",
     "tradeoff-h200.png": "partdr bench tradeoff --device cuda",
 }
