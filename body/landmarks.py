@@ -8,7 +8,8 @@ The joints of the model are landmarks under their own names. The others were rea
 pose, the body that ``mean_body.json`` measures: nose, eyes, ears, toes and heels of its COCO regressor, knuckles from
 its finger bones. Some lie off the ellipsoid's surface, as a nose and a heel do.
 
-Every data set has its own idea of where a hip is; which landmark a format's joint stands for is in ``skeletons.py``.
+Every data set has its own idea of where a hip is: what COCO's annotators marked is a landmark of its own, such as
+"coco_left_hip". Which landmark a format's joint stands for is in ``skeletons.py``.
 """
 
 from __future__ import annotations
@@ -57,10 +58,29 @@ _SIDED: dict[str, Point] = {
     "small_toe": ("left_foot", (0.55, 1.06, -0.23)),
     "heel": ("left_foot", (-1.25, 0.03, -0.99)),
 }
+# Limb joints as COCO's annotators mark them, 6 to 29 mm from the joints: the middle of what is seen there. Measured on
+# 2,000 random people by scripts/measure_landmarks.py, against whose bodies they move by 4 to 12 mm.
+_ANNOTATED: dict[str, Point] = {
+    "shoulder": ("left_shoulder", (0.84, -0.01, -0.23)),
+    "elbow": ("left_upper_arm", (0.84, 0.10, 0.01)),
+    "wrist": ("left_forearm", (0.98, 0.08, -0.06)),
+    "hip": ("left_upper_leg", (-0.89, 0.15, 0.16)),
+    "knee": ("left_lower_leg", (-0.88, 0.00, -0.04)),
+    "ankle": ("left_lower_leg", (0.91, -0.02, -0.06)),
+}
+# Parts at whose end, and at whose beginning, a limb's joint is; without sides.
+LIMB_JOINTS: dict[str, tuple[str, str]] = {
+    "shoulder": ("shoulder", "upper_arm"),
+    "elbow": ("upper_arm", "forearm"),
+    "wrist": ("forearm", "hand"),
+    "hip": ("hip", "upper_leg"),
+    "knee": ("upper_leg", "lower_leg"),
+    "ankle": ("lower_leg", "foot"),
+}
 _SUFFIXED = ("mouth",)  # BlazePose says mouth_left.
 
 
-def _mirror_point(point: Point) -> Point:
+def mirror_point(point: Point) -> Point:
     """Mirror image of a point. A foot's first thickness is its width, any other part's second one is."""
     part, (bone, first, second) = point
     if part.endswith("foot"):
@@ -72,11 +92,20 @@ def _table() -> dict[str, tuple[Point, ...]]:
     table = dict(_MIDDLE)
     for name, point in _SIDED.items():
         left, right = (f"{name}_left", f"{name}_right") if name in _SUFFIXED else (f"left_{name}", f"right_{name}")
-        table[left], table[right] = (point,), (_mirror_point(point),)
+        table[left], table[right] = (point,), (mirror_point(point),)
+    for name, point in _ANNOTATED.items():
+        table[f"coco_left_{name}"], table[f"coco_right_{name}"] = (point,), (mirror_point(point),)
+    for middle, ends in (("mid_hip", "hip"), ("neck", "shoulder")):
+        table[f"coco_{middle}"] = (*table[f"coco_left_{ends}"], *table[f"coco_right_{ends}"])
     return table
 
 
-# Landmark -> the points whose mean it is: one for all but mid_hip.
+def annotated(names: Sequence[str]) -> tuple[str, ...]:
+    """Landmarks where COCO's annotators mark those of ``names``; the same where they mark the body's own."""
+    return tuple(f"coco_{name}" if f"coco_{name}" in LANDMARKS else name for name in names)
+
+
+# Landmark -> the points whose mean it is: two for what lies between left and right, else one.
 LANDMARKS: dict[str, tuple[Point, ...]] = _table()
 
 

@@ -6,6 +6,9 @@ annotators meant stands in:
 * "neck" is the point between the shoulders: OpenPose's Neck, LSP's neck, MPII's thorax, Human3.6M's Thorax (its joint
   13); "head" is the base of the skull: MPII's upper neck, Human3.6M's Neck/Nose (its joint 14, where the head turns);
 * "mid_hip" is the middle of the hips: OpenPose's MidHip, MPII's pelvis, Human3.6M's Hip.
+
+COCO's annotators marked what they saw, and OpenPose's BODY_25 learned from them; these two have ``marks`` nearer the
+skin than joints. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is known here.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .landmarks import LANDMARKS, mirror_order
+from .landmarks import LANDMARKS, annotated, mirror_order
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,13 @@ class Skeleton:
         name: Its name here, such as "coco17".
         landmarks: Landmark of each of its J joints, in the format's order.
         edges: Pairs of joint indices to draw.
+        marks: Point of the body (``LANDMARKS``) that each joint marks, in the same order.
     """
 
     name: str
     landmarks: tuple[str, ...]
     edges: tuple[tuple[int, int], ...]
+    marks: tuple[str, ...]
 
     @cached_property
     def mirror(self) -> np.ndarray:
@@ -41,6 +46,9 @@ class Skeleton:
     def __len__(self) -> int:
         """J, the number of joints."""
         return len(self.landmarks)
+
+
+_ANNOTATED_FORMATS = ("coco17", "body25")
 
 
 def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
@@ -53,7 +61,7 @@ def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
         for side in ("left", "right") if "*" in chain else ("",):
             joints = [order.index(word.replace("*", side)) for word in chain.split("-")]
             pairs.update(dict.fromkeys(pairwise(joints)))
-    return Skeleton(name, order, tuple(pairs))
+    return Skeleton(name, order, tuple(pairs), annotated(order) if name in _ANNOTATED_FORMATS else order)
 
 
 _ARMS_AND_LEGS = "*_shoulder-*_elbow-*_wrist *_hip-*_knee-*_ankle"

@@ -69,7 +69,7 @@ def score_fit(
         vertices: Of the result's mesh, if it and the sample have one, in its camera frame, shape (V, 3) [m].
     """
     sure = sample.keypoints.confident
-    landmarks = torch.from_numpy(result.landmarks(sample.keypoints.format.landmarks))[None]
+    landmarks = torch.from_numpy(result.landmarks(sample.keypoints.format.marks))[None]
     seen = result.camera.project(landmarks.to(result.camera.intrinsics))[0, :, :2].cpu().numpy()
     distances = np.linalg.norm(seen - sample.keypoints.points, axis=1)[sure]
     return Score(

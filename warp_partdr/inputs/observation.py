@@ -36,6 +36,7 @@ class Observation(Movable):
         known: Weight of each pixel of ``maps``, shape (N, N); the rest to 1 is the share to be ignored.
         lengths: Expected ``LENGTH_NAMES`` of the person [m], shape (12,); None: the mean adult's.
         thicknesses: Expected ``THICKNESS_NAMES`` [m], shape (15,); None: the mean adult's.
+        marks: Point of the body that each keypoint marks (``Skeleton.marks``); None: ``landmarks`` themselves.
     """
 
     landmarks: tuple[str, ...]
@@ -47,6 +48,12 @@ class Observation(Movable):
     known: torch.Tensor | None = None
     lengths: torch.Tensor | None = None
     thicknesses: torch.Tensor | None = None
+    marks: tuple[str, ...] | None = None
+
+    @property
+    def body_points(self) -> tuple[str, ...]:
+        """Landmark of the body that is to be seen at each keypoint."""
+        return self.landmarks if self.marks is None else self.marks
 
 
 def observe(
@@ -94,10 +101,11 @@ def crop_evidence(
             maps = torch.from_numpy(np.ascontiguousarray(seen[1:])).to(device)
     visible = keypoints.visible
     points = (keypoints.points[visible] - (u, v)) / half
-    names = [name for name, there in zip(keypoints.format.landmarks, visible, strict=True) if there]
+    names, marks = np.array([keypoints.format.landmarks, keypoints.format.marks])[:, visible].tolist()
     return (
         Observation(
             landmarks=tuple(names),
+            marks=tuple(marks),
             points=torch.tensor(points, dtype=torch.float32, device=device),
             confidence=torch.tensor(keypoints.confidence[visible], dtype=torch.float32, device=device),
             labels=labels,

@@ -150,13 +150,13 @@ class CapturedRefinement:
         votes = torch.zeros(len(energies), len(LANDMARK_NAMES), device=self._device)
         points = torch.zeros(*votes.shape, 2, device=self._device)
         for row, each in enumerate(energies):
-            index = [LANDMARK_NAMES.index(name) for name in each.observation.landmarks]
+            index = [LANDMARK_NAMES.index(name) for name in each.observation.body_points]
             points[row, index], votes[row, index] = each.observation.points, each.votes
         lengths = torch.stack([each.usual_lengths for each in energies])
         thicknesses = torch.stack([each.usual_thicknesses for each in energies])
         nowhere = torch.zeros(NUM_PARTS, device=self._device)
         depths = torch.stack([nowhere if each.depths is None else each.depths for each in energies])
-        seen = {name for each in energies for name in each.observation.landmarks}
+        seen = {name for each in energies for name in each.observation.body_points}
         problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
         problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))

@@ -136,7 +136,7 @@ class Energy:
     def __post_init__(self) -> None:
         seen = self.observation
         device = seen.points.device
-        self._gather = LandmarkGather(seen.landmarks, device)
+        self._gather = LandmarkGather(seen.body_points, device)
         # Ten points of a face say little more than one: the landmarks of one part share its vote.
         votes = torch.zeros(20, device=device).index_add(0, self._gather.parts[:, 0], seen.confidence)
         self.votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]

@@ -214,7 +214,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
     """Losses, distance of the keypoints, times of a fit, and what looks wrong."""
     keypoints = result.evidence.keypoints
     sure = keypoints.confident
-    names = [name for name, there in zip(keypoints.format.landmarks, sure, strict=True) if there]
+    names = [name for name, there in zip(keypoints.format.marks, sure, strict=True) if there]
     landmarks = LandmarkGather(names, result.camera.scale.device)(result.posed)
     seen = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
     distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())

