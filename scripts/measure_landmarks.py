@@ -39,27 +39,27 @@ def main() -> None:
     for name, candidates in LIMB_JOINTS.items():
         found = []
         for part in candidates:
-            places, misses = [], []
+            places, sizes = [], []
             for side in ("left", "right"):
                 joint, own = JOINT_NAMES.index(f"{side}_{name}"), PART_NAMES.index(f"{side}_{part}")
                 offset = model.landmarks(person, (f"coco_{side}_{name}",))[:, 0] - joints[:, joint]
                 arm = offset + body.joints[:, joint] - body.centres[:, own]
                 place = (body.axes[:, own].mT @ arm[..., None])[..., 0] / body.semi_axes[:, own]
                 if side == "right":
-                    place = torch.tensor([mirror_point((f"right_{part}", tuple(row)))[1] for row in place.tolist()])
+                    place = torch.tensor([mirror_point((f"right_{part}", (x, y, z)))[1] for x, y, z in place.tolist()])
                 places.append(place)
-                misses.append(body.semi_axes[:, own])
-            place, size = torch.cat(places), torch.cat(misses)
+                sizes.append(body.semi_axes[:, own])
+            place, size = torch.cat(places), torch.cat(sizes)
             spread = float(((place - place.mean(0)) * size).square().sum(1).mean().sqrt())
             found.append((spread, part, place.mean(0), float(offset.norm(dim=1).mean())))
-        spread, part, mean, distance = min(found, key=lambda row: row[0])
-        others = ", ".join(f"{row[1]} {1000 * row[0]:.1f}" for row in found)
+        _, part, mean, distance = min(found, key=lambda row: row[0])
+        spreads = ", ".join(f"{each} {1000 * spread:.1f}" for spread, each, *_ in found)
         point = ", ".join(f"{value:.2f}" for value in mean.tolist())
-        print(f'    "{name}": ("left_{part}", ({point})),  # {1000 * distance:.0f} mm off; spread [mm]: {others}')
+        print(f'    "{name}": ("left_{part}", ({point})),  # {1000 * distance:.0f} mm off; spread [mm]: {spreads}')
 
 
 def ellipbody_of(joints: torch.Tensor, posed: Posed, growth: torch.Tensor) -> Posed:
-    """Ellipsoids along the bones between joints (B, 21, 3), turned as ``posed``, ``growth`` times a mean adult's in girth."""
+    """Ellipsoids along bones between joints (B, 21, 3), turned as ``posed``, of a mean girth times ``growth`` (B,)."""
     bones = joints[:, 1:] - joints[:, list(BONE_STARTS)]
     sizes = bones.norm(dim=-1)
     orientation = torch.eye(3).expand(len(joints), 3, 3)

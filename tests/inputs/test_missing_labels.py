@@ -10,6 +10,7 @@ import torch
 from scenes.bodies import QUICK_SEARCH, seen_by, standing_adult, walker
 
 from warp_partdr.body.labels import BACKGROUND, IGNORE
+from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.template import PART_NAMES, THICKNESS_NAMES, template
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.inputs.ignored_labels import ignore_missing_limbs
@@ -97,6 +98,15 @@ def test_observations_of_labels_and_of_maps_ignore_the_same() -> None:
     whole, _ = observe(*standing_adult())
     assert (seen.labels == IGNORE).sum() > (whole.labels == IGNORE).sum() + 1000
     torch.testing.assert_close(seen.known, (seen.labels != IGNORE).float())
+
+
+def test_an_observation_knows_what_its_keypoints_mark() -> None:
+    keypoints, parts = standing_adult()
+    unseen = replace(keypoints, confidence=np.where(np.arange(17) == 11, 0, keypoints.confidence).astype(np.float32))
+    seen, _ = observe(unseen, parts)
+    assert "left_hip" not in seen.landmarks
+    assert seen.body_points == tuple(annotated(seen.landmarks)) != seen.landmarks
+    assert replace(seen, marks=None).body_points == seen.landmarks
 
 
 def test_a_fit_keeps_an_arm_whose_labels_are_lost() -> None:

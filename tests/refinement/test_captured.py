@@ -81,9 +81,6 @@ class FixedForces:
         numbers = np.concatenate([self.force, self.moment.reshape(*shape, 9), self.camera], -1)
         self.drawn.forces = wp.array(numbers[:, :, None] * shares[:, None], dtype=float, device=device)
 
-    def update(self) -> None:
-        pass
-
     def launch(self) -> None:
         pass
 

@@ -65,8 +65,7 @@ def seen_by(body: BodyParameters, fmt: str = "coco17") -> tuple[Keypoints2D, Par
     posed, device = body.posed(), body.shift.device
     down = torch.tensor([0.0, 20.0], device=device)
     camera = replace(body.camera(160), translation=body.camera(160).translation + down)
-    names = skeleton(fmt).landmarks
-    points = camera.project(LandmarkGather(names, device)(posed))[0, :, :2].cpu().numpy()
+    points = camera.project(LandmarkGather(skeleton(fmt).marks, device)(posed))[0, :, :2].cpu().numpy()
     mesh = ellipbody_mesh(2, device=device)
     labels = draw_mesh(posed.vertices(2), mesh, camera, PICTURE_SIZE).labels[0].cpu().numpy()
     keypoints = Keypoints2D(fmt, points.astype(np.float32), np.ones(len(points), dtype=np.float32))
@@ -77,10 +76,10 @@ def observation_of(
     body: BodyParameters, labels: LabelSet | None = None, size: int = 256, fmt: str = "coco17"
 ) -> Observation:
     """Observation of ``body`` itself: sure keypoints, and the exact renderer's labels."""
-    names, labels = skeleton(fmt).landmarks, labels or label_set("ellipbody20")
-    points = body.camera(2).project(LandmarkGather(names, body.shift.device)(body.posed()))[0, :, :2] - 1
+    form, labels = skeleton(fmt), labels or label_set("ellipbody20")
+    points = body.camera(2).project(LandmarkGather(form.marks, body.shift.device)(body.posed()))[0, :, :2] - 1
     image = drawn_labels(body, labels, size)[0]
-    return Observation(names, points.detach(), torch.ones_like(points[:, 0]), image, labels)
+    return Observation(form.landmarks, points.detach(), torch.ones_like(points[:, 0]), image, labels, marks=form.marks)
 
 
 def drawn_labels(body: BodyParameters, labels: LabelSet, size: int) -> torch.Tensor:

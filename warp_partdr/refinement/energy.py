@@ -138,8 +138,9 @@ class Energy:
         device = seen.points.device
         self._gather = LandmarkGather(seen.body_points, device)
         # Ten points of a face say little more than one: the landmarks of one part share its vote.
-        votes = torch.zeros(20, device=device).index_add(0, self._gather.parts[:, 0], seen.confidence)
-        self.votes = seen.confidence / votes.clamp_min(1.0)[self._gather.parts[:, 0]]
+        parts = LandmarkGather(seen.landmarks, device).parts[:, 0]
+        votes = torch.zeros(20, device=device).index_add(0, parts, seen.confidence)
+        self.votes = seen.confidence / votes.clamp_min(1.0)[parts]
         mean = BodyParameters.mean(1, device=device)
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
