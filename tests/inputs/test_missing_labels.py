@@ -42,7 +42,7 @@ def test_background_along_a_missing_limb_is_ignored(limb: str, side: str) -> Non
     # Nothing far from the limb, or from the hand that goes with a forearm, is touched.
     near = [label(f"{side}_{limb}"), *([label(f"{side}_hand")] if limb == "forearm" else [])]
     offsets = np.argwhere(changed)[:, None] - np.argwhere(np.isin(full, near))
-    assert np.linalg.norm(offsets, axis=-1).min(1).max() < 7
+    assert np.linalg.norm(offsets, axis=-1).min(1).max() < 9  # annotators mark hips 2 px above the joint
 
 
 def test_the_hand_goes_with_the_forearm() -> None:
