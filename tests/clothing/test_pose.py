@@ -37,11 +37,14 @@ def test_landmarks_are_those_of_ellipbody():
     """EllipBody was measured on this very person."""
     model, shape, rotations, translation = at_rest()
     posed = mean_body(REST)
-    names = list(LANDMARKS)
+    names = [name for name in LANDMARKS if name in model.landmark_names]
+    assert {name for name in LANDMARKS if not name.startswith("coco_")} <= {*names}
     solids = (getattr(posed, name)[0].numpy() for name in ("centres", "axes", "semi_axes"))
     found = model.landmarks(model.pose(shape, rotations, translation), names)[0].numpy()
     errors = np.linalg.norm(found - landmark_positions(names, *solids), axis=1)
-    assert {name: error for name, error in zip(names, errors, strict=True) if error > 0.012} == {}
+    # COCO's marks are means over people in all poses.
+    most = {name: 0.030 if name.startswith("coco_") else 0.012 for name in names}
+    assert {name: error for name, error in zip(names, errors, strict=True) if error > most[name]} == {}
     assert sum(name.startswith("coco_") for name in model.landmark_names) == 12
 
 

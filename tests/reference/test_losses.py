@@ -57,7 +57,7 @@ def test_energy_is_the_books(device, path):
 
     groups = LABELS.part_groups[1:].astype(int)
     parts = draw_ellipsoids(bodies.posed(), bodies.camera(SIZE), (SIZE, SIZE), part_labels=groups.tolist()).parts
-    points = bodies.camera(REFERENCE_SIZE).project(LandmarkGather(seen.landmarks, device)(bodies.posed()))[..., :2]
+    points = bodies.camera(REFERENCE_SIZE).project(LandmarkGather(seen.body_points, device)(bodies.posed()))[..., :2]
     target = numpy(seen.labels)
     for b in range(3):
         maps = part_maps(parts[b].cpu().numpy().astype(int) - 1, groups, 14)
