@@ -34,7 +34,7 @@ def person(device: str) -> tuple[Keypoints2D, np.ndarray]:
     """Perfect keypoints and labels of the mean body, 96 x 80 px, drawn on a device."""
     body = BodyParameters.mean(1, device=device)
     seen = replace(body.camera(80), translation=torch.tensor([[40.0, 45.0]], device=device))
-    names = skeleton("coco17").landmarks
+    names = skeleton("coco17").marks
     points = seen.project(LandmarkGather(names, device)(body.posed()))[0, :, :2].cpu().numpy()
     labels = draw_ellipsoids(body.posed(), seen, (96, 80)).labels[0].cpu().numpy()
     return Keypoints2D("coco17", points.astype(np.float32), np.ones(17, dtype=np.float32)), labels
