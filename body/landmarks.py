@@ -68,15 +68,6 @@ _ANNOTATED: dict[str, Point] = {
     "knee": ("left_lower_leg", (-0.88, 0.00, -0.04)),
     "ankle": ("left_lower_leg", (0.91, -0.02, -0.06)),
 }
-# Parts at whose end, and at whose beginning, a limb's joint is; without sides.
-LIMB_JOINTS: dict[str, tuple[str, str]] = {
-    "shoulder": ("shoulder", "upper_arm"),
-    "elbow": ("upper_arm", "forearm"),
-    "wrist": ("forearm", "hand"),
-    "hip": ("hip", "upper_leg"),
-    "knee": ("upper_leg", "lower_leg"),
-    "ankle": ("lower_leg", "foot"),
-}
 _SUFFIXED = ("mouth",)  # BlazePose says mouth_left.
 
 
@@ -100,9 +91,13 @@ def _table() -> dict[str, tuple[Point, ...]]:
     return table
 
 
-def annotated(names: Sequence[str]) -> tuple[str, ...]:
-    """Landmarks where COCO's annotators mark those of ``names``; the same where they mark the body's own."""
-    return tuple(f"coco_{name}" if f"coco_{name}" in LANDMARKS else name for name in names)
+def annotated(names: Sequence[str], known: Collection[str] | None = None) -> tuple[str, ...]:
+    """Landmarks where COCO's annotators mark those of ``names``; the same where they mark the body's own.
+
+    ``known`` are the landmarks that a model has; None: EllipBody's.
+    """
+    known = LANDMARKS if known is None else known
+    return tuple(f"coco_{name}" if f"coco_{name}" in known else name for name in names)
 
 
 # Landmark -> the points whose mean it is: two for what lies between left and right, else one.

@@ -21,6 +21,8 @@ import numpy as np
 
 from .landmarks import LANDMARKS, annotated, mirror_order
 
+_ANNOTATED_FORMATS = ("coco17", "body25")
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -30,13 +32,16 @@ class Skeleton:
         name: Its name here, such as "coco17".
         landmarks: Landmark of each of its J joints, in the format's order.
         edges: Pairs of joint indices to draw.
-        marks: Point of the body (``LANDMARKS``) that each joint marks, in the same order.
     """
 
     name: str
     landmarks: tuple[str, ...]
     edges: tuple[tuple[int, int], ...]
-    marks: tuple[str, ...]
+
+    @cached_property
+    def marks(self) -> tuple[str, ...]:
+        """Point of the body (``LANDMARKS``) that each joint marks, in the same order."""
+        return annotated(self.landmarks) if self.name in _ANNOTATED_FORMATS else self.landmarks
 
     @cached_property
     def mirror(self) -> np.ndarray:
@@ -46,9 +51,6 @@ class Skeleton:
     def __len__(self) -> int:
         """J, the number of joints."""
         return len(self.landmarks)
-
-
-_ANNOTATED_FORMATS = ("coco17", "body25")
 
 
 def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
@@ -61,7 +63,7 @@ def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
         for side in ("left", "right") if "*" in chain else ("",):
             joints = [order.index(word.replace("*", side)) for word in chain.split("-")]
             pairs.update(dict.fromkeys(pairwise(joints)))
-    return Skeleton(name, order, tuple(pairs), annotated(order) if name in _ANNOTATED_FORMATS else order)
+    return Skeleton(name, order, tuple(pairs))
 
 
 _ARMS_AND_LEGS = "*_shoulder-*_elbow-*_wrist *_hip-*_knee-*_ankle"

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warp_partdr.body.landmarks import LIMB_JOINTS, mirror_point
+from warp_partdr.body.landmarks import mirror_point
 from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
@@ -24,6 +24,16 @@ from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
 from warp_partdr.synthetic.poses import mean_body
 
 PEOPLE, SEED = 2000, 1000
+
+# Parts at whose end, and at whose beginning, a limb's joint is; without sides.
+LIMB_JOINTS: dict[str, tuple[str, str]] = {
+    "shoulder": ("shoulder", "upper_arm"),
+    "elbow": ("upper_arm", "forearm"),
+    "wrist": ("forearm", "hand"),
+    "hip": ("hip", "upper_leg"),
+    "knee": ("upper_leg", "lower_leg"),
+    "ankle": ("lower_leg", "foot"),
+}
 
 
 def main() -> None:

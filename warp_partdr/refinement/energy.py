@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from ..body.landmarks import landmark_points
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
@@ -138,7 +139,7 @@ class Energy:
         device = seen.points.device
         self._gather = LandmarkGather(seen.body_points, device)
         # Ten points of a face say little more than one: the landmarks of one part share its vote.
-        parts = LandmarkGather(seen.landmarks, device).parts[:, 0]
+        parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(device)
         votes = torch.zeros(20, device=device).index_add(0, parts, seen.confidence)
         self.votes = seen.confidence / votes.clamp_min(1.0)[parts]
         mean = BodyParameters.mean(1, device=device)

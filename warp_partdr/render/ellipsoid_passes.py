@@ -120,7 +120,9 @@ class EllipsoidPasses:
         inputs, size = buffers.inputs, buffers.target.shape[-2:]
         everything = slice(0, inputs[0].shape[0])
         with on_torch_stream(buffers.target.device) as where:
-            target = None if buffers.of_maps else self.label_target(buffers.target, len(inputs[0]), buffers.grads)
+            target: LabelTarget | None = None
+            if not buffers.of_maps:
+                target = self.label_target(buffers.target, len(inputs[0]), needs_grad=len(buffers.grads) > 0)
             gradient = _dense_gradient(warp_array(buffers.target)) if target is None else target
             posed = _arrays(inputs)
             parts = wp.empty((inputs[0].shape[0], *size), dtype=wp.uint8, device=where)
@@ -163,8 +165,8 @@ class EllipsoidPasses:
             here, cut = _cut_seen(seen, part), [_cut(array, part) for array in outputs]
             see([_cut(array, part) for array in posed], seen=here)
             scratch = _cut(nearest, part)
-            if compared.extents is not None and compared.extents.size:
-                compared.extents.zero_()
+            if target is not None and target.extents.size:
+                target.extents.zero_()
             ellipsoid_picture.launch_draw(here.silhouettes, compared, scratch, cut, perspective=self.perspective)
 
         return launch, seen, losses
@@ -202,13 +204,14 @@ class EllipsoidPasses:
 
         return launch
 
-    def label_target(self, target: torch.Tensor, batch: int, gradient: object = True) -> LabelTarget:
-        """Label images (N, H, W) for the kernels; with ``extents``, to be filled, if a ``gradient`` asks for them."""
+    def label_target(self, target: torch.Tensor, batch: int, *, needs_grad: bool = True) -> LabelTarget:
+        """Label images (N, H, W) for the kernels; with ``extents``, to be filled, if the gradient asks for them."""
         found = LabelTarget()
         found.target = warp_array(target)
         num_labels = max((label for label in self.labels if label <= MAX_LABEL), default=0)
-        extents = (batch, NUM_EXTENTS, num_labels + 1) if gradient and self.gradient == "partdr" else (0, 0, 0)
-        found.extents = wp.empty(extents, dtype=wp.vec4i, device=found.target.device)
+        needed = needs_grad and self.gradient == "partdr"
+        extents = (batch, NUM_EXTENTS, num_labels + 1)
+        found.extents = wp.empty(extents if needed else (0, 0, 0), dtype=wp.vec4i, device=found.target.device)
         return found
 
 

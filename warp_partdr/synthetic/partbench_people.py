@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
@@ -90,7 +91,7 @@ def make_person(index: int) -> Person:
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
 
-    points = landmarks(people.coco_landmarks(model, COCO.landmarks))
+    points = landmarks(annotated(COCO.landmarks, model.landmark_names))
     pixels = camera.project(points)[..., :2]
     cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
     distance = 1.0 if weak else float(offset[2])

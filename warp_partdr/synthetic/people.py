@@ -43,11 +43,6 @@ def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
     return high - low
 
 
-def coco_landmarks(model: DetailedModel, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of Anny's landmarks as COCO's annotators place them, nearer the skin than joints, where it has such."""
-    return tuple(f"coco_{name}" if f"coco_{name}" in model.landmark_names else name for name in names)
-
-
 def upright(ups: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Rotations of the pelvis in a world with y up, shape (B, 3, 3).
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from ..body.labels import IGNORE
+from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
@@ -122,7 +123,7 @@ class PeopleMaker:
         low, high = levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == CELL_LEVELS - 1)
         self._cells = self._numbers(np.stack([low, high]))
         self._ranges = self._numbers(people.PHENOTYPE_RANGES)
-        groups = (LANDMARKS, people.coco_landmarks(self.model, LANDMARKS), JOINT_NAMES)
+        groups = (LANDMARKS, annotated(LANDMARKS, self.model.landmark_names), JOINT_NAMES)
         self._landmark_weights = self.model.weights_of([name for group in groups for name in group])
         self._landmark_counts = [len(group) for group in groups]
         self._cover = self._numbers(people.cover_of(LANDMARKS))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ...body.landmarks import annotated
 from ...body.rotations import rotation_from_axis_angle
 from ...cameras import WeakPerspective
 from ...clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
@@ -22,7 +23,7 @@ from ...inputs.part_labels import PartLabels
 from ...refinement.stepper import rate_share
 from ...render.mesh import PartImage, draw_mesh, mesh_label_loss
 from ...render.options import DEFAULT_DEPTH_WEIGHT
-from ...synthetic.people import anny_mesh, coco_landmarks
+from ...synthetic.people import anny_mesh
 
 _SIZE = 128  # [px], side of the drawn crop
 _ITERATIONS = 60
@@ -73,7 +74,7 @@ def fit_anny(
     assert seen.labels is not None
     mesh = anny_mesh(model.faces.device).relabel(parts.label_set.part_groups)
     target = resize_nearest(seen.labels, _SIZE)[None]
-    names = coco_landmarks(model, seen.landmarks)
+    names = annotated(seen.landmarks, model.landmark_names)
     expected = (seen.points + 1) * (REFERENCE_SIZE / 2)
 
     people = torch.tensor([[_START[name] for name in PHENOTYPE_ANCHORS]], device=model.faces.device)
