@@ -15,12 +15,13 @@ IGNORED = wp.constant(wp.uint32(0xFFFFFFFF))  # four such pixels
 EACH_BYTE = wp.constant(wp.uint32(0x01010101))  # times a label: four pixels that show it
 HIGH_BITS = wp.constant(wp.uint32(0x80808080))  # of each byte
 QUAD = wp.constant(4)  # pixels a word
+Block: Any = wp.types.vector(length=4, dtype=wp.uint32)  # 4 by 4 pixels, a word a row
 _LOW_BITS = wp.constant(wp.uint32(0x7F7F7F7F))
 
 # Kinds of wrong pixels of a label: the second index of ``extents``.
 MISSING = wp.constant(0)  # should show the label and do not
 SURPLUS = wp.constant(1)  # show it and should not
-HIDDEN = wp.constant(2)  # should show it and show another part
+HIDDEN = wp.constant(2)  # should show it and show another part; recorded for meshes alone
 NUM_EXTENTS = 3
 
 
@@ -60,6 +61,40 @@ def load_word(image: wp.array2d[wp.uint8], row: int, column: int, in_words: bool
                 if column + i < width:
                     word |= wp.uint32(flat(image)[begin + i]) << wp.uint32(8 * i)
     return word
+
+
+@wp.func
+def load_block(image: wp.array2d[wp.uint8], top: int, left: int, in_words: bool):
+    """Four rows of four pixels, as ``load_word``; all four loads come at once, so that their latencies overlap."""
+    height = image.shape[0]
+    width = image.shape[1]
+    block = Block()
+    if in_words and left < width and top + QUAD <= height:
+        words = words_of(image)
+        first = (top * width + left) // QUAD
+        for k in range(QUAD):
+            block[k] = words[first + k * (width // QUAD)]
+    else:
+        for k in range(QUAD):
+            block[k] = load_word(image, top + k, left, in_words)
+    return block
+
+
+@wp.func
+def write_word(images: wp.array3d[wp.uint8], b: int, row: int, column: int, word: wp.uint32, in_words: bool):
+    """Write four pixels of a row, those of them that are in the image."""
+    if in_words:
+        words_of(images[b])[(row * images.shape[2] + column) // QUAD] = word
+    else:
+        for i in range(QUAD):
+            if column + i < images.shape[2]:
+                images[b, row, column + i] = wp.uint8(byte_of(word, i))
+
+
+@wp.func
+def byte_of(word: wp.uint32, i: int):
+    """Byte i of a word, the first one in memory lowest."""
+    return int(word >> wp.uint32(8 * i)) & 255
 
 
 @wp.func
@@ -115,21 +150,13 @@ def target_of(g: DenseGradient, b: int):
 
 
 @wp.func
-def gradient_at(g: LabelTarget, t: int, label: int, pixel: int, shown: int):
-    """dL/dA of map ``label`` at a pixel that shows ``shown``; pixels are counted row by row."""
-    expected = int(flat(g.target[t])[pixel])
-    if expected == IGNORE or expected == shown:
-        return 0.0
-    value = 0.0
-    if shown == label:
-        value = 2.0
-    elif expected == label:
-        value = -2.0
-    return value * map_weight(label)
+def hidden_gradient(g: LabelTarget, t: int, label: int, pixel: int):
+    """dL/dA of map ``label`` at a pixel that shows another; pixels are counted row by row."""
+    return wp.where(int(flat(g.target[t])[pixel]) == label, -2.0 * map_weight(label), 0.0)
 
 
 @wp.func
-def gradient_at(g: DenseGradient, t: int, label: int, pixel: int, shown: int):
+def hidden_gradient(g: DenseGradient, t: int, label: int, pixel: int):
     """dL/dA of map ``label`` at a pixel; labels past the last map have none."""
     if label > g.maps.shape[1]:
         return 0.0
@@ -214,6 +241,26 @@ def weight_of(g: DenseGradient, b: int, label: int):
 
 
 @wp.func
+def expected_block(g: LabelTarget, b: int, top: int, left: int):
+    """Target labels of 4 by 4 pixels."""
+    return load_block(g.target[b], top, left, are_words(g.target))
+
+
+@wp.func
+def expected_block(g: DenseGradient, b: int, top: int, left: int):
+    """Label whose turn it is at all of 4 by 4 pixels."""
+    word = wp.uint32(g.label) * EACH_BYTE
+    return Block(word, word, word, word)
+
+
+@wp.func
+def hidden_pixels(shown: wp.uint32, expected: wp.uint32):
+    """Highest bit of each of four pixels where a part hides the one that should be seen."""
+    some = unequal_bytes(shown, wp.uint32(0)) & unequal_bytes(expected, wp.uint32(0))
+    return some & unequal_bytes(shown, expected) & unequal_bytes(expected, IGNORED)
+
+
+@wp.func
 def target_label_at(g: LabelTarget, b: int, at: int):
     """Label that may come forward at a pixel: the target's."""
     return int(flat(g.target[b])[at])
@@ -226,20 +273,15 @@ def target_label_at(g: DenseGradient, b: int, at: int):
 
 
 @wp.func
-def extent(g: LabelTarget, b: int, kind: int, label: int):
-    """First and last row and column of a label's wrong pixels of this kind; last < first if there are none."""
-    if label >= g.extents.shape[2]:
-        return wp.vec4i(0, -1, 0, -1)
-    reach = g.extents[b, kind, label]
-    return wp.vec4i(g.target.shape[1] - reach[0], reach[1] - 1, g.target.shape[2] - reach[2], reach[3] - 1)
+def may_come_forward(g: LabelTarget, label: int):
+    """True for a label that a target can ask for."""
+    return label != IGNORE
 
 
 @wp.func
-def extent(g: DenseGradient, b: int, kind: int, label: int):
-    """First and last row and column of the picture, for any pixel can have a gradient."""
-    if label > g.maps.shape[1]:
-        return wp.vec4i(0, -1, 0, -1)
-    return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)
+def may_come_forward(g: DenseGradient, label: int):
+    """True for the label whose turn it is."""
+    return label == g.label
 
 
 @wp.func
@@ -252,6 +294,23 @@ def has_extent(g: LabelTarget, label: int):
 def has_extent(g: DenseGradient, label: int):
     """True if a label has a map."""
     return label <= g.maps.shape[1]
+
+
+@wp.func
+def extent(g: LabelTarget, b: int, kind: int, label: int):
+    """First and last row and column of a label's wrong pixels of this kind; last < first if there are none."""
+    if not has_extent(g, label):
+        return wp.vec4i(0, -1, 0, -1)
+    reach = g.extents[b, kind, label]
+    return wp.vec4i(g.target.shape[1] - reach[0], reach[1] - 1, g.target.shape[2] - reach[2], reach[3] - 1)
+
+
+@wp.func
+def extent(g: DenseGradient, b: int, kind: int, label: int):
+    """First and last row and column of the picture, for any pixel can have a gradient."""
+    if not has_extent(g, label):
+        return wp.vec4i(0, -1, 0, -1)
+    return wp.vec4i(0, g.maps.shape[2] - 1, 0, g.maps.shape[3] - 1)
 
 
 @wp.func
@@ -285,8 +344,6 @@ def note_wrong(extents: wp.array3d[wp.vec4i], b: int, shown: int, target: int, r
         grow(extents, b, SURPLUS, shown, reach)
     if target != 0:
         grow(extents, b, MISSING, target, reach)
-        if shown != 0:
-            grow(extents, b, HIDDEN, target, reach)
 
 
 @wp.func

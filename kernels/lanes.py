@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 
 LANES = wp.constant(32)
+AT_ONCE = wp.constant(4)
 SIXTEEN = 16  # values that ``sum_sixteen`` adds at once
 Sixteen: Any = wp.types.vector(length=SIXTEEN, dtype=wp.float32)
 
@@ -24,6 +25,18 @@ def num_lanes(device: wp.Device) -> int:
 """)
 def wait_for_block():
     """Wait until all threads of the block are here, and what they wrote can be read."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 4;
+#else
+    return 1;
+#endif
+""")
+def at_once() -> int:  # type: ignore[empty-body]
+    """Number of things, up to ``AT_ONCE``, that a thread reads before it uses the first: on CUDA, to wait once."""
     ...
 
 
@@ -113,6 +126,18 @@ def shuffle_float(value: float, lane: int) -> float:  # type: ignore[empty-body]
 def lowest_bit(bits: wp.uint32):
     """Index of the lowest bit that is set."""
     return wp.bit_count((bits & (~bits + wp.uint32(1))) - wp.uint32(1))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 31 - __clz(bits);
+#else
+    return 31 - __builtin_clz(bits);
+#endif
+""")
+def highest_bit(bits: wp.uint32) -> int:  # type: ignore[empty-body]
+    """Index of the highest bit that is set, of those that are not all zero."""
+    ...
 
 
 @wp.func

@@ -12,7 +12,7 @@ import warp as wp
 from ..labels import (
     EACH_BYTE,
     HIGH_BITS,
-    IGNORE,
+    IGNORED,
     MISSING,
     QUAD,
     SURPLUS,
@@ -20,10 +20,11 @@ from ..labels import (
     LabelTarget,
     all_wrong,
     are_words,
+    expected_block,
     extent,
-    gradient_at,
     has_extent,
-    load_word,
+    hidden_gradient,
+    load_block,
     may_have_gradient,
     overload_gradients,
     pixel_gradient,
@@ -31,7 +32,7 @@ from ..labels import (
     unequal_bytes,
     wrong_on_line,
 )
-from ..lanes import ballot, deal, prefix_sum, shuffle
+from ..lanes import AT_ONCE, at_once, ballot, deal, prefix_sum, shuffle
 from ..mesh.push_z import MIN_DELTA_Z
 from .borders import front_at, line_root, outline_end
 from .forces import (
@@ -59,6 +60,20 @@ def label_at(silhouettes: wp.array[Silhouette], part: int):
     if part == 0:
         return 0
     return silhouettes[part - 1].label
+
+
+@wp.func
+def shows_label(view: EllipsoidView, part: int, alone: bool):
+    """True if an entry of the image of parts shows the ellipsoid's label; ``alone``: no other ellipsoid has it."""
+    return part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == view.own.label)
+
+
+@wp.func
+def pixels_within(reach: float, count: int):
+    """Number of the first ``count`` pixels of a line that are no farther from its first one than ``reach``."""
+    if float(count) > reach:
+        return int(wp.floor(reach)) + 1
+    return count
 
 
 @wp.func
@@ -90,7 +105,7 @@ def walk_line(
     if outside >= 0 and outside < count:
         # An outline inside its own label's picture bounds nothing.
         part = int(view.parts[begin + outside * pitch])
-        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
+        if shows_label(view, part, alone):
             return slope
     far = -float(side) * wp.inf  # beyond which no pixel shows the label
     if alone:
@@ -101,36 +116,51 @@ def walk_line(
     missing = wrong_on_line(extent(gradient, view.b, MISSING, label), axis, line, count)
     last = wp.where(side > 0, missing[1], missing[0])
     pixel = int(wp.where(side > 0, wp.max(outside, 0), wp.min(outside, count - 1)))
-    while pixel * side <= last * side and pixel >= 0 and pixel < count:
-        distance = wp.abs(float(pixel) + 0.5 - crossing)
-        if distance > max_distance:
-            break
-        at = begin + pixel * pitch
-        part = int(view.parts[at])
-        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
-            break
-        g = pixel_gradient(pixels, at, label, False)
-        if g != 0.0:
-            switches = part == 0
-            if part > 0:
-                x = wp.where(axis == 0, float(pixel), float(line)) + 0.5
-                y = wp.where(axis == 0, float(line), float(pixel)) + 0.5
-                switches = front_at(view.silhouettes[part - 1], x, y) < edge_nearness
-            if switches:
-                slope += g / wp.max(distance, 1.0)
-        pixel += side
+    distance = wp.abs(float(pixel) + 0.5 - crossing)
+    left = pixels_within(max_distance - distance, (last - pixel) * side + 1)
+    done = int(0)
+    while done < left:
+        shown = wp.vec4i()
+        values = wp.vec4()
+        for i in range(AT_ONCE):
+            if i < at_once():
+                at = begin + (pixel + wp.min(done + i, left - 1) * side) * pitch
+                shown[i] = int(view.parts[at])
+                values[i] = pixel_gradient(pixels, at, label, False)
+        for i in range(AT_ONCE):
+            if i < at_once() and done + i < left and shows_label(view, shown[i], alone):
+                left = done + i
+            if i < at_once() and done + i < left and values[i] != 0.0:
+                switches = shown[i] == 0
+                if not switches:
+                    place = float(pixel + (done + i) * side) + 0.5
+                    x = wp.where(axis == 0, place, float(line) + 0.5)
+                    y = wp.where(axis == 0, float(line) + 0.5, place)
+                    switches = front_at(view.silhouettes[shown[i] - 1], x, y) < edge_nearness
+                if switches:
+                    slope += values[i] / wp.max(distance + float(done + i), 1.0)
+        done += at_once()
     surplus = wrong_on_line(extent(gradient, view.b, SURPLUS, label), axis, line, count)
     last = wp.where(side > 0, surplus[0], surplus[1])
     pixel = int(wp.where(side > 0, wp.min(inside, count - 1), wp.max(inside, 0)))
-    while pixel * side >= last * side and pixel >= 0 and pixel < count:
-        distance = wp.abs(float(pixel) + 0.5 - crossing)
-        at = begin + pixel * pitch
-        part = int(view.parts[at])
-        if part == 0 or distance > max_distance or float(side) * (float(pixel) + 0.5 - far) < 0.0:
-            break
-        if part == view.k + 1 or (not alone and label_at(view.silhouettes, part) == label):
-            slope += pixel_gradient(pixels, at, label, True) / wp.max(distance, 1.0)
-        pixel -= side
+    distance = wp.abs(float(pixel) + 0.5 - crossing)
+    reach = wp.min(max_distance - distance, float(side) * (float(pixel) + 0.5 - far))
+    left = pixels_within(reach, (pixel - last) * side + 1)
+    done = int(0)
+    while done < left:
+        shown = wp.vec4i()
+        values = wp.vec4()
+        for i in range(AT_ONCE):
+            if i < at_once():
+                at = begin + (pixel - wp.min(done + i, left - 1) * side) * pitch
+                shown[i] = int(view.parts[at])
+                values[i] = pixel_gradient(pixels, at, label, True)
+        for i in range(AT_ONCE):
+            if i < at_once() and done + i < left and shown[i] == 0:
+                left = done + i
+            if i < at_once() and done + i < left and shows_label(view, shown[i], alone):
+                slope += values[i] / wp.max(distance + float(done + i), 1.0)
+        done += at_once()
     return float(side) * slope
 
 
@@ -210,19 +240,18 @@ def depth_between(front: float, back: float, perspective: bool):
 
 
 @wp.func
-def may_push_depths(g: LabelTarget, t: int, own: wp.uint32, shown: wp.uint32, label: int, row: int, column: int):
+def may_push_depths(g: LabelTarget, own: wp.uint32, shown: wp.uint32, expected: wp.uint32, label: int):
     """Highest bit of each of four pixels where a depth may matter: the ellipsoid hides the target, or is it and hidden.
 
     ``own`` are the bits of pixels that show the ellipsoid, ``shown`` the parts that pixels show.
     """
-    expected = load_word(g.target[t], row, column, are_words(g.target))
     wanted = unequal_bytes(expected, wp.uint32(label) * EACH_BYTE)
-    some = unequal_bytes(expected, wp.uint32(0)) & unequal_bytes(expected, wp.uint32(IGNORE) * EACH_BYTE)
+    some = unequal_bytes(expected, wp.uint32(0)) & unequal_bytes(expected, IGNORED)
     return (own & wanted & some) | (~own & ~wanted & unequal_bytes(shown, wp.uint32(0)))
 
 
 @wp.func
-def may_push_depths(g: DenseGradient, t: int, own: wp.uint32, shown: wp.uint32, label: int, row: int, column: int):
+def may_push_depths(g: DenseGradient, own: wp.uint32, shown: wp.uint32, expected: wp.uint32, label: int):
     """Highest bit of each of four pixels that show a part."""
     return unequal_bytes(shown, wp.uint32(0))
 
@@ -241,7 +270,7 @@ def push_behind(
     for j in range(silhouettes.shape[0]):
         other = silhouettes[j].label
         if other != s.label and may_have_gradient(gradient, view.target, other, at) and in_box(silhouettes[j], x, y):
-            g = gradient_at(gradient, view.target, other, at, s.label)
+            g = hidden_gradient(gradient, view.target, other, at)
             if g != 0.0 and inside_at(silhouettes[j], x, y) > 0.0:
                 back = front_at(silhouettes[j], x, y)
                 if is_nearest_of_label(silhouettes, j, back, x, y):
@@ -262,7 +291,7 @@ def pull_forward(
     x = float(column) + 0.5
     y = float(row) + 0.5
     if front.label != s.label and inside_at(s, x, y) > 0.0:
-        g = gradient_at(gradient, view.target, s.label, at, front.label)
+        g = hidden_gradient(gradient, view.target, s.label, at)
         if g != 0.0:
             back = front_at(s, x, y)
             if is_nearest_of_label(view.silhouettes, view.k, back, x, y):
@@ -291,11 +320,11 @@ def walk_depths(sums: SurfaceForces, view: EllipsoidView, e: Ellipsoid, depth_we
         if square < squares:
             row = top + QUAD * (square // across)
             column = QUAD * (first_quad + square % across)
+            shown = load_block(image, row, column, in_words)
+            expected = expected_block(gradient, view.target, row, column)
             for i in range(QUAD):
-                shown = load_word(image, row + i, column, in_words)
-                own = unequal_bytes(shown, four) ^ HIGH_BITS
-                some = may_push_depths(gradient, view.target, own, shown, view.own.label, row + i, column)
-                pixels |= some >> wp.uint32(i)
+                own = unequal_bytes(shown[i], four) ^ HIGH_BITS
+                pixels |= may_push_depths(gradient, own, shown[i], expected[i], view.own.label) >> wp.uint32(i)
         found = prefix_sum(wp.bit_count(pixels))
         total = int(shuffle(wp.uint32(found), view.scene.lanes - 1))
         for first in range(0, total, view.scene.lanes):

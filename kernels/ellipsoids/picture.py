@@ -16,6 +16,7 @@ from ..labels import (
     QUAD,
     LabelTarget,
     are_words,
+    byte_of,
     cost_of,
     flat,
     load_word,
@@ -23,6 +24,7 @@ from ..labels import (
     target_of,
     unequal_bytes,
     words_of,
+    write_word,
 )
 from ..lanes import LANES, ballot, lowest_bit, shuffle, sum_lanes
 from .silhouette import Silhouette, along_row, depth_of, inside_at, middle_at, row_lean, row_root, to_disc
@@ -49,20 +51,6 @@ def pack(values: wp.vec4i):
     for i in range(1, QUAD):
         word |= wp.uint32(values[i]) << wp.uint32(8 * i)
     return word
-
-
-@wp.func
-def byte_of(word: wp.uint32, i: int):
-    """Byte i of a word, the first one in memory lowest."""
-    return int(word >> wp.uint32(8 * i)) & 255
-
-
-@wp.func
-def write_quad(images: wp.array3d[wp.uint8], b: int, row: int, column: int, word: wp.uint32):
-    """Write up to four pixels of a row one by one."""
-    for i in range(QUAD):
-        if column + i < images.shape[2]:
-            images[b, row, column + i] = wp.uint8(byte_of(word, i))
 
 
 @wp.func
@@ -238,9 +226,9 @@ def draw_tiles(
                 if has_losses:
                     expected = target_words[at]
             else:
-                write_quad(parts, b, row, column, shown_word)
+                write_word(parts, b, row, column, shown_word, False)
                 if has_labels:
-                    write_quad(labels, b, row, column, label_word)
+                    write_word(labels, b, row, column, label_word, False)
                 if has_losses:
                     expected = load_word(target.target[t], row, column, False)
             if depth.shape[0] > 0:

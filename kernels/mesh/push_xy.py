@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 import warp as wp
 
 from ..labels import MISSING, SURPLUS, all_wrong, extent, flat, overload_gradients, pixel_gradient, pixels_of, weight_of
+from ..lanes import AT_ONCE, at_once
 from .rasterize import launch_bodies
 from .triangles import ImageArrays, MeshArrays, first_pixel
 
@@ -106,44 +107,54 @@ def reach_out(
     asked: Any,
     label: int,
     edge_depth: float,
-    at: int,  # first pixel
+    first: int,  # pixel
     step: int,  # to the next
-    left: int,  # how many there are
+    count: int,  # how many there are
     distance: float,  # of the first [px]
 ):
     """Sum of the outer pixels' gradients, each over its distance, that pulls an edge outward."""
     pull = float(0.0)
-    while left > 0:
-        # both loads before their first use, so that their latencies overlap
-        shown = int(picture[at])
-        value = pixel_gradient(asked, at, label, False)
-        if shown == label:
-            break
-        if value != 0.0:
-            switches = shown == 0
-            if not switches:
-                switches = depth[at] > edge_depth
-            if switches:
-                pull += value / wp.max(distance, 1.0)
-        at += step
-        distance += 1.0
-        left -= 1
+    done = int(0)
+    while done < count:
+        shown = wp.vec4i()
+        values = wp.vec4()
+        for i in range(AT_ONCE):
+            if i < at_once():
+                at = first + wp.min(done + i, count - 1) * step
+                shown[i] = int(picture[at])
+                values[i] = pixel_gradient(asked, at, label, False)
+        for i in range(AT_ONCE):
+            if i < at_once() and done + i < count and shown[i] == label:
+                count = done + i
+            if i < at_once() and done + i < count and values[i] != 0.0:
+                switches = shown[i] == 0
+                if not switches:
+                    switches = depth[first + (done + i) * step] > edge_depth
+                if switches:
+                    pull += values[i] / wp.max(distance + float(done + i), 1.0)
+        done += at_once()
     return pull
 
 
 @wp.func
-def draw_in(picture: wp.array[wp.uint8], asked: Any, label: int, at: int, step: int, left: int, distance: float):
+def draw_in(picture: wp.array[wp.uint8], asked: Any, label: int, first: int, step: int, count: int, distance: float):
     """Sum of the inner pixels' gradients, each over its distance, that pushes an edge inward."""
     pull = float(0.0)
-    while left > 0:
-        shown = int(picture[at])
-        value = pixel_gradient(asked, at, label, True)
-        if shown == 0:
-            break
-        pull += wp.where(shown == label, value, 0.0) / wp.max(distance, 1.0)
-        at += step
-        distance += 1.0
-        left -= 1
+    done = int(0)
+    while done < count:
+        shown = wp.vec4i()
+        values = wp.vec4()
+        for i in range(AT_ONCE):
+            if i < at_once():
+                at = first + wp.min(done + i, count - 1) * step
+                shown[i] = int(picture[at])
+                values[i] = pixel_gradient(asked, at, label, True)
+        for i in range(AT_ONCE):
+            if i < at_once() and done + i < count and shown[i] == 0:
+                count = done + i
+            if i < at_once() and done + i < count and shown[i] == label:
+                pull += values[i] / wp.max(distance + float(done + i), 1.0)
+        done += at_once()
     return pull
 
 

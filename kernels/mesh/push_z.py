@@ -4,12 +4,30 @@ The definition is docs/renderer.md; ``reference/mesh.py`` is the same in slow fl
 gradient of the part maps.
 """
 
-from typing import Any, NamedTuple, Self
+import math
+from typing import Any
 
 import warp as wp
 
-from ..labels import HIDDEN, extent, flat, overload_gradients, pixel_gradient, pixels_of, target_label_at, weight_of
+from ..labels import (
+    HIDDEN,
+    QUAD,
+    are_words,
+    expected_block,
+    extent,
+    flat,
+    hidden_pixels,
+    load_block,
+    may_come_forward,
+    overload_gradients,
+    pixel_gradient,
+    pixels_of,
+    target_label_at,
+    weight_of,
+)
+from ..lanes import LANES, deal, num_lanes, prefix_sum, shuffle
 from .rasterize import EMPTY_KEY, launch_bodies, row_lane_bits
+from .resolve import BLOCKS_ACROSS, BLOCKS_DOWN
 from .triangles import (
     ImageArrays,
     MeshArrays,
@@ -22,17 +40,13 @@ from .triangles import (
     load_triangle,
     make_edges,
     pixel_columns,
-    pixel_rows,
+    pixels_between,
     weights_3d,
 )
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 MIN_DELTA_Z = wp.constant(1.0e-4)  # [m]; equal depths would divide by zero in eq. 12
-
-_PIXEL_THREADS = 1024  # on CUDA for one body: about one for each hidden pixel in a picture of 256 x 256
-
-_COUNT_STRIDE = 32  # counters of two bodies lie in different cache lines
 
 
 @wp.kernel
@@ -44,8 +58,6 @@ def draw_hidden_faces(
     labels: wp.array3d[wp.uint8],  # (B, H, W) what is shown
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W), empty  MODIFIED: key of the target label's nearest face
-    counts: wp.array2d[int],  # (B, 32), zeroed  MODIFIED: column 0
-    pixels: wp.array2d[int],  # (B, H * W)  OUTPUT: where there is a key
 ):
     """Nearest face of the target's label where another part hides it."""
     thread = wp.tid()
@@ -53,35 +65,41 @@ def draw_hidden_faces(
     lanes = 1 << lane_bits
     face = (thread % threads) >> lane_bits
     label = int(mesh.face_labels[face])
+    if not may_come_forward(gradient, label):
+        return
     wrong = extent(gradient, b, HIDDEN, label)
     if wrong[1] < 0:
         return
     t = load_triangle(mesh, b, face)
     if t.valid == 0:
         return
-    rows = pixel_rows(t, keys.shape[1])
+    width = keys.shape[2]
+    rows = pixels_between(t, 1, keys.shape[1])
+    bounds = pixels_between(t, 0, width)
     first_row = wp.max(rows[0], wrong[0]) + ((thread % threads) & (lanes - 1))
     last_row = wp.min(rows[1], wrong[1])
-    if first_row > last_row:
+    left = wp.max(bounds[0], wrong[2])
+    right = wp.min(bounds[1], wrong[3])
+    if first_row > last_row or left > right:
         return
     e = make_edges(t)
-    width = keys.shape[2]
     picture = flat(labels[b])
     body_keys = flat(keys[b])
     for row in range(first_row, last_row + 1, lanes):
         y = float(row) + 0.5
         columns = pixel_columns(e, y, width)
-        for column in range(wp.max(columns[0], wrong[2]), wp.min(columns[1], wrong[3]) + 1):
+        first_column = wp.max(left, columns[0])
+        last_column = wp.min(right, columns[1])
+        for column in range(first_column, last_column + 1):
             at = row * width + column
             # both loads before their first use, so that their latencies overlap
             shown = int(picture[at])
-            target_label = target_label_at(gradient, b, at)
-            if shown != 0 and shown != label and target_label == label:
+            wanted = target_label_at(gradient, b, at)
+            if shown != 0 and shown != label and wanted == label:
                 values = edge_values(e, float(column) + 0.5, y)
                 if covers(e, values):
                     depth = depth_at(t, weights_3d(t, values, mesh.perspective))
-                    if wp.atomic_min(body_keys, at, depth_key(depth, face)) == EMPTY_KEY:
-                        pixels[b, wp.atomic_add(counts, b, 0, 1)] = at
+                    wp.atomic_min(body_keys, at, depth_key(depth, face))
 
 
 @wp.kernel
@@ -89,32 +107,83 @@ def push_depths(
     first_body: int,
     threads: int,  # of one body
     mesh: MeshArrays,
+    lanes: int,  # threads that share a square: a warp, or one
     depth_weight: float,  # the paper's lambda [m]
-    face_index: wp.array3d[int],  # (B, H, W), read where something shows
+    images: ImageArrays,  # labels and faces
+    hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``
     gradient: Any,
     keys: wp.array3d[wp.uint64],  # (B, H, W) the hidden face that should be seen  MODIFIED: emptied
-    counts: wp.array2d[int],  # (B, 32), column 0
-    pixels: wp.array2d[int],  # (B, H * W)
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: z is added to
 ):
-    """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much."""
+    """Gradient in z (paper, eq. 12): the hidden face comes forward, the one that hides it goes back by as much.
+
+    Each thread looks at a block, then all share the pixels in which something is hidden.
+    """
     thread = wp.tid()
     b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
+    square = thread % threads // lanes
+    across = hidden.shape[2]
+    blocks = flat(hidden[b])[square]
+    if blocks == wp.uint32(0):
+        return
+    first_row = square // across * (BLOCKS_DOWN * QUAD)
+    first_column = square % across * (BLOCKS_ACROSS * QUAD)
     width = keys.shape[2]
     body_keys = flat(keys[b])
-    for i in range(thread % threads, counts[b, 0], threads):
-        at = pixels[b, i]
-        back_index = key_face(body_keys[at])
-        body_keys[at] = EMPTY_KEY
-        label = int(mesh.face_labels[back_index])
-        amount = pixel_gradient(pixels_of(gradient, b, label), at, label, False) * weight_of(gradient, b, label)
-        amount *= depth_weight
-        if amount == 0.0:
-            continue
-        x = float(at % width) + 0.5
-        y = float(at // width) + 0.5
+    faces = flat(images.face_index[b])
+    picture = images.labels[b]
+    in_words = are_words(images.labels)
+    for turn in range(LANES // lanes):
+        block = turn * lanes + lane
+        pixels = wp.uint32(0)
+        if (blocks >> wp.uint32(block)) & wp.uint32(1) == wp.uint32(1):
+            row = first_row + block // BLOCKS_ACROSS * QUAD
+            column = first_column + block % BLOCKS_ACROSS * QUAD
+            shown = load_block(picture, row, column, in_words)
+            expected = expected_block(gradient, b, row, column)
+            for k in range(QUAD):
+                pixels |= hidden_pixels(shown[k], expected[k]) >> wp.uint32(k)
+        found = prefix_sum(wp.bit_count(pixels))
+        total = int(shuffle(wp.uint32(found), lanes - 1))
+        for begin in range(0, total, lanes):
+            mine = deal(pixels, found, block, begin + lane, lanes)
+            if begin + lane < total:
+                row = first_row + mine[0] // BLOCKS_ACROSS * QUAD + 7 - mine[1] % 8
+                column = first_column + mine[0] % BLOCKS_ACROSS * QUAD + mine[1] // 8
+                at = row * width + column
+                # both loads before their first use, so that their latencies overlap
+                key = body_keys[at]
+                front = faces[at]
+                if key != EMPTY_KEY:
+                    body_keys[at] = EMPTY_KEY
+                    push_pixel(mesh, depth_weight, gradient, b, row, column, width, key_face(key), front, grad_vertices)
+
+
+@wp.func
+def push_pixel(
+    mesh: MeshArrays,
+    depth_weight: float,
+    gradient: Any,
+    b: int,
+    row: int,
+    column: int,
+    width: int,  # of the picture
+    back_index: int,  # face that is hidden
+    front_index: int,
+    grad_vertices: wp.array3d[float],
+):
+    """Gradient in z from one pixel."""
+    label = int(mesh.face_labels[back_index])
+    amount = pixel_gradient(pixels_of(gradient, b, label), row * width + column, label, False) * weight_of(
+        gradient, b, label
+    )
+    amount *= depth_weight
+    if amount != 0.0:
+        x = float(column) + 0.5
+        y = float(row) + 0.5
         back = load_triangle(mesh, b, back_index)
-        front = load_triangle(mesh, b, flat(face_index[b])[at])
+        front = load_triangle(mesh, b, front_index)
         back_weights = weights_3d(back, edge_values(make_edges(back), x, y), mesh.perspective)
         front_weights = weights_3d(front, edge_values(make_edges(front), x, y), mesh.perspective)
         delta_z = wp.max(depth_at(back, back_weights) - depth_at(front, front_weights), MIN_DELTA_Z)
@@ -135,39 +204,24 @@ def add_depth(grad_vertices: wp.array3d[float], b: int, t: Triangle, weights: wp
 overload_gradients(draw_hidden_faces, push_depths)
 
 
-class HiddenPixels(NamedTuple):
-    """Scratch: the pixels where another part hides the one that should be seen.
-
-    Attributes:
-        keys: The nearest face of that part, as a ``ZBuffer``'s: empty between launches, shape (B, H, W).
-        counts: Number of each body's pixels, in column 0, shape (B, 32), int32.
-        pixels: Indices of these pixels, row by row, shape (B, H * W), int32.
-    """
-
-    keys: wp.array
-    counts: wp.array
-    pixels: wp.array
-
-    @classmethod
-    def make(cls, keys: wp.array) -> Self:
-        """Allocate for pictures of the size of ``keys``, which are empty."""
-        batch, height, width = keys.shape
-        return cls(
-            keys=keys,
-            counts=wp.empty((batch, _COUNT_STRIDE), dtype=int, device=keys.device),
-            pixels=wp.empty((batch, height * width), dtype=int, device=keys.device),
-        )
-
-
 def launch_push_depths(
-    mesh: MeshArrays, images: ImageArrays, gradient: Any, depth_weight: float, hidden: HiddenPixels, grad: wp.array
+    mesh: MeshArrays,
+    images: ImageArrays,
+    gradient: Any,
+    depth_weight: float,
+    keys: wp.array,
+    hidden: wp.array,
+    grad: wp.array,
 ) -> None:
-    """Add the z gradient to the vertices' ``grad``; all images are contiguous."""
+    """Add the z gradient to the vertices' ``grad``.
+
+    All images are contiguous. ``keys`` are a ``ZBuffer``'s, empty before and after; ``hidden`` are ``hidden_blocks``.
+    """
     device = mesh.vertices.device
     batch, faces = images.labels.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    hidden.counts.zero_()
-    launch_bodies(draw_hidden_faces, batch, faces << bits, [mesh, bits, images.labels, gradient], [*hidden], device)
-    threads = 1 if device.is_cpu else _PIXEL_THREADS
-    inputs = [mesh, depth_weight, images.face_index, gradient]
-    launch_bodies(push_depths, batch, threads, inputs, [*hidden, grad], device)
+    inputs = [mesh, bits, images.labels, gradient]
+    launch_bodies(draw_hidden_faces, batch, faces << bits, inputs, [keys], device)
+    lanes = num_lanes(device)
+    inputs = [mesh, lanes, depth_weight, images, hidden, gradient]
+    launch_bodies(push_depths, batch, math.prod(hidden.shape[1:]) * lanes, inputs, [keys, grad], device)

@@ -1,25 +1,21 @@
-"""Forward pass of the mesh renderer: z-buffer of a part-labelled mesh (paper, eq. 8 and 9), repeatable to the bit."""
+"""Z-buffer of a part-labelled mesh (paper, eq. 8), repeatable to the bit."""
 
 from dataclasses import dataclass
 from typing import Any, Self
 
 import warp as wp
 
-from ..labels import EACH_BYTE, IGNORED, QUAD, are_words, flat, load_word, map_weight, note_wrong, unequal_bytes
-from ..lanes import LANES, ballot, lowest_bit, shuffle
+from ..labels import flat
 from .triangles import (
-    ImageArrays,
     MeshArrays,
     covers,
     depth_at,
     depth_key,
     edge_values,
-    key_depth,
-    key_face,
     load_triangle,
     make_edges,
     pixel_columns,
-    pixel_rows,
+    pixels_between,
     weights_3d,
 )
 
@@ -27,13 +23,9 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 EMPTY_KEY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))  # behind every face
 
-# Keys are read in tiles, so that tiles without a face cost next to nothing. On CUDA a warp has a row of tiles, a thread
-# a column of each, whose rows it loads together.
+# Keys are read in tiles, so that tiles without a face cost next to nothing.
 TILE_ROWS = wp.constant(4)
 TILE_COLUMNS = wp.constant(32)
-
-# Label images are compared in blocks of 4 x 4 pixels, as high as a tile, each by one thread.
-_Words = wp.types.vector(length=4, dtype=wp.uint32)  # a block's labels, a row each, the leftmost lowest
 
 # On CUDA the rows of one face are shared by some threads, so that a large face does not hold up its warp: by more where
 # few faces would leave the device idle. Measured on an H200: docs/performance.md.
@@ -43,7 +35,6 @@ _THREADS_TO_FILL = 1 << 17
 
 # On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
 _DRAW_FACES_BOUNDS = (256, 5)
-_COMPARE_LABELS_BOUNDS = (256, 4)
 
 _MAX_THREADS = 2**31 - 2**16  # of a launch
 
@@ -92,20 +83,22 @@ def draw_faces(
     t = load_triangle(mesh, b, face)
     if t.valid == 0:
         return
-    rows = pixel_rows(t, keys.shape[1])
-    first_row = rows[0] + ((thread % threads) & (lanes - 1))
-    if first_row > rows[1]:
-        return
-    e = make_edges(t)
     width = keys.shape[2]
-    tiles = touched.shape[2]
+    rows = pixels_between(t, 1, keys.shape[1])
+    bounds = pixels_between(t, 0, width)
+    lane = (thread % threads) & (lanes - 1)
+    first_row = rows[0] + lane
+    if first_row > rows[1] or bounds[0] > bounds[1]:
+        return
+    if lane == 0:
+        for tile_row in range(rows[0] // TILE_ROWS, rows[1] // TILE_ROWS + 1):
+            for tile in range(bounds[0] // TILE_COLUMNS, bounds[1] // TILE_COLUMNS + 1):
+                touched[b, tile_row, tile] = wp.uint8(1)
+    e = make_edges(t)
     body_keys = flat(keys[b])
-    body_touched = flat(touched[b])
     for row in range(first_row, rows[1] + 1, lanes):
         y = float(row) + 0.5
         columns = pixel_columns(e, y, width)
-        for tile in range(columns[0] // TILE_COLUMNS, columns[1] // TILE_COLUMNS + 1):
-            body_touched[row // TILE_ROWS * tiles + tile] = wp.uint8(1)
         for column in range(columns[0], columns[1] + 1):
             values = edge_values(e, float(column) + 0.5, y)
             if covers(e, values):
@@ -113,156 +106,12 @@ def draw_faces(
                 wp.atomic_min(body_keys, row * width + column, depth_key(depth, face))
 
 
-@wp.kernel
-def resolve_keys(
-    first_body: int,
-    threads: int,
-    mesh: MeshArrays,
-    lanes: int,  # threads that share a row of tiles: a warp, or one
-    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
-    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
-    images: ImageArrays,  # all but the labels may be null  OUTPUT
-):
-    """Split the keys into face-index map, depth and label image, where something shows."""
-    thread = wp.tid()
-    b = first_body + thread // threads
-    lane = (thread % threads) & (lanes - 1)
-    tile_row = thread % threads // lanes
-    width = keys.shape[2]
-    tiles = touched.shape[2]
-    rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
-    body_keys = flat(keys[b])
-    body_touched = flat(touched[b])
-    body_labels = flat(images.labels[b])
-    for first in range(0, tiles, lanes):
-        show = bool(False)  # something, in this thread's tile
-        if first + lane < tiles:
-            mine = tile_row * tiles + first + lane
-            show = body_touched[mine] != wp.uint8(0)
-            if show:
-                body_touched[mine] = wp.uint8(0)
-        waiting = ballot(show)
-        while waiting != wp.uint32(0):
-            tile = first + lowest_bit(waiting)
-            waiting &= waiting - wp.uint32(1)
-            for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
-                top = tile_row * TILE_ROWS * width + column
-                # all loads of a tile's column first, so that their latencies overlap
-                found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
-                for k in range(TILE_ROWS):
-                    if k < rows:
-                        found[k] = body_keys[top + k * width]
-                for k in range(TILE_ROWS):
-                    if found[k] != EMPTY_KEY:
-                        at = top + k * width
-                        body_keys[at] = EMPTY_KEY
-                        face = key_face(found[k])
-                        body_labels[at] = mesh.face_labels[face]
-                        if images.face_index:
-                            flat(images.face_index[b])[at] = face
-                        if images.depth:
-                            flat(images.depth[b])[at] = key_depth(found[k])
-
-
-@wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
-def compare_labels(
-    first_body: int,
-    threads: int,
-    labels: wp.array3d[wp.uint8],  # (B, H, W)
-    target: wp.array3d[wp.uint8],  # (B, H, W), 255 = ignore
-    lanes: int,  # threads that share a row of blocks: a warp, or one
-    extents: wp.array3d[wp.vec4i],  # (B, 3, L), zeroed, as ``grow``  MODIFIED
-    losses: wp.array3d[float],  # ``pixel_lanes``  OUTPUT
-):
-    """L_seg (paper, eq. 6) from two label images, and the extents in which they differ."""
-    thread = wp.tid()
-    b = first_body + thread // threads
-    lane = (thread % threads) & (lanes - 1)
-    block_row = thread % threads // lanes
-    height = labels.shape[1]
-    width = labels.shape[2]
-    top = block_row * QUAD
-    in_words = are_words(labels) and are_words(target)
-    loss = float(0.0)
-    for first in range(0, width, lanes * QUAD):
-        left = first + lane * QUAD
-        shown = _Words()
-        expected = _Words()
-        for k in range(QUAD):
-            shown[k] = load_word(labels[b], top + k, left, in_words)
-            expected[k] = load_word(target[b], top + k, left, in_words)
-        wrong = _Words()
-        for k in range(QUAD):
-            wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], IGNORED)
-        # all four count from a border of the picture, so that zero is empty
-        reach = wp.vec4i(height - top, wp.min(top + QUAD, height), width - left, wp.min(left + QUAD, width))
-        # one pair of labels after another, the same for all threads
-        pair = first_pair(shown, expected, wrong)
-        waiting = ballot(pair != wp.uint32(0))
-        while waiting != wp.uint32(0):
-            pair = shuffle(pair, lowest_bit(waiting))
-            shown_label = pair & wp.uint32(255)
-            target_label = pair >> wp.uint32(8)
-            count = int(0)
-            for k in range(QUAD):
-                other = unequal_bytes(shown[k], shown_label * EACH_BYTE)
-                other |= unequal_bytes(expected[k], target_label * EACH_BYTE)
-                count += wp.bit_count(wrong[k] & ~other)
-                wrong[k] &= other
-            loss += float(count) * (map_weight(int(shown_label)) + map_weight(int(target_label)))
-            concerned = ballot(count > 0)
-            # the first of these blocks and the last one reach as far as all of them
-            if lane == lowest_bit(concerned) or concerned >> wp.uint32(lane) == wp.uint32(1):
-                note_wrong(extents, b, int(shown_label), int(target_label), reach)
-            pair = first_pair(shown, expected, wrong)
-            waiting = ballot(pair != wp.uint32(0))
-    losses[b, block_row, lane] = loss
-
-
-@wp.func
-def first_pair(shown: Any, expected: Any, wrong: Any):  # _Words, in which mypy sees no type
-    """Label that one of the wrong pixels shows, plus 256 times its target; 0 if none is wrong."""
-    bits = wrong[0]
-    shown_word = shown[0]
-    target_word = expected[0]
-    for k in range(1, QUAD):
-        if bits == wp.uint32(0):
-            bits = wrong[k]
-            shown_word = shown[k]
-            target_word = expected[k]
-    if bits == wp.uint32(0):
-        return wp.uint32(0)
-    shift = wp.uint32(lowest_bit(bits) & 24)
-    return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
-
-
-def launch_rasterize(mesh: MeshArrays, images: ImageArrays, *, zbuffer: ZBuffer, background: bool = True) -> None:
-    """Draw every face: the label image and, unless None, depth and face-index map, all of them contiguous.
-
-    Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
-    """
-    images.labels.zero_()
-    if background and images.depth is not None:
-        images.depth.fill_(wp.inf)
-    if background and images.face_index is not None:
-        images.face_index.fill_(-1)  # paper, eq. 8
+def launch_draw_faces(mesh: MeshArrays, zbuffer: ZBuffer) -> None:
+    """Draw every face into an empty z-buffer."""
     device = mesh.vertices.device
     batch, faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     bits = row_lane_bits(batch * faces, device)
-    buffers = [zbuffer.touched, zbuffer.keys]
-    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], buffers, device)
-    _, tile_rows, lanes = pixel_lanes(images.labels.shape, device.is_cpu)
-    launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], [*buffers, images], device)
-
-
-def launch_compare_labels(labels: wp.array, target: wp.array, *, extents: wp.array, losses: wp.array) -> None:
-    """Fill partial sums of the loss, shape ``pixel_lanes``, and the ``extents`` (B, 3, L) of wrong pixels.
-
-    Both images are contiguous. Labels from L on have no extent.
-    """
-    extents.zero_()
-    batch, block_rows, lanes = losses.shape
-    launch_bodies(compare_labels, batch, block_rows * lanes, [labels, target, lanes], [extents, losses], labels.device)
+    launch_bodies(draw_faces, batch, faces << bits, [mesh, bits], [zbuffer.touched, zbuffer.keys], device)
 
 
 def launch_bodies(
@@ -284,8 +133,3 @@ def row_lane_bits(count: int, device: wp.Device) -> int:
     if device.is_cpu:
         return 0
     return min(max((_THREADS_TO_FILL // max(count, 1)).bit_length() - 1, _MIN_ROW_LANE_BITS), _MAX_ROW_LANE_BITS)
-
-
-def pixel_lanes(shape: tuple[int, ...], on_cpu: bool) -> tuple[int, int, int]:
-    """Threads that visit all pixels of images (B, H, W): bodies, groups of ``TILE_ROWS`` rows, and a warp on CUDA."""
-    return (shape[0], -(-shape[1] // int(TILE_ROWS)), 1 if on_cpu else int(LANES))

@@ -169,11 +169,11 @@ def last_pixel(high: float, size: int):
 
 
 @wp.func
-def pixel_rows(t: Triangle, height: int):
-    """First and last row whose centres the triangle can cover; empty where last < first."""
+def pixels_between(t: Triangle, axis: int, size: int):
+    """First and last column (axis 0) or row (1) whose centres the triangle can cover; empty where last < first."""
     return wp.vec2i(
-        first_pixel(wp.min(t.a[1], wp.min(t.b[1], t.c[1])), height),
-        last_pixel(wp.max(t.a[1], wp.max(t.b[1], t.c[1])), height),
+        first_pixel(wp.min(t.a[axis], wp.min(t.b[axis], t.c[axis])), size),
+        last_pixel(wp.max(t.a[axis], wp.max(t.b[axis], t.c[axis])), size),
     )
 
 

@@ -19,7 +19,7 @@ from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
 from ..kernels.launch import launch_side_by_side
-from ..kernels.mesh import push_xy, push_z, rasterize
+from ..kernels.mesh import push_xy, push_z, rasterize, resolve
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
 from .options import cached
 from .pictures import Picture, Settings, Size
@@ -39,7 +39,7 @@ class MeshPasses:
     depth_weight: float
 
     kind, drawing, name = "mesh", "draw_mesh", "mesh_label_loss"
-    modules = (rasterize, push_xy, push_z)
+    modules = (rasterize, resolve, push_xy, push_z)
 
     @classmethod
     def of(
@@ -71,8 +71,7 @@ class MeshPasses:
 
     def prepare_labels(self, inputs: Tensors, labels: torch.Tensor) -> Launch:
         """Launch that fills ``labels``."""
-        nothing = (torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
-        return self.prepare_raster(inputs[0], (labels, *nothing), background=False)[0]
+        return self.prepare_raster(inputs[0], _labels_alone(labels), background=False)[0]
 
     def gradients(self, inputs: Tensors, picture: Picture, grad_maps: torch.Tensor) -> Tensors:
         """Gradient with respect to the vertices, shape (B, V, 3), from that with respect to part maps (B, K, H, W)."""
@@ -82,51 +81,46 @@ class MeshPasses:
 
         def work(part: slice) -> None:
             images = [image[part] for image in picture[:3]]
-            keys = rasterize.empty_keys(tuple(images[0].shape), wp.device_from_torch(vertices.device))
+            shape, device = tuple(images[0].shape), wp.device_from_torch(vertices.device)
+            scratch = {"keys": rasterize.empty_keys(shape, device), "hidden": resolve.hidden_blocks(shape, device)}
             of_each = partial(_of_each_map, warp_array(grad_maps[part]))
-            self._prepare_gradient(vertices[part], images, of_each, keys, grad_vertices[part])()
+            self._prepare_gradient(vertices[part], images, of_each, grad_vertices[part], **scratch)()
 
         launch_bodies_on(vertices.device, work, vertices.shape[0], self.modules)
         return (grad_vertices,)
 
     def num_losses(self, device: torch.device, batch: int, height: int, width: int) -> int:
-        """One sum for each thread that compares pixels."""
-        return math.prod(rasterize.pixel_lanes((batch, height, width), device.type == "cpu")[1:])
+        """One sum for each square of pixels."""
+        return math.prod(resolve.num_squares(height, width))
 
     def prepare(self, buffers: Buffers) -> Launch:
         """Launches of loss and gradient for all bodies of the buffers."""
         (vertices,) = buffers.inputs
-        batch, device = vertices.shape[0], vertices.device
-        images = _empty_picture((batch, *buffers.target.shape[-2:]), device)[:3]
+        shape, device = (vertices.shape[0], *buffers.target.shape[-2:]), vertices.device
+        images: Sequence[torch.Tensor] = _empty_picture(shape, device)[:3]
+        if not buffers.grads:
+            images = _labels_alone(images[0])
         draw, zbuffer = self.prepare_raster(vertices, images, background=False)
+        scratch = {"keys": zbuffer.keys, "hidden": resolve.hidden_blocks(shape, wp.device_from_torch(device))}
         if buffers.of_maps:
             of_each = partial(_of_each_map, warp_array(buffers.target))
-            push_maps = self._prepare_gradient(vertices, images, of_each, zbuffer.keys, buffers.grads[0])
-
-            def launch_maps() -> None:
-                draw()
-                push_maps()
-
-            return launch_maps
-        target = buffers.target.expand(batch, -1, -1)  # a view: what is written there later is seen
-        extents = torch.empty((batch, NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
+            return _in_turn(draw, self._prepare_gradient(vertices, images, of_each, buffers.grads[0], **scratch))
+        target = buffers.target.expand(shape[0], -1, -1)  # a view: what is written there later is seen
+        extents = torch.empty((shape[0], NUM_EXTENTS, self.num_labels + 1, 4), dtype=torch.int32, device=device)
         of_target = LabelTarget()
         of_target.target = warp_array(target)
         of_target.extents = warp_array(extents, wp.vec4i)
-        of_target.scale = wp.ones(batch, dtype=float, device=of_target.target.device)
-        losses = warp_array(buffers.losses.view(rasterize.pixel_lanes(tuple(images[0].shape), vertices.is_cpu)))
-        labels = warp_array(images[0])
-        push: Launch | None = None
-        if buffers.grads:
-            push = self._prepare_gradient(vertices, images, lambda: [of_target], zbuffer.keys, buffers.grads[0])
-
-        def launch() -> None:
-            draw()
-            rasterize.launch_compare_labels(labels, of_target.target, extents=of_target.extents, losses=losses)
-            if push is not None:
-                push()
-
-        return launch
+        of_target.scale = wp.ones(shape[0], dtype=float, device=of_target.target.device)
+        compare = partial(
+            resolve.launch_compare_labels,
+            *(warp_array(images[0]), of_target),
+            hidden=scratch["hidden"],
+            losses=warp_array(buffers.losses),
+        )
+        if not buffers.grads:
+            return _in_turn(draw, compare)
+        push = self._prepare_gradient(vertices, images, lambda: [of_target], buffers.grads[0], **scratch)
+        return _in_turn(draw, compare, push)
 
     def prepare_raster(
         self, vertices: torch.Tensor, images: Sequence[torch.Tensor], background: bool = True
@@ -135,15 +129,18 @@ class MeshPasses:
         mesh, pictures = self._arrays(vertices), _image_arrays(images)
         batch, height, width = images[0].shape
         zbuffer = rasterize.ZBuffer.make(batch, height, width, mesh.vertices.device)
-        return partial(rasterize.launch_rasterize, mesh, pictures, zbuffer=zbuffer, background=background), zbuffer
+        draw = partial(rasterize.launch_draw_faces, mesh, zbuffer)
+        split = partial(resolve.launch_resolve_keys, mesh, zbuffer, pictures, background=background)
+        return _in_turn(draw, split), zbuffer
 
     def _prepare_gradient(
         self,
         vertices: torch.Tensor,
         images: Sequence[torch.Tensor],
         gradients: Callable[[], Iterable[Any]],
-        keys: wp.array,
         grad_vertices: torch.Tensor,
+        keys: wp.array,
+        hidden: wp.array,
     ) -> Launch:
         """Launch that fills ``grad_vertices``.
 
@@ -151,8 +148,9 @@ class MeshPasses:
             vertices: Of some bodies.
             images: Their images.
             gradients: Returns the loss gradient once for each label of the z pass.
-            keys: A ``ZBuffer``'s, empty before and after.
             grad_vertices: Shape (B, V, 3).
+            keys: A ``ZBuffer``'s, empty before and after.
+            hidden: ``hidden_blocks``.
         """
         arrays = self._arrays(vertices), _image_arrays(images)
         found_gradient, (batch, num_edges) = warp_array(grad_vertices), (vertices.shape[0], self.edges.shape[0])
@@ -167,7 +165,8 @@ class MeshPasses:
             push_z.launch_push_depths,
             *arrays,
             depth_weight=self.depth_weight,
-            hidden=push_z.HiddenPixels.make(keys),
+            keys=keys,
+            hidden=hidden,
             grad=found_gradient,
         )
 
@@ -205,6 +204,14 @@ class MeshPasses:
 mesh_passes = cached(MeshPasses)  # the same object, which is a graph's key, for the same mesh and options
 
 
+def _in_turn(*launches: Launch) -> Launch:
+    def launch_all() -> None:
+        for launch in launches:
+            launch()
+
+    return launch_all
+
+
 def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
     """Gradient with respect to part maps (B, K, H, W), once for each map."""
     gradient = DenseGradient()
@@ -217,6 +224,11 @@ def _of_each_map(grad_maps: wp.array) -> Iterator[DenseGradient]:
 def _empty_picture(shape: tuple[int, ...], device: torch.device) -> Picture:
     types = torch.uint8, torch.float32, torch.int32
     return Picture(*(torch.empty(shape, dtype=dtype, device=device) for dtype in types))
+
+
+def _labels_alone(labels: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Images with neither depth nor faces."""
+    return labels, *(torch.empty(0, 0, 0, dtype=kind, device=labels.device) for kind in (torch.float32, torch.int32))
 
 
 def _image_arrays(images: Sequence[torch.Tensor]) -> ImageArrays:

@@ -1,0 +1,249 @@
+"""From the z-buffer to labels, depth and faces (paper, eq. 8 and 9), L_seg (eq. 6), and where labels are wrong."""
+
+from typing import Any
+
+import warp as wp
+
+from ..labels import (
+    EACH_BYTE,
+    HIDDEN,
+    IGNORED,
+    MISSING,
+    QUAD,
+    SURPLUS,
+    Block,
+    LabelTarget,
+    are_words,
+    flat,
+    grow,
+    hidden_pixels,
+    load_block,
+    unequal_bytes,
+)
+from ..lanes import LANES, ballot, highest_bit, lowest_bit, num_lanes, shuffle, sum_lanes
+from .rasterize import EMPTY_KEY, TILE_COLUMNS, TILE_ROWS, ZBuffer, launch_bodies
+from .triangles import ImageArrays, MeshArrays, key_depth, key_face
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+# Label images are compared in squares of 8 by 4 blocks of 4 x 4 pixels. On CUDA a warp has a square, a thread a block.
+BLOCKS_ACROSS = wp.constant(8)
+BLOCKS_DOWN = wp.constant(4)
+
+# On CUDA, threads a block and blocks a multiprocessor: enough threads to hide the memory's latency.
+_COMPARE_LABELS_BOUNDS = (256, 4)
+
+
+@wp.kernel
+def resolve_keys(
+    first_body: int,
+    threads: int,
+    mesh: MeshArrays,
+    lanes: int,  # threads that share a row of tiles: a warp, or one
+    touched: wp.array3d[wp.uint8],  # (B, tiles down, tiles across)  MODIFIED: cleared
+    keys: wp.array3d[wp.uint64],  # (B, H, W)  MODIFIED: emptied
+    images: ImageArrays,  # all but the labels may be null  OUTPUT
+):
+    """Split the keys into face-index map, depth and label image, where something shows."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
+    tile_row = thread % threads // lanes
+    width = keys.shape[2]
+    tiles = touched.shape[2]
+    rows = wp.min(TILE_ROWS, keys.shape[1] - tile_row * TILE_ROWS)
+    body_keys = flat(keys[b])
+    body_touched = flat(touched[b])
+    body_labels = flat(images.labels[b])
+    for first in range(0, tiles, lanes):
+        show = bool(False)  # something, in this thread's tile
+        if first + lane < tiles:
+            mine = tile_row * tiles + first + lane
+            show = body_touched[mine] != wp.uint8(0)
+            if show:
+                body_touched[mine] = wp.uint8(0)
+        waiting = ballot(show)
+        while waiting != wp.uint32(0):
+            tile = first + lowest_bit(waiting)
+            waiting &= waiting - wp.uint32(1)
+            for column in range(tile * TILE_COLUMNS + lane, wp.min((tile + 1) * TILE_COLUMNS, width), lanes):
+                top = tile_row * TILE_ROWS * width + column
+                # all loads of a tile's column first, so that their latencies overlap
+                found = wp.vector(EMPTY_KEY, length=TILE_ROWS, dtype=wp.uint64)
+                for k in range(TILE_ROWS):
+                    if k < rows:
+                        found[k] = body_keys[top + k * width]
+                for k in range(TILE_ROWS):
+                    if found[k] != EMPTY_KEY:
+                        at = top + k * width
+                        body_keys[at] = EMPTY_KEY
+                        face = key_face(found[k])
+                        body_labels[at] = mesh.face_labels[face]
+                        if images.face_index:
+                            flat(images.face_index[b])[at] = face
+                        if images.depth:
+                            flat(images.depth[b])[at] = key_depth(found[k])
+
+
+@wp.func
+def first_pair(shown: Any, expected: Any, wrong: Any):  # Blocks, in which mypy sees no type
+    """Label that one of the wrong pixels shows, plus 256 times its target; 0 if none is wrong."""
+    bits = wrong[0]
+    shown_word = shown[0]
+    target_word = expected[0]
+    for k in range(1, QUAD):
+        if bits == wp.uint32(0):
+            bits = wrong[k]
+            shown_word = shown[k]
+            target_word = expected[k]
+    if bits == wp.uint32(0):
+        return wp.uint32(0)
+    shift = wp.uint32(lowest_bit(bits) & 24)
+    return (shown_word >> shift & wp.uint32(255)) | ((target_word >> shift & wp.uint32(255)) << wp.uint32(8))
+
+
+@wp.func
+def note_blocks(target: LabelTarget, b: int, kind: int, label: int, blocks: wp.uint32, top: int, left: int):
+    """Record in which blocks of a square a label is wrong; (top, left) is the square's first pixel."""
+    rows = wp.vec2i(lowest_bit(blocks) // BLOCKS_ACROSS, highest_bit(blocks) // BLOCKS_ACROSS)
+    folded = blocks | (blocks >> wp.uint32(16))
+    folded = (folded | (folded >> wp.uint32(8))) & wp.uint32(255)
+    columns = wp.vec2i(lowest_bit(folded), highest_bit(folded))
+    height = target.target.shape[1]
+    width = target.target.shape[2]
+    # all four count from a border of the picture, so that zero is empty
+    reach = wp.vec4i(
+        height - (top + rows[0] * QUAD),
+        wp.min(top + (rows[1] + 1) * QUAD, height),
+        width - (left + columns[0] * QUAD),
+        wp.min(left + (columns[1] + 1) * QUAD, width),
+    )
+    grow(target.extents, b, kind, label, reach)
+
+
+@wp.kernel(launch_bounds=_COMPARE_LABELS_BOUNDS)
+def compare_labels(
+    first_body: int,
+    threads: int,  # of one body
+    labels: wp.array3d[wp.uint8],  # (B, H, W)
+    target: LabelTarget,  # its extents are zeroed, as ``grow``  MODIFIED
+    lanes: int,  # threads that share a square: a warp, or one
+    hidden: wp.array3d[wp.uint32],  # ``hidden_blocks``, set where a part hides the target's  OUTPUT
+    losses: wp.array2d[float],  # (B, squares)  OUTPUT
+):
+    """L_seg (paper, eq. 6) from two label images, and where they differ."""
+    thread = wp.tid()
+    b = first_body + thread // threads
+    lane = (thread % threads) & (lanes - 1)
+    square = thread % threads // lanes
+    across = hidden.shape[2]
+    first_row = square // across * (BLOCKS_DOWN * QUAD)
+    first_column = square % across * (BLOCKS_ACROSS * QUAD)
+    in_words = are_words(labels) and are_words(target.target)
+    shown_image = labels[b]
+    expected_image = target.target[b]
+    loss = int(0)
+    hides = wp.uint32(0)
+    surplus = wp.uint32(0)  # blocks of the label whose number is the lane's
+    missing = wp.uint32(0)
+    behind = wp.uint32(0)
+    for turn in range(LANES // lanes):
+        block = turn * lanes + lane
+        top = first_row + block // BLOCKS_ACROSS * QUAD
+        left = first_column + block % BLOCKS_ACROSS * QUAD
+        shown = load_block(shown_image, top, left, in_words)
+        expected = load_block(expected_image, top, left, in_words)
+        different = wp.uint32(0)
+        for k in range(QUAD):
+            different |= shown[k] ^ expected[k]
+        if ballot(different != wp.uint32(0)) != wp.uint32(0):  # most squares are background, and should be
+            wrong = Block()
+            hidden_here = wp.uint32(0)
+            for k in range(QUAD):
+                shows = unequal_bytes(shown[k], wp.uint32(0))
+                wants = unequal_bytes(expected[k], wp.uint32(0))
+                wrong[k] = unequal_bytes(shown[k], expected[k]) & unequal_bytes(expected[k], IGNORED)
+                hidden_here |= hidden_pixels(shown[k], expected[k])
+                loss += wp.bit_count(wrong[k] & wants)
+                loss += wp.bit_count(wrong[k] & shows & unequal_bytes(shown[k], IGNORED))
+            hides |= ballot(hidden_here != wp.uint32(0)) << wp.uint32(turn * lanes)
+            # one pair of labels after another, the same for all threads
+            pair = first_pair(shown, expected, wrong)
+            waiting = ballot(pair != wp.uint32(0))
+            while waiting != wp.uint32(0):
+                pair = shuffle(pair, lowest_bit(waiting))
+                some = wp.uint32(0)
+                for k in range(QUAD):
+                    other = unequal_bytes(shown[k], (pair & wp.uint32(255)) * EACH_BYTE)
+                    other |= unequal_bytes(expected[k], (pair >> wp.uint32(8)) * EACH_BYTE)
+                    some |= wrong[k] & ~other
+                    wrong[k] &= other
+                blocks = ballot(some != wp.uint32(0)) << wp.uint32(turn * lanes)
+                shown_label = int(pair & wp.uint32(255))
+                target_label = int(pair >> wp.uint32(8))
+                # Each thread remembers the label of its number: to look at what is recorded takes long.
+                surplus |= wp.where(shown_label == lane, blocks, wp.uint32(0))
+                missing |= wp.where(target_label == lane, blocks, wp.uint32(0))
+                behind |= wp.where(target_label == lane and shown_label != 0, blocks, wp.uint32(0))
+                if lane == 0:
+                    if shown_label >= lanes:
+                        note_blocks(target, b, SURPLUS, shown_label, blocks, first_row, first_column)
+                    if target_label >= lanes:
+                        note_blocks(target, b, MISSING, target_label, blocks, first_row, first_column)
+                        if shown_label != 0:
+                            note_blocks(target, b, HIDDEN, target_label, blocks, first_row, first_column)
+                pair = first_pair(shown, expected, wrong)
+                waiting = ballot(pair != wp.uint32(0))
+    if lane > 0:
+        if surplus != wp.uint32(0):
+            note_blocks(target, b, SURPLUS, lane, surplus, first_row, first_column)
+        if missing != wp.uint32(0):
+            note_blocks(target, b, MISSING, lane, missing, first_row, first_column)
+        if behind != wp.uint32(0):
+            note_blocks(target, b, HIDDEN, lane, behind, first_row, first_column)
+    total = sum_lanes(float(loss))
+    if lane == 0:
+        losses[b, square] = total
+        flat(hidden[b])[square] = hides
+
+
+def num_squares(height: int, width: int) -> tuple[int, int]:
+    """Squares that cover a picture: down and across."""
+    return -(-height // int(BLOCKS_DOWN * QUAD)), -(-width // int(BLOCKS_ACROSS * QUAD))
+
+
+def hidden_blocks(shape: tuple[int, ...], device: str | wp.Device) -> wp.array:
+    """Bits for blocks of images (B, H, W) in which a hidden part may have to come forward, all of them set.
+
+    A word has those of a square; shape (B, squares down, squares across).
+    """
+    batch, height, width = shape
+    return wp.full((batch, *num_squares(height, width)), 0xFFFFFFFF, dtype=wp.uint32, device=device)
+
+
+def launch_resolve_keys(mesh: MeshArrays, zbuffer: ZBuffer, images: ImageArrays, *, background: bool = True) -> None:
+    """Empty a z-buffer into label image and, unless None, depth and face-index map, all of them contiguous.
+
+    Without ``background`` these two keep their values where nothing shows, which the gradient never reads.
+    """
+    images.labels.zero_()
+    if background and images.depth is not None:
+        images.depth.fill_(wp.inf)
+    if background and images.face_index is not None:
+        images.face_index.fill_(-1)  # paper, eq. 8
+    device = mesh.vertices.device
+    batch, tile_rows, _ = zbuffer.touched.shape
+    lanes = num_lanes(device)
+    outputs = [zbuffer.touched, zbuffer.keys, images]
+    launch_bodies(resolve_keys, batch, tile_rows * lanes, [mesh, lanes], outputs, device)
+
+
+def launch_compare_labels(labels: wp.array, target: Any, *, hidden: wp.array, losses: wp.array) -> None:
+    """Fill partial sums of the loss (B, squares), ``hidden_blocks``, and the LabelTarget's ``extents``.
+
+    Both images are contiguous. Labels from L on have no extent.
+    """
+    target.extents.zero_()
+    batch, squares = losses.shape
+    lanes = num_lanes(labels.device)
+    launch_bodies(compare_labels, batch, squares * lanes, [labels, target, lanes], [hidden, losses], labels.device)
