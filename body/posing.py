@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -44,6 +44,10 @@ class Posed(Movable):
     centres: torch.Tensor
     axes: torch.Tensor
     semi_axes: torch.Tensor
+
+    def at(self, translation: torch.Tensor) -> Posed:
+        """The bodies moved by ``translation``, shape (B, 3) [m]."""
+        return replace(self, joints=self.joints + translation[:, None], centres=self.centres + translation[:, None])
 
     def vertices(self, subdivisions: int = DEFAULT_SUBDIVISIONS) -> torch.Tensor:
         """Mesh vertices in the order of ``ellipbody_faces``, shape (B, 20 N, 3) [m]."""

@@ -6,8 +6,9 @@ The forces on a part are summed to a force, a torque about its centre and a grad
 import warp as wp
 
 from ..ellipsoids.forces import SurfaceForces, add_force
+from ..mesh.screen import project_depth
 from .rules import RULES
-from .state import PROJ, SEG, Drawn, EllipsoidArrays, Problem, Pull, State, Terms, Wrench
+from .state import PROJ, SEG, Drawn, EllipsoidArrays, Problem, Pull, State, Terms, Wrench, lens_of
 
 
 @wp.func
@@ -35,11 +36,20 @@ def pull_landmark(problem: Problem, state: State, b: int, index: int):
         second = surface_point(state.ellipsoids, b, landmark.parts[1], landmark.second)
         position = landmark.shares[0] * first + landmark.shares[1] * second
         flat = wp.vec2(position[0], position[1])
-        miss = scale * flat + state.bodies.shift[b] - problem.landmarks.points[row, index]
+        lens = lens_of(problem, b)
+        centre = state.bodies.shift[b]
+        if lens[0] > 0.0:
+            scale = lens[0] / project_depth(position[2])
+            centre = wp.vec2(lens[1], lens[2])
+        miss = scale * flat + centre - problem.landmarks.points[row, index]
         slope = vote * wp.vec2(slope_of_abs(miss[0]), slope_of_abs(miss[1]))
         pull.cost = vote * (wp.abs(miss[0]) + wp.abs(miss[1]))
-        pull.force = scale * wp.vec3(slope[0], slope[1], 0.0)
-        pull.camera = wp.vec3(scale * wp.dot(slope, flat), slope[0], slope[1])
+        growing = scale * wp.dot(slope, flat)  # of the cost with the picture
+        if lens[0] > 0.0:
+            pull.force = wp.vec3(scale * slope[0], scale * slope[1], -growing / project_depth(position[2]))
+        else:
+            pull.force = scale * wp.vec3(slope[0], slope[1], 0.0)
+            pull.camera = wp.vec3(growing, slope[0], slope[1])
     state.pulls[b, index] = pull
 
 
@@ -97,8 +107,7 @@ def add_drawn(problem: Problem, state: State, drawn: Drawn, b: int, i: int):
 def sum_forces(problem: Problem, state: State, b: int, k: int):
     """Sum the renderer's, the landmarks' and the rules' forces on part k, and the landmarks' costs."""
     scale = wp.exp(state.bodies.log_scale[b])
-    camera = state.ellipsoids.camera[b]
-    half_size = camera[0] / scale
+    half_size = problem.half_size
     seen = state.drawn[b, k]
     sums = SurfaceForces()
     for i in range(3):
@@ -115,6 +124,9 @@ def sum_forces(problem: Problem, state: State, b: int, k: int):
             cost += pull.cost
             to_camera += pull.camera
     state.costs[b, k][PROJ] = cost
+    if lens_of(problem, b)[0] > 0.0:
+        # The camera stays; what scale and shift move is the pelvis, at (shift - centre, focal) / scale.
+        to_camera = wp.vec3(-wp.dot(state.roots[b], sums.force), sums.force[0] / scale, sums.force[1] / scale)
     sums.force += state.pushes[b, k]
 
     axes = state.ellipsoids.axes[b, k]

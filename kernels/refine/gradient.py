@@ -17,7 +17,7 @@ _DOWN = wp.constant(wp.vec3(0.0, 1.0, 0.0))  # camera frame
 def sum_subtree(problem: Problem, state: State, b: int, bone: int):
     """Sum the forces on all that a bone moves."""
     num_parts = state.wrenches.shape[1]
-    pivot = wp.vec3(0.0)
+    pivot = state.roots[b]
     if bone < num_parts:
         along = column(state.ellipsoids.axes[b, bone], 0)
         pivot = state.ellipsoids.centres[b, bone] - state.ellipsoids.semi_axes[b, bone][0] * along

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..rotations import column, matrix_from_6d, matrix_from_axis_angle
-from .state import Problem, State, has_bit
+from .state import Problem, State, has_bit, lens_of
 
 
 @wp.func
@@ -28,17 +28,26 @@ def turn_body(problem: Problem, state: State, b: int):
     if up >= 0:
         # The camera's y is down.
         state.likelihood.directions[b, up] = -orientation[1]
-    half_size = problem.half_size
-    focal = wp.exp(state.bodies.log_scale[b]) * half_size
+    scale = wp.exp(state.bodies.log_scale[b])
     shift = state.bodies.shift[b]
-    state.ellipsoids.camera[b] = wp.vec4(focal, focal, (shift[0] + 1.0) * half_size, (shift[1] + 1.0) * half_size)
+    lens = lens_of(problem, b)
+    root = wp.vec3(0.0)
+    focal = scale
+    centre = shift
+    if lens[0] > 0.0:
+        focal = lens[0]
+        centre = wp.vec2(lens[1], lens[2])
+        root = wp.vec3(shift[0] - centre[0], shift[1] - centre[1], focal) / scale
+    state.roots[b] = root
+    half_size = problem.half_size
+    state.ellipsoids.camera[b] = half_size * wp.vec4(focal, focal, centre[0] + 1.0, centre[1] + 1.0)
 
 
 @wp.func
 def place_part(problem: Problem, state: State, b: int, k: int):
     """Ellipsoid of part k from the local rotations, as ``pose_bones`` has it."""
     rotation = state.turns[b, k]
-    start = wp.vec3(0.0)
+    start = wp.vec3(0.0)  # from the pelvis
     above = problem.bones[k].parent
     while above >= 0:
         turn = state.turns[b, above]
@@ -53,4 +62,4 @@ def place_part(problem: Problem, state: State, b: int, k: int):
     axes = orientation * rotation * problem.bones[k].rest_axes
     state.ellipsoids.axes[b, k] = axes
     state.ellipsoids.semi_axes[b, k] = semi_axes
-    state.ellipsoids.centres[b, k] = orientation * start + semi_axes[0] * column(axes, 0)
+    state.ellipsoids.centres[b, k] = state.roots[b] + orientation * start + semi_axes[0] * column(axes, 0)

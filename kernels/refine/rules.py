@@ -73,7 +73,8 @@ def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int
 def hold_depth(problem: Problem, state: State, weight: float, b: int, k: int):
     """Squared distance along z of part k's centre from its given depth."""
     row = b % problem.rules.depths.shape[0]
-    deviation = (state.ellipsoids.centres[b, k][2] - problem.rules.depths[row, k]) * _MILLIMETRES
+    depth = state.ellipsoids.centres[b, k][2] - state.roots[b][2]
+    deviation = (depth - problem.rules.depths[row, k]) * _MILLIMETRES
     push = 2.0 * weight * deviation * _MILLIMETRES
     state.pushes[b, k] = state.pushes[b, k] + wp.vec3(0.0, 0.0, push)
     return weight * deviation * deviation

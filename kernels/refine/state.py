@@ -99,6 +99,7 @@ class Problem:
     bones: wp.array[Bone]  # (P + 1,) of the template; the root comes last
     locked: int  # bit k: part k keeps its rest rotation
     half_size: float  # of the drawn crop [px]
+    lenses: wp.array[wp.vec3]  # (N,) focal length and principal point in the crop, -1 to 1; length 0: weak perspective
     landmarks: Landmarks
     rules: Rules
     mixture: Mixture
@@ -122,7 +123,7 @@ class Bodies:
     rotations: wp.array2d[wp.vec3]  # (B, P) axis times angle [rad]
     lengths: wp.array2d[float]  # (B, number of lengths) [m]
     thicknesses: wp.array2d[float]  # (B, number of thicknesses) [m]
-    log_scale: wp.array[float]  # (B,) logarithm of the crop's half-sides a metre
+    log_scale: wp.array[float]  # (B,) logarithm of the crop's half-sides a metre, at the pelvis
     shift: wp.array[wp.vec2]  # (B,) the root in the crop, -1 to 1
 
 
@@ -205,6 +206,7 @@ class State:
     rows: Rows
     turns: wp.array2d[wp.mat33]  # (B, P) local rotations
     orientations: wp.array[wp.mat33]  # (B,)
+    roots: wp.array[wp.vec3]  # (B,) pelvis in the camera frame [m]; 0 in weak perspective
     ellipsoids: EllipsoidArrays
     likelihood: Likelihood
     drawn: wp.array3d[float]  # (B, P, 16) all shares of the renderer's forces, weighted
@@ -215,6 +217,12 @@ class State:
     pushes: wp.array2d[wp.vec3]  # (B, P) forces of rules on the parts' centres
     costs: wp.array2d[Terms]  # (B, P) shares of the terms, weighted
     records: Records
+
+
+@wp.func
+def lens_of(problem: Problem, b: int):
+    """Focal length and principal point of body b's picture."""
+    return problem.lenses[b % problem.lenses.shape[0]]
 
 
 @wp.func

@@ -68,7 +68,7 @@ def assert_same(have: dict, want: dict, tolerance: float) -> None:
 class FixedForces:
     """A renderer whose forces are given: the loss is linear in what they act on."""
 
-    def __init__(self, renderer, part_labels, targets, ellipsoids) -> None:
+    def __init__(self, renderer, part_labels, targets, ellipsoids, perspective) -> None:
         rng = np.random.default_rng(3)
         shape, device = ellipsoids.centres.shape, ellipsoids.centres.device
         self.force, self.moment, self.camera = (
@@ -137,6 +137,28 @@ def test_depth_is_held_as_in_torch(device):
     assert_same(gradient_at(free, bodies)[1], autograd_at(free, bodies)[1], 1e-5)
     with pytest.raises(ValueError, match="energies: some with depths, some without; expected the same of all"):
         CapturedRefinement([energies[0], free], 4)
+
+
+@pytest.mark.parametrize("gradient", ["edges", "partdr"])
+def test_a_known_camera_in_both_paths(device, gradient):
+    """Near and beside the axis, where perspective differs from weak perspective, also of each body's own camera."""
+    body = walker(device)
+    weights = Weights(depth=0.01, seg=1.0)
+    plain = energy_of(body, labels=True, weights=weights, renderer=RendererEllipsoids(gradient))
+    plain = replace(plain, depths=body.posed().centres[0, :, 2])
+    lenses = torch.tensor([[2.5, 1.5, -0.7], [6.0, 0.1, 0.2]], device=device)
+    energies = [replace(plain, observation=replace(plain.observation, lens=lens)) for lens in lenses]
+    bodies = moved_bodies(body, 4, amount=0.3)
+    terms, gradients = gradient_at(energies, bodies)
+    for number, energy in enumerate(energies):
+        mine = slice(number, None, 2)
+        want_terms, want = autograd_at(energy, bodies.select(torch.arange(4, device=device)[mine]))
+        assert_same({name: term[mine] for name, term in terms.items()}, want_terms, 5e-6)
+        assert_same({name: tensor[mine] for name, tensor in gradients.items()}, want, 5e-5)
+        weak, _ = autograd_at(plain, bodies.select(torch.arange(4, device=device)[mine]))
+        assert (want_terms["proj"] - weak["proj"]).abs().min() > 1e-2
+    with pytest.raises(ValueError, match="energies: some with a lens, some without; expected the same of all"):
+        CapturedRefinement([energies[0], plain], 4)
 
 
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])

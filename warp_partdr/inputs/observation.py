@@ -37,6 +37,8 @@ class Observation(Movable):
         lengths: Expected ``LENGTH_NAMES`` of the person [m], shape (12,); None: the mean adult's.
         thicknesses: Expected ``THICKNESS_NAMES`` [m], shape (15,); None: the mean adult's.
         marks: Point of the body that each keypoint marks (``Skeleton.marks``); None: ``landmarks`` themselves.
+        lens: Focal length and principal point of the picture's camera, in the crop's coordinates, shape (3,); None:
+            unknown, and weak perspective serves.
     """
 
     landmarks: tuple[str, ...]
@@ -49,6 +51,7 @@ class Observation(Movable):
     lengths: torch.Tensor | None = None
     thicknesses: torch.Tensor | None = None
     marks: tuple[str, ...] | None = None
+    lens: torch.Tensor | None = None
 
     @property
     def body_points(self) -> tuple[str, ...]:

@@ -107,7 +107,8 @@ class CapturedRefinement:
             return None
         assert isinstance(renderer, RendererEllipsoids)
         labels = [int(group) for group in label_set.part_groups[1:]]
-        return CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids)
+        perspective = self._energy.observation.lens is not None
+        return CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids, perspective)
 
     def _make_state(self, where: str) -> State:
         """Allocate the bodies' state."""
@@ -128,6 +129,7 @@ class CapturedRefinement:
         records.history = warp_array(self._history)
 
         state.turns, state.orientations = zeros(NUM_PARTS, dtype=wp.mat33), zeros(dtype=wp.mat33)
+        state.roots = zeros(dtype=wp.vec3)
         ellipsoids = state.ellipsoids
         ellipsoids.centres, ellipsoids.axes = zeros(NUM_PARTS, dtype=wp.vec3), zeros(NUM_PARTS, dtype=wp.mat33)
         ellipsoids.semi_axes, ellipsoids.camera = zeros(NUM_PARTS, dtype=wp.vec3), zeros(dtype=wp.vec4)
@@ -159,6 +161,9 @@ class CapturedRefinement:
         seen = {name for each in energies for name in each.observation.body_points}
         problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
+        weak = torch.zeros(3, device=self._device)
+        lenses = [weak if (lens := each.observation.lens) is None else lens for each in energies]
+        problem.lenses = warp_array(torch.stack(lenses), wp.vec3)
         problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))
         problem.rules = rule_arrays(where, energy.prior, *map(warp_array, (lengths, thicknesses, depths)))
         problem.mixture = mixture_arrays(where, energy.prior)
@@ -280,6 +285,8 @@ def _check_alike(first: Energy, other: Energy) -> None:
     for name, what in (("target", "labels"), ("depths", "depths")):
         if (getattr(other, name) is None) != (getattr(first, name) is None):
             raise ValueError(f"energies: some with {what}, some without; expected the same of all")
+    if (first.observation.lens is None) != (other.observation.lens is None):
+        raise ValueError("energies: some with a lens, some without; expected the same of all")
     expected = first.observation.label_set
     if first.target is not None and expected is not None and other.observation.label_set != expected:
         raise ValueError(f"energies: another label set; expected {expected.name!r}")

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import torch
 
 from ..body.landmarks import landmark_points
-from ..body.parameters import BodyParameters
+from ..body.parameters import BodyParameters, place_bodies
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
+from ..cameras import Camera
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..render.renderers import Renderer, RendererEllipsoids
 
@@ -160,7 +161,7 @@ class Energy:
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,) each."""
         posed = parameters.posed()
-        if self.target is None or self._maps is not None:
+        if self.target is None or self._maps is not None or self.observation.lens is not None:
             return self.terms(parameters, posed)
         found = self.terms(parameters, posed, [term.name for term in TERMS if term is not SEG])
         # From the parameters, in one graph.
@@ -192,7 +193,8 @@ class Energy:
 
     def segmentation(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L_seg against labels, or against probabilities where there are such [pixels], shape (B,)."""
-        camera, labels, renderer = parameters.camera(self.size), self._part_labels, self._fix(parameters, posed)
+        renderer, labels = self._fix(parameters, posed), self._part_labels
+        posed, camera = self.place(parameters, posed, self.size)
         if self._maps is None:
             return renderer.label_loss(posed, camera, self._targets, part_labels=labels, validate=False)[0]
         size, count = (self.size, self.size), len(self._maps)
@@ -200,6 +202,10 @@ class Energy:
         assert maps is not None
         assert self._known is not None
         return ((maps - self._maps).square() * self._known).sum((1, 2, 3))
+
+    def place(self, parameters: BodyParameters, posed: Posed, size: int) -> tuple[Posed, Camera]:
+        """Bodies before their camera, which draws the crop at ``size`` px: the observation's, or weak perspective."""
+        return place_bodies(parameters, posed, self.observation.lens, size)
 
     @property
     def _targets(self) -> torch.Tensor:
@@ -210,12 +216,13 @@ class Energy:
     def _fix(self, parameters: BodyParameters, posed: Posed) -> Renderer:
         """Renderer with the level that the first bodies need."""
         if self._fixed is None:
-            self._fixed = self.renderer.fixed(posed, parameters.camera(self.size))
+            self._fixed = self.renderer.fixed(*self.place(parameters, posed, self.size))
         return self._fixed
 
     def misses(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
         """L1 distance of the keypoints [half-sides of the crop], weighted with their confidence, shape (B,)."""
-        image = parameters.camera(2).project(self._gather(posed))[..., :2] - 1
+        posed, camera = self.place(parameters, posed, 2)
+        image = camera.project(self._gather(posed))[..., :2] - 1
         return ((image - self.observation.points).abs().sum(-1) * self.votes).sum(1)
 
     def reprojection(self, parameters: BodyParameters, posed: Posed) -> torch.Tensor:

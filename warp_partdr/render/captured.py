@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 
 import torch
 import warp as wp
 
+from ..cameras import ScreenCamera
 from ..kernels.ellipsoids.forces import make_forces
 from ..kernels.refine.state import Drawn, EllipsoidArrays
 from .ellipsoid_passes import ellipsoid_passes
@@ -24,6 +24,7 @@ class CapturedEllipsoids:
         targets: Label images, shape (N, size, size), uint8, on the bodies' device; body b is compared with number
             b % N.
         ellipsoids: Posed parts and cameras, B of them.
+        perspective: Kind of the cameras.
 
     Attributes:
         drawn: L_seg [px of the drawn crop] and its forces, which ``launch`` fills.
@@ -35,12 +36,14 @@ class CapturedEllipsoids:
         part_labels: Sequence[int],
         targets: torch.Tensor,
         ellipsoids: EllipsoidArrays,
+        perspective: bool = False,
     ) -> None:
         batch, parts = ellipsoids.centres.shape
         device, size = ellipsoids.centres.device, targets.shape[1:]
         posed = ellipsoids.centres, ellipsoids.axes, ellipsoids.semi_axes, ellipsoids.camera
         shown = wp.empty((batch, *size), dtype=wp.uint8, device=device)
-        passes = ellipsoid_passes(tuple(part_labels), False, near=-math.inf, **vars(renderer))
+        near = ScreenCamera(perspective).near_plane
+        passes = ellipsoid_passes(tuple(part_labels), perspective, near=near, **vars(renderer))
         target = passes.label_target(targets, batch)
         drawn = self.drawn = Drawn()
         self._draw, seen, drawn.loss = passes.prepare_picture(posed, target, parts=shown)
