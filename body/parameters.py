@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import torch
 
-from ..cameras import Perspective, WeakPerspective
+from ..cameras import WeakPerspective
 from ..errors import check_whole
 from ..interop.checks import check_finite, check_tensor
 from ..interop.movable import Movable
@@ -140,26 +140,6 @@ def _free_parts(device: torch.device) -> torch.Tensor:
     """0 for each locked part, 1 for the others, shape (20, 1)."""
     with torch.inference_mode(False):  # kept for calls outside of it, too
         return torch.tensor([[float(part not in LOCKED_PARTS)] for part in range(NUM_PARTS)], device=device)
-
-
-def place_bodies(
-    parameters: BodyParameters, posed: Posed, lens: torch.Tensor | None, size: int
-) -> tuple[Posed, WeakPerspective | Perspective]:
-    """Bodies before the camera of a crop of ``size`` pixels a side, and the camera.
-
-    Args:
-        parameters: B bodies.
-        posed: The same, the pelvis at the origin.
-        lens: Focal length and principal point in the crop's coordinates, -1 to 1, shape (3,): the pelvis then lies
-            where it is seen as large and at the same place. None: weak perspective, and bodies stay.
-        size: [px].
-    """
-    camera = parameters.camera(size)
-    if lens is None:
-        return posed, camera
-    lens = lens.to(camera.scale).expand(parameters.batch_size, 3)
-    perspective, translation = camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
-    return posed.at(translation), perspective
 
 
 def crop_camera(log_scale: torch.Tensor, shift: torch.Tensor, size: int) -> WeakPerspective:

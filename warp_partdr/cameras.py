@@ -6,7 +6,7 @@ Camera frame: x right, y down, z away from the viewer [m]; pixel (row v, column 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -126,6 +126,41 @@ class Perspective(Movable):
         shape = (self.focal.shape[0], 2)
         check_tensor("centre", self.centre, shape, dtypes=FLOATS, like=("focal", self.focal))
 
+    @classmethod
+    def of_picture(
+        cls,
+        image_size: tuple[int, int],
+        *,
+        focal: float | None = None,
+        fov: float | None = None,
+        principal: tuple[float, float] | None = None,
+    ) -> Perspective:
+        """The camera of a picture, with square pixels, B = 1.
+
+        Args:
+            image_size: (H, W) [px].
+            focal: Focal length [px]; or
+            fov: Horizontal angle of view [degrees].
+            principal: Principal point (u, v) [px]; by default the picture's middle.
+
+        Raises:
+            ValueError: If not one of ``focal`` and ``fov`` is given, or a number is out of range.
+        """
+        height, width = image_size
+        if (focal is None) == (fov is None):
+            raise ValueError(f"focal, fov: {focal}, {fov}; expected one of the two")
+        if fov is not None:
+            if not 0 < fov < _MOST_FOV:
+                raise ValueError(f"fov: {fov:g}; expected degrees between 0 and {_MOST_FOV}")
+            focal = width / 2 / math.tan(math.radians(fov) / 2)
+        assert focal is not None
+        if not 0 < focal < math.inf:
+            raise ValueError(f"focal: {focal:g}; expected a positive number")
+        centre = (width / 2, height / 2) if principal is None else principal
+        if not all(map(math.isfinite, centre)):
+            raise ValueError(f"principal: {centre}; expected finite numbers")
+        return cls(torch.tensor([[focal, focal]], dtype=torch.float32), torch.tensor([centre], dtype=torch.float32))
+
     @property
     def near_plane(self) -> float:
         """Depth at or before which nothing is drawn [m]: never behind the camera."""
@@ -168,6 +203,7 @@ class Perspective(Movable):
 
 
 _MIN_DEPTH = 1e-6  # [m]
+_MOST_FOV = 170  # [degrees]
 
 
 def _check_near(near: float) -> None:
@@ -249,6 +285,12 @@ class ScreenCamera:
 
 
 Camera = WeakPerspective | Perspective
+
+
+def first_of(camera: Camera) -> Camera:
+    """The first of B cameras, without its gradient."""
+    tensors = {name: each[:1].detach() for name, each in vars(camera).items() if isinstance(each, torch.Tensor)}
+    return replace(camera, **tensors)  # type: ignore[arg-type]
 
 
 def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> torch.Tensor:

@@ -48,6 +48,7 @@ BODY_FILE: dict[str, np.ndarray] = {
     "camera_scale": np.array(100.0, dtype=np.float32),
     "camera_translation": np.array([20.0, 30.0], dtype=np.float32),
     "image_size": np.array([96, 80]),
+    "camera_perspective": np.array(0),
 }
 
 

@@ -142,6 +142,22 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
         assert np.ptp(np.array(joints["pixels"])[:, 1]) > 70
 
 
+def test_a_known_camera(run: Run, files: Path) -> None:
+    """The body stands before it, in metres; a detailed body, also one registered later, stands there, too."""
+    assert run(f"fit {GOOD} --focal 300 --principal 50,60")[0] == 0
+    described = json.loads(Path("out/body.json").read_text())
+    assert described["camera"]["focal_px"] == 300
+    assert described["camera"]["principal_px"] == [50, 60]
+    pelvis = np.array(described["joints"]["points_m"][0])
+    pixel = 300 * pelvis[:2] / pelvis[2] + [50, 60]
+    np.testing.assert_allclose(pixel, described["joints"]["pixels"][0], atol=0.05)
+    body = load_body("out/body.npz")
+    np.testing.assert_allclose(body.translation, pelvis, atol=1e-3)
+    assert run("register out/body.npz --parts p.png --labels cdcl14 --photo photo.png --out again")[0] == 0
+    first, again = (json.loads(Path(f"{out}/registration.json").read_text()) for out in ("out", "again"))
+    assert abs(first["parts"]["foreground_f1"] - again["parts"]["foreground_f1"]) < 0.05
+
+
 def test_labels_of_all_20_parts(run: Run, files: Path) -> None:
     cdcl, names = label_set("cdcl14"), label_set("ellipbody20").group_names
     table = [0, *(1 + names.index(members[0]) for members in cdcl.groups.values())]

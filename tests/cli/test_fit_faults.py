@@ -47,6 +47,11 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     ),
     "out is a file": (GOOD.replace("--out out", "--out k.json"), ["k.json", "folder"]),
     "out is in a file": (GOOD.replace("--out out", "--out k.json/out"), ["k.json/out", "folder"]),
+    "principal point alone": (GOOD + " --principal 3,4", ["--principal", "--focal"]),
+    "principal point": (GOOD + " --focal 100 --principal 3", ["--principal: '3'", "U,V"]),
+    "focal length": (GOOD + " --focal -100", ["--focal: -100", "positive"]),
+    "focal length and angle": (GOOD + " --focal 100 --fov 50", ["focal, fov", "one of the two"]),
+    "angle of view": (GOOD + " --fov 180", ["--fov: 180", "170"]),
     "damaged .npy header": (GOOD.replace("p.png", "header.npy"), ["header.npy", "expected"]),
 }
 ALONE_HERE = "photo.png --keypoints k.json --out out"

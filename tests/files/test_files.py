@@ -126,7 +126,8 @@ def headers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_body_that_unpacks_to_gigabytes_is_refused_by_its_header(tmp_path: Path, headers_alone: None) -> None:
     path = tmp_path / "body.npz"
-    names = ("global_orient", "translation", "lengths", "thicknesses", "camera_scale", "camera_translation")
+    names = ["global_orient", "translation", "lengths", "thicknesses"]
+    names += ["camera_scale", "camera_translation", "camera_perspective"]
     np.savez(path, format=np.array("x"), image_size=np.zeros(2), **dict.fromkeys(names, np.zeros(3)))
     lying((500_000, 3), "rotations", path, held=12_000_000)
     assert path.stat().st_size < 100_000

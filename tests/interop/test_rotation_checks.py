@@ -116,7 +116,7 @@ def test_body_files(which: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "body.npz"
     arrays = {key: value[0].numpy() for key, value in body_parameters(0).items()}
     arrays |= {"format": "warp-partdr body 1", "camera_scale": 100.0, "camera_translation": np.zeros(2)}
-    arrays["image_size"] = np.array([64, 64])
+    arrays |= {"image_size": np.array([64, 64]), "camera_perspective": np.array(0)}
     np.savez(path, **arrays)
     load_body(path)
     arrays[which].reshape(-1, 3, 3)[-1] = {**NO_ROTATIONS, "mirrored": MIRROR}[name].numpy()

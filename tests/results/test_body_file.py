@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import warnings
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from scenes.files import Trap
 from warp_partdr import PART_NAMES, BodyParameters, InputError, load_body
 from warp_partdr.results.body_file import FORMAT, BodyFile
 
-*FIELDS, _ = BodyFile.__dataclass_fields__  # of floats
+*FIELDS, _, _ = BodyFile.__dataclass_fields__  # of floats
 
 
 def some_body() -> BodyFile:
@@ -64,6 +65,15 @@ def test_comes_back_to_the_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(numbers["rotations"][0], body.rotations)
 
 
+def test_a_perspective_camera_comes_back(tmp_path: Path) -> None:
+    body = replace(some_body(), translation=np.array([0.2, 0.1, 4.0], np.float32), camera_perspective=np.array(1))
+    body.save(tmp_path / "body.npz")
+    again = load_body(tmp_path / "body.npz")
+    pelvis = again.camera().project(torch.from_numpy(again.translation)[None, None])[0, 0]
+    wanted = body.camera_translation + body.camera_scale * np.array([0.05, 0.025])
+    np.testing.assert_allclose(pelvis.numpy(), [*wanted, 4.0], rtol=1e-6)
+
+
 def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
     data = arrays() | {"lengths": arrays()["lengths"].astype(np.float64), "camera_scale": np.array(3)}
     np.savez_compressed(tmp_path / "body.npz", **data)
@@ -82,6 +92,8 @@ def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
         ({"lengths": None}, "lengths"),
         ({"rotations": np.zeros((19, 3, 3))}, r"rotations.*\(19, 3, 3\).*\(20, 3, 3\)"),
         ({"camera_scale": np.ones(1)}, r"camera_scale.*\(1,\)"),
+        ({"camera_perspective": np.array(2)}, "camera_perspective: 2; expected 0 or 1"),
+        ({"camera_perspective": np.array(1), "translation": np.zeros(3)}, "translation: .* m away; expected a body before the camera"),
         ({"lengths": np.full(12, np.nan)}, "lengths.*NaN"),
         ({"translation": np.array([0, np.inf, 0])}, "translation.*infinity"),
         ({"lengths": np.full(12, 1e300)}, "lengths.*infinity"),

@@ -12,7 +12,7 @@ from typer import Argument, Option
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
-from .options import DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
+from .options import CameraOptions, DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
 from .register import MODEL_HELP, clothe, describe_scores, read_model
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def fit(
         bool, Option("--explain", help="First say what is modelled, what is left out, and why.")
     ] = False,
     *,
+    view: CameraOptions,
     settings: SettingOptions,
 ) -> None:
     """Fit a body to one person; see ``FIT_HELP``."""
@@ -80,14 +81,15 @@ def fit(
     named = (options.network, files.labels, model)
     given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
+    size = image_size(person.keypoints, person.parts, person.photo)
+    camera = view.read(size)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
         _explain(person, options)
     with FitProgress() as progress:
         _load_kernels(where, options, with_labels=person.parts is not None)
-        result = fit_body(
-            person.keypoints, person.parts, others=person.others, options=options, device=where, progress=progress
-        )
+        how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
+        result = fit_body(person.keypoints, person.parts, others=person.others, **how)
         progress("writing results", 1, 1)
         report = save_fit(result, out, photo=person.photo)
     for warning in result.warnings:
@@ -95,7 +97,6 @@ def fit(
     _summarise(report, out)
     if detailed_model is None:
         return
-    size = image_size(person.keypoints, person.parts, person.photo)
     try:
         with FitProgress() as progress:
             seen = result.camera, size, person.photo, result.evidence

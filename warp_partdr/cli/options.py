@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Option
 
@@ -16,6 +16,9 @@ from ..inputs.keypoint_files import read_keypoints
 from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
 from ..inputs.person import PersonInputs, check_inside
+
+if TYPE_CHECKING:
+    from ..cameras import Perspective
 
 DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")]
 OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
@@ -77,6 +80,37 @@ class PersonFiles:
         chosen = choose_person(people, groups, self.person)
         check_inside(chosen, sizes[0] or sizes[1])
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Options for the picture's camera."""
+
+    focal: Annotated[float | None, Option(help="Focal length of the picture's camera.", metavar="PX")] = None
+    fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
+    principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
+        None
+    )
+
+    def read(self, size: tuple[int, int]) -> Perspective | None:
+        """The camera of a picture of (H, W) pixels; None if nothing was said."""
+        if self.focal is None and self.fov is None:
+            if self.principal is not None:
+                raise InputError("--principal: alone; expected --focal or --fov, too")
+            return None
+        from ..cameras import Perspective  # loads torch
+
+        principal = None
+        if self.principal is not None:
+            try:
+                u, v = map(float, self.principal.split(","))
+            except ValueError:
+                raise InputError(f"--principal: {shown(self.principal)}; expected two numbers, U,V") from None
+            principal = (u, v)
+        try:
+            return Perspective.of_picture(size, focal=self.focal, fov=self.fov, principal=principal)
+        except ValueError as error:
+            raise InputError(f"--{error}") from None
 
 
 def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..body.posing import Posed
-    from ..cameras import WeakPerspective
+    from ..cameras import Camera
     from ..clothing.model import DetailedModel
     from ..inputs.evidence import Evidence
     from ..inputs.part_labels import PartLabels
@@ -83,7 +83,7 @@ def register_body(
     typer.echo(told)
 
 
-def _evidence_of(posed: Posed, camera: WeakPerspective, parts: PartLabels) -> Evidence:
+def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:
     """The labels of the person where a body is; an InputError if there are none."""
     import numpy as np
 
@@ -114,7 +114,7 @@ def clothe(
     posed: Posed,
     model: DetailedModel,
     out: Path,
-    camera: WeakPerspective,
+    camera: Camera,
     size: tuple[int, int],
     photo: np.ndarray | None,
     evidence: Evidence | None,

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..body.template import NUM_PARTS
-from ..cameras import Crop
+from ..cameras import Crop, Perspective
 from ..errors import check_type
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
@@ -42,6 +43,7 @@ def fit_body(
     options: FitOptions | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
+    camera: Perspective | None = None,
 ) -> FitResult:
     """Fit EllipBody to one person.
 
@@ -56,6 +58,8 @@ def fit_body(
         options: Stages and weights of your own, instead of those of ``quality``.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
+        camera: The picture's, such as ``Perspective.of_picture(size, focal=1500)``, with square pixels: the body then
+            stands where it is seen, in metres from the camera. None: weak perspective.
 
     Returns:
         The body, its camera, and how it went.
@@ -63,13 +67,16 @@ def fit_body(
     Raises:
         InputError: If no keypoint is visible, all lie in one point, or labels and keypoints do not meet.
         TypeError: If an argument is of another type.
+        ValueError: If there is not one camera with square pixels.
     """
     check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
+    _check_camera(camera)
     options = options or FitOptions.at(quality)
     prior = PosePrior().to(device)
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
-        seen, crop = crop_evidence(evidence, trust_background=options.trust_background, device=device)
+        trust = options.trust_background
+        seen, crop = crop_evidence(evidence, trust_background=trust, device=device, camera=camera)
         return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress)
 
     def glance(evidence: Evidence) -> FitResult:
@@ -103,14 +110,19 @@ class _Fit:
         first = self.stages[0]
         bodies, targets, known = hypothesize(self.seen, first.bodies, seed=self.options.seed)
         bodies = replace(bodies, rotations=self.prior.mean_pose.expand(bodies.batch_size, NUM_PARTS, 3))
+        bodies = self._turned(bodies)
         return self._refine(bodies, self.seen, "search", lambda energy: LiftEnergy(energy, targets, known))
+
+    def _turned(self, bodies: BodyParameters) -> BodyParameters:
+        """Starts, which are made as if the camera looked at the person, before the camera that is known."""
+        return bodies if self.seen.lens is None else turn_to_rays(bodies, self.seen.lens)
 
     def from_network(self) -> FitResult:
         """Fit from the network's body, whose sizes then are the expected ones."""
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
-        body = predict_bodies([self.seen], network)
+        body = self._turned(predict_bodies([self.seen], network))
         seconds = time.perf_counter() - started
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         found = self._refine(body, seen, "network")
@@ -200,3 +212,13 @@ class _Fit:
     def _judge(self) -> Energy:
         """Energy by which results of all starts are compared."""
         return Energy(self.seen, weights=self.options.weights, prior=self.prior, renderer=self.options.renderer)
+
+
+def _check_camera(camera: Perspective | None) -> None:
+    check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
+    if camera is not None:
+        if len(camera.focal) != 1:
+            raise ValueError(f"camera: {len(camera.focal)} of them; expected one")
+        across, down = camera.focal[0].tolist()
+        if not (np.isfinite(camera.intrinsics.cpu()).all() and across > 0 and abs(across - down) <= 1e-3 * across):
+            raise ValueError(f"camera: focal lengths {across:g} and {down:g}; expected square pixels")

@@ -50,7 +50,8 @@ def poor_labels(parameters: BodyParameters, energy: Energy) -> list[str]:
     label_set = energy.observation.label_set
     if energy.target is None or label_set is None:
         return []
-    parts = draw_ellipsoids(parameters.posed(), parameters.camera(energy.size), (energy.size, energy.size)).parts[0]
+    placed = energy.place(parameters, parameters.posed(), energy.size)
+    parts = draw_ellipsoids(*placed, (energy.size, energy.size)).parts[0]
     shown = label_set.part_groups[parts.cpu().numpy()]
     counts = metrics.confusion(shown, energy.target.cpu().numpy(), label_set.num_groups + 1)
     score = metrics.part_f1(counts)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..body.lens import place_bodies
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather, Posed
-from ..cameras import Crop, WeakPerspective
+from ..cameras import Camera, Crop
 from ..inputs.evidence import Evidence
 from ..inputs.observation import Observation
 from ..interop.movable import Movable
@@ -54,14 +55,18 @@ class FitResult(Movable):
     warnings: tuple[str, ...] = ()
 
     @property
-    def camera(self) -> WeakPerspective:
-        """The camera in pixels of the full picture."""
-        return self.parameters.camera(self.crop.size[0]).in_full(self.crop)
+    def camera(self) -> Camera:
+        """The camera in pixels of the full picture: perspective if it was given, else weak perspective."""
+        return self._placed[1].in_full(self.crop)
 
     @property
     def posed(self) -> Posed:
-        """The body in the camera frame, pelvis at the origin [m]."""
-        return self.parameters.posed()
+        """The body in the camera frame [m]; with weak perspective, which knows no distance, pelvis at the origin."""
+        return self._placed[0]
+
+    @property
+    def _placed(self) -> tuple[Posed, Camera]:
+        return place_bodies(self.parameters, self.parameters.posed(), self.observation.lens, self.crop.size[0])
 
     def landmarks(self, names: Sequence[str]) -> np.ndarray:
         """Landmarks (see ``body.landmarks``) in the camera frame, shape (L, 3) [m]."""
@@ -72,7 +77,7 @@ class FitResult(Movable):
         image_size: tuple[int, int],
         *,
         renderer: Renderer = _FINE_MESH,
-        camera: WeakPerspective | None = None,
+        camera: Camera | None = None,
     ) -> PartImage | EllipsoidImage:
         """The body's 20 parts in the full picture, or in another camera's.
 

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 import torch
 
+from ..body.lens import ray_rotations
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_to_6d
@@ -90,6 +91,8 @@ class LiftEnergy:
     def __call__(self, parameters: BodyParameters) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,)."""
         points = self._gather(parameters.posed()) * parameters.log_scale.exp()[:, None, None]
+        if (lens := self._energy.observation.lens) is not None:
+            points = points @ ray_rotations(parameters, lens)  # as seen along the ray to the pelvis
         points = points - points[:, :1] * points.new_tensor([0.0, 0.0, 1.0])  # depth counts from the hips
         points = points + torch.nn.functional.pad(parameters.shift, (0, 1))[:, None]
         lift = ((points - self._targets).abs() * self._known).sum((1, 2)) * (REFERENCE_SIZE / 2)

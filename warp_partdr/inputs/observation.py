@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..body.labels import IGNORE, LabelSet
-from ..cameras import Crop
+from ..cameras import Crop, Perspective
 from ..interop.movable import Movable
 from .evidence import Evidence, weigh_evidence
 from .ignored_labels import ignore_missing_limbs
@@ -76,9 +76,13 @@ def observe(
 
 
 def crop_evidence(
-    evidence: Evidence, *, trust_background: bool = False, device: torch.device | str = "cpu"
+    evidence: Evidence,
+    *,
+    trust_background: bool = False,
+    device: torch.device | str = "cpu",
+    camera: Perspective | None = None,
 ) -> tuple[Observation, Crop]:
-    """Cut out a person whose evidence was weighed (``weigh_evidence``)."""
+    """Cut out a person whose evidence was weighed (``weigh_evidence``); the picture's ``camera`` may be known."""
     window, keypoints = evidence.window, evidence.in_window()
     if evidence.groups is not None and not trust_background:
         evidence = replace(evidence, groups=ignore_missing_limbs(evidence.groups, keypoints))
@@ -115,9 +119,17 @@ def crop_evidence(
             label_set=None if evidence.picture is None else evidence.picture.label_set,
             maps=maps,
             known=known,
+            lens=None if camera is None else _crop_lens(camera, crop).to(device),
         ),
         crop,
     )
+
+
+def _crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
+    """Focal length and principal point of a picture's camera in a square crop's coordinates, shape (3,)."""
+    focal, _, u, v = camera.in_crop(crop).intrinsics[0].tolist()
+    half = crop.size[0] / 2
+    return torch.tensor([focal / half, u / half - 1, v / half - 1])
 
 
 def resize_nearest(labels: torch.Tensor, size: int) -> torch.Tensor:

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import torch
 
 from ..body.landmarks import landmark_points
-from ..body.parameters import BodyParameters, place_bodies
+from ..body.lens import place_bodies
+from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
 from ..cameras import Camera

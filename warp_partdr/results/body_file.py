@@ -4,19 +4,20 @@
 |---|---|---|
 | format | () | "warp-partdr body 1" |
 | global_orient | (3, 3) | rotation of the body in the camera frame |
-| translation | (3,) | position of the pelvis in the camera frame [m]; 0: a weak-perspective camera has no depth |
+| translation | (3,) | position of the pelvis in the camera frame [m]; 0 with weak perspective, which has no depth |
 | rotations | (20, 3, 3) | local rotation of each bone, order of ``part_names`` |
 | lengths | (12,) | ``LENGTH_NAMES`` [m] |
 | thicknesses | (15,) | ``THICKNESS_NAMES``, full widths [m] |
-| camera_scale | () | weak perspective: u = scale X + camera_translation[0] [px/m] |
-| camera_translation | (2,) | where the frame's origin is seen [px] |
+| camera_scale | () | weak perspective: u = scale X + camera_translation[0] [px/m]; perspective: the focal length [px] |
+| camera_translation | (2,) | where the frame's origin is seen, or the principal point [px] |
 | image_size | (2,) | (H, W) of the picture [px] |
+| camera_perspective | () | 1: u = scale X / Z + camera_translation[0]; 0: weak perspective |
 | part_names | (20,) | names of the ellipsoids |
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ import torch
 
 from ..body.ellipbody import EllipBody
 from ..body.template import BODY_SHAPES, PART_NAMES
-from ..cameras import WeakPerspective
+from ..cameras import Camera, Perspective, WeakPerspective
 from ..errors import InputError
 from ..files.array_files import read_npz
 from ..interop.checks import rotation_fault
@@ -36,6 +37,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "camera_scale": (),
     "camera_translation": (2,),
     "image_size": (2,),
+    "camera_perspective": (),
 }
 BODY_ARRAYS = tuple(_SHAPES)[:5]  # what is of the body, in the order of ``pose``
 _MAX_BYTES = 1_000_000  # of all arrays when unpacked; a body has 2 kB
@@ -44,7 +46,7 @@ _POSITIVE = ("lengths", "thicknesses", "camera_scale", "image_size")
 
 @dataclass(frozen=True)
 class BodyFile:
-    """Contents of ``body.npz``: float32 arrays of the shapes above; ``image_size`` is of integers."""
+    """Contents of ``body.npz``: float32 arrays of the shapes above; the last two of integers."""
 
     global_orient: np.ndarray
     translation: np.ndarray
@@ -54,14 +56,17 @@ class BodyFile:
     camera_scale: np.ndarray
     camera_translation: np.ndarray
     image_size: np.ndarray
+    camera_perspective: np.ndarray = field(default_factory=lambda: np.array(0))
 
     def body(self, device: str | None = None) -> EllipBody:
         """The body as Warp arrays, B = 1."""
         return EllipBody.from_numpy(**{name: getattr(self, name)[None] for name in BODY_ARRAYS}, device=device)
 
-    def camera(self) -> WeakPerspective:
+    def camera(self) -> Camera:
         """The camera of the picture."""
         scale, translation = (torch.from_numpy(each[None]) for each in (self.camera_scale, self.camera_translation))
+        if self.camera_perspective:
+            return Perspective(scale[:, None].expand(-1, 2), translation)
         return WeakPerspective(scale, translation)
 
     def save(self, path: str | Path) -> None:
@@ -86,12 +91,15 @@ def load_body(path: str | Path) -> BodyFile:
     check_result(path)
     if str(found := data.pop("format")) != FORMAT:
         raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
-    return BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})
+    body = BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})
+    if body.camera_perspective and not body.translation[2] > 0:
+        raise InputError(f"{path}: translation: {body.translation[2]:g} m away; expected a body before the camera")
+    return body
 
 
 def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
     shape = _SHAPES[name]
-    whole = name == "image_size"
+    whole = name in ("camera_perspective", "image_size")
     if values.shape != shape or values.dtype.kind not in ("iu" if whole else "fiu"):
         kind = "integers" if whole else "numbers"
         raise InputError(f"{where}: {name}: {values.dtype} {values.shape}; expected {kind} {shape}")
@@ -101,6 +109,8 @@ def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:
         raise InputError(f"{where}: {name}: holds NaN or infinity; expected finite numbers {shape}")
     if shape[-2:] == (3, 3) and (fault := rotation_fault(torch.from_numpy(values))):
         raise InputError(f"{where}: {name}: {fault}")
+    if name == "camera_perspective" and values not in (0, 1):
+        raise InputError(f"{where}: {name}: {values}; expected 0 or 1")
     if name in _POSITIVE and values.min() <= 0:
         raise InputError(f"{where}: {name}: {values.min():g}; expected positive numbers")
     return values

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from ..body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from ..body.parameters import BodyParameters
 from ..body.posing import Posed
 from ..body.template import LENGTH_NAMES, SIZE_COLUMNS, THICKNESS_NAMES
-from ..cameras import Camera
+from ..cameras import Camera, first_of
 from ..fit.result import FitResult
 from ..render.ellipsoids import draw_ellipsoids
 from .palette import IGNORE_COLOUR, group_colours
@@ -105,8 +104,7 @@ def first_camera(body: Body, camera: Camera | None) -> Camera:
         camera = body.camera
     if camera is None:
         raise ValueError(f"camera: none; expected one, as {type(body).__name__} doesn't say how large the picture is")
-    tensors: Any = {name: each[:1].detach() for name, each in vars(camera).items() if isinstance(each, torch.Tensor)}
-    return replace(camera, **tensors)
+    return first_of(camera)
 
 
 def find_label_set(given: LabelSet | str | None) -> LabelSet:

@@ -10,7 +10,7 @@ import torch
 
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
-from ..cameras import WeakPerspective
+from ..cameras import Camera, Crop, WeakPerspective, first_of
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..inputs.keypoints import Keypoints2D
 from ..render.mesh import draw_mesh
@@ -31,29 +31,27 @@ _PANEL_SIDE = 480  # [px]
 _IGNORED = (150, 150, 150)
 
 
-def shade_body(posed: Posed, camera: WeakPerspective, image_size: tuple[int, int]) -> np.ndarray:
+def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
     """The first body's ellipsoids, coloured by part and lit, on nothing: RGBA, shape (H, W, 4), uint8."""
     mesh = ellipbody_mesh(_SUBDIVISIONS)
     return shade_mesh(posed.vertices(_SUBDIVISIONS)[:1], mesh, camera, image_size, PART_COLOURS)
 
 
-def shade_detailed(
-    detailed: Detailed, model: DetailedModel, camera: WeakPerspective, image_size: tuple[int, int]
-) -> np.ndarray:
+def shade_detailed(detailed: Detailed, model: DetailedModel, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
     """The first body's skin in one colour, lit, on nothing: RGBA, shape (H, W, 4), uint8."""
     colours = np.broadcast_to(_SKIN, PART_COLOURS.shape)
     return shade_mesh(detailed.vertices[:1], detailed_mesh(model).to("cpu"), camera, image_size, colours)
 
 
 def shade_mesh(
-    vertices: torch.Tensor, mesh: PartMesh, camera: WeakPerspective, image_size: tuple[int, int], colours: np.ndarray
+    vertices: torch.Tensor, mesh: PartMesh, camera: Camera, image_size: tuple[int, int], colours: np.ndarray
 ) -> np.ndarray:
     """A mesh with vertices (1, V, 3) in the camera frame [m], in the colours of its labels: RGBA, (H, W, 4), uint8."""
     height, width = image_size
     points = vertices.detach().cpu()
-    scale, translation = (tensor[:1].detach().cpu() * _SAMPLES for tensor in (camera.scale, camera.translation))
-    fine = WeakPerspective(scale, translation)
-    image = draw_mesh(points, mesh, fine, (height * _SAMPLES, width * _SAMPLES))
+    size = height * _SAMPLES, width * _SAMPLES
+    fine = first_of(camera).to("cpu").in_crop(Crop(left=0.0, top=0.0, zoom=_SAMPLES, size=size))
+    image = draw_mesh(points, mesh, fine, size)
     corners = points[0].numpy()[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12

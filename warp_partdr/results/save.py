@@ -20,7 +20,7 @@ from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
-from ..cameras import Crop, WeakPerspective
+from ..cameras import Camera, Crop, first_of
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
 from ..errors import check_type
@@ -77,7 +77,8 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
     overlay = draw_overlay(result, size, photo)
     # A registration that is there clothes another body.
     with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
-        body_file(result.parameters, result.camera, size).save(temporary / "body.npz")
+        position = result.posed.joints[0, 0]
+        body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         (temporary / "body.json").write_text(json.dumps(describe_body(result), indent=1) + "\n")
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
@@ -100,7 +101,7 @@ def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarr
 def save_registered(
     registered: Registered,
     folder: str | Path,
-    camera: WeakPerspective,
+    camera: Camera,
     size: tuple[int, int],
     *,
     photo: np.ndarray | None = None,
@@ -128,8 +129,8 @@ def save_registered(
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
         vertices = registered.detailed.vertices[:1].detach()
-        seen = WeakPerspective(camera.scale[:1].to(vertices), camera.translation[:1].to(vertices))
-        image = draw_mesh(vertices, detailed_mesh(model), _zoomed(seen, zoom, scored), scored)
+        seen = _zoomed(first_of(camera).to(vertices.device), zoom, scored)
+        image = draw_mesh(vertices, detailed_mesh(model), seen, scored)
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
@@ -147,8 +148,8 @@ def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | N
 
 
 def _over(
-    shade: Callable[[WeakPerspective, tuple[int, int]], np.ndarray],
-    camera: WeakPerspective,
+    shade: Callable[[Camera, tuple[int, int]], np.ndarray],
+    camera: Camera,
     size: tuple[int, int],
     photo: np.ndarray | None,
     opacity: float,
@@ -170,42 +171,62 @@ def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
-def _zoomed(camera: WeakPerspective, zoom: float, size: tuple[int, int]) -> WeakPerspective:
+def _zoomed(camera: Camera, zoom: float, size: tuple[int, int]) -> Camera:
     return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
 
 
-def body_file(parameters: BodyParameters, camera: WeakPerspective, size: tuple[int, int]) -> BodyFile:
-    """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it."""
+def body_file(
+    parameters: BodyParameters, camera: Camera, size: tuple[int, int], position: torch.Tensor | None = None
+) -> BodyFile:
+    """The first body, seen by a camera in pixels of the full picture, as ``body.npz`` holds it.
+
+    Args:
+        parameters: Of the body.
+        camera: Of the picture, with square pixels.
+        size: (H, W) of the picture [px].
+        position: Pelvis in the camera frame [m], shape (3,), of a perspective camera.
+    """
     parameters = parameters.detach()
+    scale, _, *centre = camera.intrinsics[0].detach()
     numbers = {
         "global_orient": parameters.global_orient()[0],
-        "translation": parameters.lengths.new_zeros(3),
+        "translation": parameters.lengths.new_zeros(3) if position is None else position.detach(),
         "rotations": rotation_from_axis_angle(parameters.free_rotations())[0],
         "lengths": parameters.lengths[0],
         "thicknesses": parameters.thicknesses[0],
-        "camera_scale": camera.scale[0],
-        "camera_translation": camera.translation[0],
+        "camera_scale": scale,
+        "camera_translation": torch.stack(centre),
+        "camera_perspective": torch.tensor(int(camera.perspective)),
     }
     return BodyFile(**{name: value.cpu().numpy() for name, value in numbers.items()}, image_size=np.array(size))
 
 
 def describe_body(result: FitResult) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
-    measured = body_file(result.parameters, result.camera, (1, 1)).body("cpu").measure()
+    camera = result.camera
+    measured = body_file(result.parameters, camera, (1, 1)).body("cpu").measure()
     joints = result.posed.joints[0].detach().cpu().numpy()
-    pixels = result.camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
+    pixels = camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
+    scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     return {
         "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()},
         "joints": {
-            "frame": "camera: x right, y down, z away from the viewer; metres from the pelvis",
+            "frame": "camera: x right, y down, z away from the viewer; metres from the "
+            + ("camera" if camera.perspective else "pelvis"),
             "names": list(JOINT_NAMES),
             "points_m": joints.round(4).tolist(),
             "pixels": pixels.round(2).tolist(),
         },
         "camera": {
+            "model": "perspective: u = focal X / Z + principal[0], v = focal Y / Z + principal[1]",
+            "focal_px": round(scale, 4),
+            "principal_px": np.round(centre, 3).tolist(),
+        }
+        if camera.perspective
+        else {
             "model": "weak perspective: u = scale X + translation[0], v = scale Y + translation[1]",
-            "scale_px_per_m": round(float(result.camera.scale[0]), 4),
-            "translation_px": result.camera.translation[0].cpu().numpy().round(3).tolist(),
+            "scale_px_per_m": round(scale, 4),
+            "translation_px": np.round(centre, 3).tolist(),
         },
     }
 
@@ -215,7 +236,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
     keypoints = result.evidence.keypoints
     sure = keypoints.confident
     names = [name for name, there in zip(keypoints.format.marks, sure, strict=True) if there]
-    landmarks = LandmarkGather(names, result.camera.scale.device)(result.posed)
+    landmarks = LandmarkGather(names, result.camera.intrinsics.device)(result.posed)
     seen = result.camera.project(landmarks)[0, :, :2].detach().cpu().numpy()
     distance = float(np.linalg.norm(seen - keypoints.points[sure], axis=1).mean())
     height = person_height(keypoints)
