@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from warp_partdr import label_set
 from warp_partdr.body.labels import LabelSet
+from warp_partdr.cameras import Perspective
 from warp_partdr.cli import main
 from warp_partdr.fit.explain import explain, print_choices
 from warp_partdr.fit.fitting import fit_body
@@ -52,7 +53,11 @@ def test_a_fit_without_labels_draws_nothing():
     assert last.left_out == "L_seg; outline"
     searched = explain(keypoints, options=FitOptions.at("balanced", "search"))
     assert "labels, fine; outline" in searched[-1].left_out
-    assert searched[1].left_out == "the label network"
+    choices = {choice.what: choice for choice in searched}
+    assert choices["start"].left_out == "the label network"
+    assert choices["camera"].left_out.startswith("distance")
+    known = explain(keypoints, camera=Perspective.of_picture((480, 640), focal=500))
+    assert known[1].modelled == "perspective, focal length 500 px"
 
 
 def test_a_fit_says_where_it_looks_for_depth():

@@ -46,6 +46,14 @@ def test_a_person_beside_the_axis(device, start):
     torch.testing.assert_close(known.camera.intrinsics.cpu(), CAMERA.intrinsics, rtol=1e-4, atol=1e-2)
 
 
+def test_the_networks_body_is_turned_to_its_ray(device):
+    keypoints, parts, joints = seen_aside(device)
+    alone = {"options": FitOptions(stages=(), search=()), "device": device}
+    found = [fit_body(keypoints, parts, camera=camera, **alone).posed.joints[0].cpu() for camera in (CAMERA, None)]
+    errors = [metrics.mpjpe(each.numpy(), joints, centre_on=[0]) for each in found]
+    assert errors[0] < 0.6 * errors[1]
+
+
 def test_cameras_that_are_refused():
     keypoints, parts, _ = seen_aside("cpu")
     two = Perspective(CAMERA.focal.repeat(2, 1), CAMERA.centre.repeat(2, 1))

@@ -93,7 +93,10 @@ def test_numbers_of_other_types_are_taken(tmp_path: Path) -> None:
         ({"rotations": np.zeros((19, 3, 3))}, r"rotations.*\(19, 3, 3\).*\(20, 3, 3\)"),
         ({"camera_scale": np.ones(1)}, r"camera_scale.*\(1,\)"),
         ({"camera_perspective": np.array(2)}, "camera_perspective: 2; expected 0 or 1"),
-        ({"camera_perspective": np.array(1), "translation": np.zeros(3)}, "translation: .* m away; expected a body before the camera"),
+        (
+            {"camera_perspective": np.array(1), "translation": np.zeros(3)},
+            "translation: .* m away; expected a body before the camera",
+        ),
         ({"lengths": np.full(12, np.nan)}, "lengths.*NaN"),
         ({"translation": np.array([0, np.inf, 0])}, "translation.*infinity"),
         ({"lengths": np.full(12, 1e300)}, "lengths.*infinity"),

@@ -16,6 +16,7 @@ from .options import CameraOptions, DeviceOption, OutOption, PersonFiles, Settin
 from .register import MODEL_HELP, clothe, describe_scores, read_model
 
 if TYPE_CHECKING:
+    from ..cameras import Perspective
     from ..fit.options import FitOptions
     from ..inputs.person import PersonInputs
 
@@ -85,7 +86,7 @@ def fit(
     camera = view.read(size)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
-        _explain(person, options)
+        _explain(person, options, camera)
     with FitProgress() as progress:
         _load_kernels(where, options, with_labels=person.parts is not None)
         how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
@@ -116,12 +117,12 @@ def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> 
     return options
 
 
-def _explain(person: PersonInputs, options: FitOptions) -> None:
+def _explain(person: PersonInputs, options: FitOptions, camera: Perspective | None) -> None:
     from rich.console import Console
 
     from ..fit.explain import explain, print_choices
 
-    choices = explain(person.keypoints, person.parts, others=person.others, options=options)
+    choices = explain(person.keypoints, person.parts, others=person.others, options=options, camera=camera)
     print_choices(choices, Console(highlight=False))
 
 

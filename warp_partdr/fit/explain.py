@@ -9,6 +9,7 @@ import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.template import PART_NAMES
+from ..cameras import Perspective
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
@@ -35,6 +36,7 @@ def explain(
     *,
     others: Sequence[Keypoints2D] = (),
     options: FitOptions | None = None,
+    camera: Perspective | None = None,
 ) -> list[Choice]:
     """Say what ``fit_body`` with the same arguments models.
 
@@ -44,7 +46,7 @@ def explain(
     options = options or FitOptions()
     seen, crop = observe(keypoints, parts, others=others, trust_background=options.trust_background)
     stages = stages_of(options, parts)
-    choices = [_keypoints(keypoints), _start(options)]
+    choices = [_keypoints(keypoints), _camera(camera), _start(options)]
     if parts is None:
         left = {stage.name for stage in stages}
         skipped = [stage.name for stage in options.stages if stage.name not in left]
@@ -89,6 +91,13 @@ def _keypoints(keypoints: Keypoints2D) -> Choice:
         _list(missing),
         "a confidence of 0 pulls nowhere" if missing.size else "all were seen",
     )
+
+
+def _camera(camera: Perspective | None) -> Choice:
+    if camera is None:
+        left_out = "distance; rays beside the axis"
+        return Choice("camera", "weak perspective about the body", left_out, "no focal length was given")
+    return Choice("camera", f"perspective, focal length {float(camera.focal[0, 0]):.0f} px", "", "it was given")
 
 
 def _start(options: FitOptions) -> Choice:

@@ -220,5 +220,5 @@ def _check_camera(camera: Perspective | None) -> None:
         if len(camera.focal) != 1:
             raise ValueError(f"camera: {len(camera.focal)} of them; expected one")
         across, down = camera.focal[0].tolist()
-        if not (np.isfinite(camera.intrinsics.cpu()).all() and across > 0 and abs(across - down) <= 1e-3 * across):
+        if not (camera.intrinsics.isfinite().all() and across > 0 and abs(across - down) <= 1e-3 * across):
             raise ValueError(f"camera: focal lengths {across:g} and {down:g}; expected square pixels")

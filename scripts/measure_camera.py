@@ -1,0 +1,62 @@
+"""Measure and print what a known camera is worth to fits, on PartBench's people whom a perspective camera sees.
+
+    python scripts/measure_camera.py [FIRST LAST]
+
+Each is fitted twice at the level "realistic", without the camera and with it. Intervals are of 95 %, over people.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import warp as wp
+
+from warp_partdr import FitOptions, Perspective, fit_body
+from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.evaluation.scoring import score_fit
+from warp_partdr.synthetic.partbench_people import make_person
+
+RESAMPLED = 2000
+
+
+def main(first: int = 200, last: int = 299) -> None:
+    wp.config.log_level = wp.LOG_WARNING
+    for name, options in (("default", FitOptions()), ("fast", FitOptions.at("fast"))):
+        rows = []
+        for index in range(first, last + 1):
+            camera = make_person(index).camera
+            if isinstance(camera, Perspective):
+                rows.append(compare(index, camera, options))
+        table = np.array(rows)
+        print(f"{name}: {len(table)} people")
+        for column, what in enumerate(("PA-MPJPE [mm]", "MPJPE [mm]")):
+            without, known = table[:, column], table[:, 2 + column]
+            print(f"  {what}: {np.nanmean(without):.1f} -> {np.nanmean(known):.1f}, {interval(known - without)}")
+        print(f"  place of the pelvis: {100 * np.nanmedian(table[:, 4]):.0f} % of the distance off, in the median")
+
+
+def compare(index: int, camera: Perspective, options: FitOptions) -> list[float]:
+    """PA-MPJPE and MPJPE without the camera and with it [mm], and the pelvis' error as a share of its distance."""
+    sample, found, off = make_sample(index, "realistic"), [], np.nan
+    assert sample.joints is not None
+    for each in (None, camera):
+        result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=each)
+        score = score_fit(sample, "", result, 0.0)
+        found += [score.pa_mpjpe, score.mpjpe]
+        hips = [sample.joint_names.index(f"{side}_hip") for side in ("left", "right")]
+        true, fitted = (joints[hips].mean(0) for joints in (sample.joints, result.landmarks(sample.joint_names)))
+        off = np.linalg.norm(fitted - true) / np.linalg.norm(true)
+    return [*found, float(off)]
+
+
+def interval(differences: np.ndarray) -> str:
+    """Mean of differences and its 95 % interval."""
+    known, rng = differences[np.isfinite(differences)], np.random.default_rng(0)
+    means = rng.choice(known, (RESAMPLED, len(known))).mean(1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return f"{known.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
