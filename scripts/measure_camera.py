@@ -1,8 +1,9 @@
 """Measure and print what a known camera is worth to fits, on PartBench's people whom a perspective camera sees.
 
-    python scripts/measure_camera.py [FIRST LAST]
+    python scripts/measure_camera.py [--near] [FIRST LAST]
 
-Each is fitted twice at the level "realistic", without the camera and with it. Intervals are of 95 %, over people.
+``--near``: all are 1.5 to 3 m before the camera, up to 20 degrees beside its axis. Each is fitted twice at the level
+"realistic", without the camera and with it. Intervals are of 95 %, over people.
 """
 
 from __future__ import annotations
@@ -15,19 +16,20 @@ import warp as wp
 from warp_partdr import FitOptions, Perspective, fit_body
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.scoring import score_fit
+from warp_partdr.inputs.sample import Sample
 from warp_partdr.synthetic.partbench_people import make_person
 
 RESAMPLED = 2000
 
 
-def main(first: int = 200, last: int = 299) -> None:
+def main(first: int = 200, last: int = 299, *, near: bool = False) -> None:
     wp.config.log_level = wp.LOG_WARNING
     for name, options in (("default", FitOptions()), ("fast", FitOptions.at("fast"))):
         rows = []
         for index in range(first, last + 1):
-            camera = make_person(index).camera
+            camera = make_person(index, near=near).camera
             if isinstance(camera, Perspective):
-                rows.append(compare(index, camera, options))
+                rows.append(compare(make_sample(index, "realistic", near=near), camera, options))
         table = np.array(rows)
         print(f"{name}: {len(table)} people")
         for column, what in enumerate(("PA-MPJPE [mm]", "MPJPE [mm]")):
@@ -36,9 +38,10 @@ def main(first: int = 200, last: int = 299) -> None:
         print(f"  place of the pelvis: {100 * np.nanmedian(table[:, 4]):.0f} % of the distance off, in the median")
 
 
-def compare(index: int, camera: Perspective, options: FitOptions) -> list[float]:
+def compare(sample: Sample, camera: Perspective, options: FitOptions) -> list[float]:
     """PA-MPJPE and MPJPE without the camera and with it [mm], and the pelvis' error as a share of its distance."""
-    sample, found, off = make_sample(index, "realistic"), [], np.nan
+    found: list[float] = []
+    off = np.nan
     assert sample.joints is not None
     for each in (None, camera):
         result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=each)
@@ -59,4 +62,4 @@ def interval(differences: np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(*[int(each) for each in sys.argv[1:] if each != "--near"], near="--near" in sys.argv)

@@ -8,6 +8,7 @@ import torch
 
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.template import PART_NAMES
+from warp_partdr.cameras import Perspective
 from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
 from warp_partdr.synthetic.people import draw_anny
 from warp_partdr.synthetic.pose_recipes import POSES, draw_pose
@@ -51,6 +52,19 @@ def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
         pose = draw_pose("prior", rng)
         assert prior.joint_limits(torch.from_numpy(pose.rotations)[None]) < 0.021
         np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
+
+
+def test_near_people_are_the_same_before_another_camera() -> None:
+    aside = []
+    for index in range(4):
+        person, far = make_person(index, near=True), make_person(index)
+        assert isinstance(person.camera, Perspective)
+        middle = person.vertices.mean(0)
+        assert 1.5 <= middle[2] <= 3.0
+        aside.append(np.degrees(np.arctan2(np.abs(middle[:2]), middle[2])))
+        same = person.joints - person.joints[0], far.joints - far.joints[0]
+        np.testing.assert_allclose(*same, atol=1e-5)
+    assert 5.0 < np.max(aside) < 25.0
 
 
 def test_who_walks_away_shows_the_back_of_the_head() -> None:

@@ -26,6 +26,8 @@ SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
 _SAMPLES = 2  # a side of a pixel, whose majority it takes
 _FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
 _DISTANCE = (2.5, 6.0)  # [m], of perspective cameras
+_NEAR = (1.5, 3.0)  # [m], of near ones
+_ASIDE = (20.0, 10.0)  # [degrees], how far a near person is beside the camera's axis, across and up or down, at most
 _WEAK = 0.5  # share of weak-perspective cameras
 _PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
 _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
@@ -67,8 +69,11 @@ def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
 
 @lru_cache(maxsize=NUM_PEOPLE)
 @one_torch_thread()  # or sums, and so the last bits, would depend on their number
-def make_person(index: int) -> Person:
-    """Person 0 to 199; each has a seed of its own."""
+def make_person(index: int, *, near: bool = False) -> Person:
+    """Person 0 to 199; each has a seed of its own.
+
+    ``near``: the same before a perspective camera that is near and looks beside, as in a crop of a wide picture.
+    """
     phenotypes, rng = draw_phenotypes(index)
     shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
     kind = pose_kind(index)
@@ -81,10 +86,14 @@ def make_person(index: int) -> Person:
     body, stature = people.pose_anny(model, shape, posed), float(people.statures(model, shape))
 
     vertices = body.vertices[0].numpy()
-    weak = rng.random() < _WEAK
+    weak = rng.random() < _WEAK and not near
     offset = np.zeros(3, dtype=np.float32)
     if not weak:
-        offset[2] = rng.uniform(*_DISTANCE) - vertices[:, 2].mean()
+        distance = rng.uniform(*(_NEAR if near else _DISTANCE))
+        offset[2] = distance - vertices[:, 2].mean()
+        if near:
+            aside = np.radians(_ASIDE)
+            offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
     camera, size = _place_camera(vertices + offset, weak, rng)
     parts, depth = _draw(vertices + offset, camera, size)
 
@@ -94,14 +103,13 @@ def make_person(index: int) -> Person:
     points = landmarks(annotated(COCO.landmarks, model.landmark_names))
     pixels = camera.project(points)[..., :2]
     cover = stature / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
-    distance = 1.0 if weak else float(offset[2])
     return Person(
         name=f"person {index:03d}",
         kind=kind,
         parts=parts,
         keypoints=pixels[0].numpy(),
         hidden=people.behind_something(points[..., 2], people.pixel_indices(pixels, size), depth, cover)[0].numpy(),
-        height=stature * float(camera.intrinsics[0, 0]) / distance,
+        height=stature * float(camera.intrinsics[0, 0]) / (1.0 if weak else float(offset[2])),
         joints=landmarks(MPJPE_JOINTS)[0].numpy(),
         vertices=vertices + offset,
         camera=camera,

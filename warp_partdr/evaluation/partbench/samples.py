@@ -38,14 +38,14 @@ def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEV
     return [make_sample(index, level) for level in levels for index in range(count)]
 
 
-def make_sample(index: int, name: str) -> Sample:
-    """Person ``index`` at a level: seen with its noise, and the truth without."""
-    person, level = make_person(index), LEVELS[name]
+def make_sample(index: int, name: str, *, near: bool = False) -> Sample:
+    """Person ``index`` at a level, seen with its noise, and the truth without; ``near`` as in ``make_person``."""
+    person, level = make_person(index, near=near), LEVELS[name]
     rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
     truth = LABELS.from_parts(person.parts)
     groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
     if rng.random() < level.stranger:
-        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE), rng)
+        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE, near=near), rng)
     groups = noisy_labels(groups, LABELS, person.height, level, rng)
     keypoints = noisy_keypoints(
         person.keypoints, hidden, COCO.landmarks, person.height, truth.shape, level=level, rng=rng
