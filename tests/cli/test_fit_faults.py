@@ -50,6 +50,12 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "principal point alone": (GOOD + " --principal 3,4", ["--principal", "--focal"]),
     "principal point": (GOOD + " --focal 100 --principal 3", ["--principal: '3'", "U,V"]),
     "focal length": (GOOD + " --focal -100", ["--focal: -100", "positive"]),
+    "no focal length": (GOOD + " --focal long", ["--focal: 'long'", "pixels, or exif"]),
+    "no focal length in the photo": (GOOD + " --focal exif", ["photo.png", "no focal length", "EXIF"]),
+    "focal length of no photo": (
+        GOOD.replace("photo.png ", "") + " --focal exif",
+        ["--focal: exif, without a photo; expected one"],
+    ),
     "focal length and angle": (GOOD + " --focal 100 --fov 50", ["focal, fov", "one of the two"]),
     "angle of view": (GOOD + " --fov 180", ["--fov: 180", "170"]),
     "damaged .npy header": (GOOD.replace("p.png", "header.npy"), ["header.npy", "expected"]),

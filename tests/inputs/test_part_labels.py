@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
-from PIL import Image
+from PIL import ExifTags, Image
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
-from warp_partdr.inputs.part_labels import check_sizes, read_parts, read_photo
+from warp_partdr.inputs.part_labels import check_sizes, read_focal, read_parts, read_photo
 
 CDCL = label_set("cdcl14")
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
@@ -165,6 +165,36 @@ def test_photo_and_sizes(tmp_path: Path) -> None:
         read_photo(tmp_path / "photo.jpg")
     with pytest.raises(InputError, match=r"none\.jpg: No such file or directory; expected a picture"):
         read_photo(tmp_path / "none.jpg")
+
+
+@pytest.mark.parametrize("size", [(400, 300), (300, 400), (200, 150)])
+def test_the_focal_length_of_a_photo(tmp_path, size):
+    """Also of one that was turned or made smaller since."""
+    save_photo(tmp_path / "photo.jpg", size, focal=28, was=(400, 300))
+    diagonal = np.hypot(*size)
+    assert read_focal(tmp_path / "photo.jpg") == pytest.approx(28 / np.hypot(36, 24) * diagonal)
+
+
+@pytest.mark.parametrize(
+    ("size", "focal", "says"),
+    [
+        ((400, 300), 0, "no focal length in its EXIF data; expected the one on 35 mm film"),
+        ((400, 300), "wide", "no focal length in its EXIF data"),
+        ((300, 300), 28, "300x300, but 400x300 in its EXIF data; expected a photo that was not cut"),
+    ],
+)
+def test_a_photo_without_its_focal_length(tmp_path, size, focal, says):
+    save_photo(tmp_path / "photo.jpg", size, focal, was=(400, 300))
+    with pytest.raises(InputError, match=says):
+        read_focal(tmp_path / "photo.jpg")
+
+
+def save_photo(path, size, focal, was) -> None:
+    exif = Image.Exif()
+    said = exif.get_ifd(ExifTags.IFD.Exif)
+    said[ExifTags.Base.FocalLengthIn35mmFilm] = focal
+    said[ExifTags.Base.ExifImageWidth], said[ExifTags.Base.ExifImageHeight] = was
+    Image.new("RGB", size).save(path, exif=exif)
 
 
 def test_importing_inputs_loads_no_picture_library() -> None:

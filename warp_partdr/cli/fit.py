@@ -83,7 +83,7 @@ def fit(
     given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
     size = image_size(person.keypoints, person.parts, person.photo)
-    camera = view.read(size)
+    camera = view.read(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
         _explain(person, options, camera)

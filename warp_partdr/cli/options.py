@@ -14,7 +14,7 @@ from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import read_keypoints
 from ..inputs.keypoints import choose_person
-from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
+from ..inputs.part_labels import check_sizes, read_focal, read_labelled_parts, read_photo
 from ..inputs.person import PersonInputs, check_inside
 
 if TYPE_CHECKING:
@@ -86,14 +86,14 @@ class PersonFiles:
 class CameraOptions:
     """Options for the picture's camera."""
 
-    focal: Annotated[float | None, Option(help="Focal length of the picture's camera.", metavar="PX")] = None
+    focal: Annotated[str | None, Option(help="Focal length of the camera; or exif, the photo's.", metavar="PX")] = None
     fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
     principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
         None
     )
 
-    def read(self, size: tuple[int, int]) -> Perspective | None:
-        """The camera of a picture of (H, W) pixels; None if nothing was said."""
+    def read(self, size: tuple[int, int], photo: Path | None) -> Perspective | None:
+        """The camera of a picture of (H, W) pixels, which may be a photo; None if nothing was said."""
         if self.focal is None and self.fov is None:
             if self.principal is not None:
                 raise InputError("--principal: alone; expected --focal or --fov, too")
@@ -108,9 +108,22 @@ class CameraOptions:
                 raise InputError(f"--principal: {shown(self.principal)}; expected two numbers, U,V") from None
             principal = (u, v)
         try:
-            return Perspective.of_picture(size, focal=self.focal, fov=self.fov, principal=principal)
+            return Perspective.of_picture(size, focal=self._focal(photo), fov=self.fov, principal=principal)
         except ValueError as error:
             raise InputError(f"--{error}") from None
+
+    def _focal(self, photo: Path | None) -> float | None:
+        """The focal length [px] that was given."""
+        if self.focal is None:
+            return None
+        if self.focal == "exif":
+            if photo is None:
+                raise InputError("--focal: exif, without a photo; expected one")
+            return read_focal(photo)
+        try:
+            return float(self.focal)
+        except ValueError:
+            raise InputError(f"--focal: {shown(self.focal)}; expected pixels, or exif") from None
 
 
 def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:

@@ -1,4 +1,4 @@
-"""Read a photo, a label set and part labels.
+"""Read a photo and its focal length, a label set and part labels.
 
 Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette (``.png``), as an integer array (H, W),
 or as a network's probability maps (K, H, W) or (H, W, K) (``.npy``), with one channel per id of the label set.
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 # [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
 LARGEST_PICTURE = 2**27
+
+_FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
+_CUT = 0.01  # change of the sides' ratio that says a photo was cut
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.
 _SUM_TOLERANCE = 1e-2
@@ -105,6 +108,35 @@ def read_photo(path: str | Path) -> np.ndarray:
 
     with _opened(path, "a picture") as image:
         return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+
+
+def read_focal(path: str | Path) -> float:
+    """Focal length [px] from a photo's EXIF data, which say what it would be on 35 mm film; by the diagonal.
+
+    Raises:
+        InputError: If the file can't be read, does not say it, or was cut since.
+    """
+    from PIL import ExifTags
+
+    with _opened(path, "a picture") as image:
+        said = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        tags = ExifTags.Base.FocalLengthIn35mmFilm, ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight
+        focal, *was = (_number(said.get(tag)) for tag in tags)
+        size = image.size
+    if not 0 < focal < math.inf:
+        raise InputError(f"{path}: no focal length in its EXIF data; expected the one on 35 mm film")
+    if all(was) and abs(min(size) / max(size) - min(was) / max(was)) > _CUT:
+        now, then = (f"{width:g}x{height:g}" for width, height in (size, was))
+        raise InputError(f"{path}: {now}, but {then} in its EXIF data; expected a photo that was not cut")
+    return focal / _FILM_DIAGONAL * math.hypot(*size)
+
+
+def _number(value: Any) -> float:
+    """A number of EXIF data, which may be anything; 0 if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, ArithmeticError):
+        return 0.0
 
 
 @contextmanager
