@@ -64,7 +64,7 @@ def test_near_people_are_the_same_before_another_camera() -> None:
         aside.append(np.degrees(np.arctan2(np.abs(middle[:2]), middle[2])))
         same = person.joints - person.joints[0], far.joints - far.joints[0]
         np.testing.assert_allclose(*same, atol=1e-5)
-    assert 5.0 < np.max(aside) < 25.0
+    assert 9.0 < np.max(aside) < 25.0
 
 
 def test_who_walks_away_shows_the_back_of_the_head() -> None:
