@@ -13,11 +13,10 @@ import sys
 import numpy as np
 import warp as wp
 
-from warp_partdr import FitOptions, Perspective, fit_body
-from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr import FitOptions, fit_body
+from warp_partdr.evaluation.partbench.samples import NEAR, make_sample
 from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.inputs.sample import Sample
-from warp_partdr.synthetic.partbench_people import make_person
 
 RESAMPLED = 2000
 
@@ -27,9 +26,9 @@ def main(first: int = 200, last: int = 299, *, near: bool = False) -> None:
     for name, options in (("default", FitOptions()), ("fast", FitOptions.at("fast"))):
         rows = []
         for index in range(first, last + 1):
-            camera = make_person(index, near=near).camera
-            if isinstance(camera, Perspective):
-                rows.append(compare(make_sample(index, "realistic", near=near), camera, options))
+            sample = make_sample(index, NEAR if near else "realistic")
+            if sample.camera is not None:
+                rows.append(compare(sample, options))
         table = np.array(rows)
         print(f"{name}: {len(table)} people")
         for column, what in enumerate(("PA-MPJPE [mm]", "MPJPE [mm]")):
@@ -38,12 +37,12 @@ def main(first: int = 200, last: int = 299, *, near: bool = False) -> None:
         print(f"  place of the pelvis: {100 * np.nanmedian(table[:, 4]):.0f} % of the distance off, in the median")
 
 
-def compare(sample: Sample, camera: Perspective, options: FitOptions) -> list[float]:
+def compare(sample: Sample, options: FitOptions) -> list[float]:
     """PA-MPJPE and MPJPE without the camera and with it [mm], and the pelvis' error as a share of its distance."""
     found: list[float] = []
     off = np.nan
     assert sample.joints is not None
-    for each in (None, camera):
+    for each in (None, sample.camera):
         result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, camera=each)
         score = score_fit(sample, "", result, 0.0)
         found += [score.pa_mpjpe, score.mpjpe]

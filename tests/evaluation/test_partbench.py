@@ -15,10 +15,10 @@ from warp_partdr.errors import InputError
 from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
 from warp_partdr.evaluation.evaluate import Report
 from warp_partdr.evaluation.partbench.anny_fit import fit_anny
-from warp_partdr.evaluation.partbench.methods import METHODS, registered_vertices
+from warp_partdr.evaluation.partbench.methods import KNOWN_CAMERA, METHODS, registered_vertices
 from warp_partdr.evaluation.partbench.report import compare_methods, worst, write_report
-from warp_partdr.evaluation.partbench.samples import LABELS, make_sample, partbench_samples, source_name
-from warp_partdr.evaluation.scoring import Pixels, Score
+from warp_partdr.evaluation.partbench.samples import LABELS, NEAR, make_sample, partbench_samples, source_name
+from warp_partdr.evaluation.scoring import Pixels, Score, score_fit
 from warp_partdr.synthetic.noise import LEVELS
 from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
 
@@ -38,6 +38,18 @@ def test_each_level_is_farther_from_the_truth() -> None:
     assert wrong[0] == 0
     assert wrong == sorted(wrong)
     assert wrong[-1] > 2 * wrong[1]
+
+
+def test_near_people_come_with_their_camera() -> None:
+    (near,), (far, *_) = partbench_samples(1, [NEAR]), partbench_samples(1, ["realistic"])
+    assert near.camera is make_person(0, near=True).camera
+    assert near.source == source_name("near")
+    assert far.camera is None or far.camera is make_person(0).camera
+    known, weak = (METHODS[name].fit_sample(near, "cpu") for name in (KNOWN_CAMERA, "parts"))
+    assert known.camera.perspective
+    assert not weak.camera.perspective
+    errors = [score_fit(near, "", result, 0.0).mpjpe for result in (known, weak)]
+    assert errors[0] < errors[1]
 
 
 def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:

@@ -120,7 +120,7 @@ def partbench(
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic or hard; may be given again. Default: all.",
+            help="clean, mild, realistic, hard (default: these), or near; may be given again.",
             metavar="NAME",
         ),
     ] = None,

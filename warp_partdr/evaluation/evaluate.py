@@ -50,19 +50,21 @@ def no_labels(parts: PartLabels) -> None:
 class Method:
     """One way to fit. Its functions are called in other processes, so they must be those of a module.
 
-    ``fit`` is called as ``fit_body`` is, with keypoints, labels, others, options and device; it returns a
-    ``FitResult``, or what has its ``camera``, ``landmarks`` and ``draw``.
+    ``fit`` is called as ``fit_body`` is, with keypoints, labels, others, options, device and, if ``camera`` says so, a
+    sample's camera; it returns a ``FitResult``, or what has its ``camera``, ``landmarks`` and ``draw``.
     """
 
     see: Callable[[PartLabels], PartLabels | None] = all_parts  # what of a sample's labels the fit gets to see
     options: FitOptions = field(default_factory=FitOptions)
     fit: Callable[..., Any] = fit_body
+    camera: bool = False  # a sample's is given to the fit, where it is known
     vertices: Callable[[Any], np.ndarray] | None = None  # of a result's mesh, as ``Sample.vertices``, camera frame [m]
 
     def fit_sample(self, sample: Sample, device: str) -> Any:
         """Fit one person; returns what ``fit`` does."""
         parts = None if sample.parts is None else self.see(sample.parts)
-        return self.fit(sample.keypoints, parts, others=sample.others, options=self.options, device=device)
+        given = {"camera": sample.camera} if self.camera else {}
+        return self.fit(sample.keypoints, parts, others=sample.others, options=self.options, device=device, **given)
 
 
 METHODS: dict[str, Method] = {

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..body.skeletons import MPJPE_JOINTS
+from ..cameras import Perspective
 from .keypoints import Keypoints2D
 from .part_labels import PartLabels
 
@@ -44,6 +45,7 @@ class Sample:
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
         smpl: The true body as SMPL's parameters.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
+        camera: The picture's, where it is known, B = 1.
     """
 
     source: str
@@ -58,3 +60,4 @@ class Sample:
     vertices: np.ndarray | None = None
     smpl: SmplFit | None = None
     picture: Path | np.ndarray | None = None
+    camera: Perspective | None = None

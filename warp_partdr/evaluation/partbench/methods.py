@@ -27,6 +27,7 @@ def registered_vertices(result: FitResult) -> np.ndarray:
     return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
 
 
+KNOWN_CAMERA = "parts, known camera"
 _STARTS = {
     "network": Method(options=FitOptions(stages=(), search=())),
     "network, 50 iterations": Method(options=FitOptions.at("fast")),
@@ -35,6 +36,7 @@ _STARTS = {
 _MESH = Method(fit=fit_anny, vertices=attrgetter("vertices"))
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
+    KNOWN_CAMERA: Method(camera=True, vertices=registered_vertices),
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
     "search, no z gradient": Method(
         options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices

@@ -24,7 +24,8 @@ from ...synthetic.noise import LEVELS
 from ..evaluate import Method, Report, tables
 from ..scoring import Score
 from . import VERSION
-from .samples import LABELS, source_name
+from .methods import KNOWN_CAMERA
+from .samples import LABELS, NEAR, source_name
 
 WORST = 10
 DRAWN = "parts"  # the method whose worst fits are drawn
@@ -33,6 +34,7 @@ ORDER = (
     ("parts", "full silhouette"),
     ("full silhouette", "keypoints only"),
     ("parts", "search"),
+    (KNOWN_CAMERA, "parts"),
     ("network, 50 iterations", "network"),
     ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, no z gradient"),
@@ -45,7 +47,7 @@ def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
     scores = {(each.source, each.method, each.sample): each for each in report.scores}
     people = sorted({each.sample for each in report.scores})
-    for level, pair in product(LEVELS, ORDER):
+    for level, pair in product((*LEVELS, NEAR), ORDER):
         keys = ([(source_name(level), method, person) for method in pair] for person in people)
         matched = [[scores[key] for key in both] for both in keys if scores.keys() >= set(both)]
         if matched:

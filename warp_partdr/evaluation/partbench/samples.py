@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...body.labels import label_set
+from ...cameras import Perspective
 from ...errors import InputError
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
@@ -17,6 +18,7 @@ from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, make_p
 from . import VERSION
 
 LABELS = label_set("cdcl14")
+NEAR = "near"  # level: noise as "realistic", people of ``make_person(near=True)``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
@@ -26,21 +28,22 @@ def source_name(level: str) -> str:
 
 
 def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
-    """The first ``count`` people at each level.
+    """The first ``count`` people at each level: those of noise, or ``NEAR``.
 
     Raises:
         InputError: If a level is unknown, or there are not so many people.
     """
     if not 1 <= count <= NUM_PEOPLE:
         raise InputError(f"people: {count}; expected 1 to {NUM_PEOPLE}")
-    if unknown := [level for level in levels if level not in LEVELS]:
-        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join(LEVELS)}")
+    if unknown := [level for level in levels if level not in (*LEVELS, NEAR)]:
+        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join((*LEVELS, NEAR))}")
     return [make_sample(index, level) for level in levels for index in range(count)]
 
 
-def make_sample(index: int, name: str, *, near: bool = False) -> Sample:
-    """Person ``index`` at a level, seen with its noise, and the truth without; ``near`` as in ``make_person``."""
-    person, level = make_person(index, near=near), LEVELS[name]
+def make_sample(index: int, name: str) -> Sample:
+    """Person ``index`` at a level: seen with its noise, and the truth without."""
+    near = name == NEAR
+    person, level = make_person(index, near=near), LEVELS["realistic" if near else name]
     rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
     truth = LABELS.from_parts(person.parts)
     groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
@@ -59,6 +62,7 @@ def make_sample(index: int, name: str, *, near: bool = False) -> Sample:
         target=truth,
         joints=person.joints,
         vertices=person.vertices,
+        camera=person.camera if isinstance(person.camera, Perspective) else None,
     )
 
 
