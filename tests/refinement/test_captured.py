@@ -161,6 +161,18 @@ def test_a_known_camera_in_both_paths(device, gradient):
         CapturedRefinement([energies[0], plain], 4)
 
 
+def test_a_camera_far_away_is_a_weak_one(device):
+    body = walker(device)
+    bodies = moved_bodies(body, 3, amount=0.3)
+    for labels in (False, True):
+        plain = energy_of(body, labels=labels)
+        far = replace(plain, observation=replace(plain.observation, lens=torch.tensor([3e3, 0.3, -0.2], device=device)))
+        (terms, gradient), (want_terms, want) = gradient_at(far, bodies), gradient_at(plain, bodies)
+        assert_same(terms, want_terms, 5e-3)
+        if not labels:  # a pixel that changes its part would change that of labels
+            assert_same(gradient, want, 5e-3)
+
+
 @pytest.mark.parametrize("fmt", ["h36m17", "mpii16", "blazepose33"])
 def test_every_format_of_keypoints(device, fmt):
     body = walker(device)
