@@ -132,11 +132,11 @@ def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> Non
 
     from ..kernels import kinematics, labels
     from ..kernels.ellipsoids import picture, silhouette
-    from ..kernels.mesh import push_xy, push_z, rasterize
+    from ..kernels.mesh import push_xy, push_z, rasterize, resolve
     from ..kernels.refine import state
     from ..render.renderers import RendererEllipsoids, RendererMesh
 
-    modules: list[Any] = [kinematics, rasterize]
+    modules: list[Any] = [kinematics, rasterize, resolve]
     if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
         modules.append(state.MODULE)
     if with_labels and isinstance(options.renderer, RendererMesh):

@@ -133,10 +133,10 @@ def clothe(
 
     from ..clothing.registration import RegistrationOptions, RegistrationWeights, register
     from ..kernels import registration
-    from ..kernels.mesh import rasterize
+    from ..kernels.mesh import rasterize, resolve
     from ..results.save import save_registered
 
-    for module in (registration, rasterize):
+    for module in (registration, rasterize, resolve):
         wp.load_module(module, device=str(posed.joints.device))
     if inscribed:
         weights = RegistrationWeights.inscribed() if grow else replace(RegistrationWeights.inscribed(), measures=0.0)
