@@ -12,7 +12,7 @@ import torch
 from ..cameras import Camera
 from .parameters import BodyParameters
 from .posing import Posed
-from .rotations import rotation_to_6d
+from .rotations import rotation_between, rotation_to_6d
 
 
 def place_bodies(
@@ -26,12 +26,17 @@ def place_bodies(
         lens: Shape (3,); None: the camera is of weak perspective, and bodies stay.
         size: [px].
     """
+    camera, pelvises = find_camera(parameters, lens, size)
+    return posed if pelvises is None else posed.at(pelvises), camera
+
+
+def find_camera(parameters: BodyParameters, lens: torch.Tensor | None, size: int) -> tuple[Camera, torch.Tensor | None]:
+    """The camera of ``place_bodies``, and where the pelvises are before it, shape (B, 3) [m]; None: at the origin."""
     camera = parameters.camera(size)
     if lens is None:
-        return posed, camera
+        return camera, None
     lens = lens.to(camera.scale).expand(parameters.batch_size, 3)
-    perspective, translation = camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
-    return posed.at(translation), perspective
+    return camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
 
 
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:
@@ -43,15 +48,6 @@ def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParamete
 def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tensor:
     """Shortest rotations from the camera's axis to the rays through the pelvises, shape (B, 3, 3)."""
     lens = lens.to(parameters.shift)
-    ray = torch.nn.functional.normalize(
-        torch.cat([parameters.shift - lens[1:], lens[:1].expand(parameters.batch_size, 1)], dim=1), dim=1
-    )
-    x, y, z = ray.unbind(1)
-    # R = I + [v] + [v]^2 / (1 + z) with v = (0, 0, 1) x ray; z is never negative.
-    across = x * y / (1 + z)
-    rows = (
-        torch.stack([1 - x * x / (1 + z), -across, x], dim=1),
-        torch.stack([-across, 1 - y * y / (1 + z), y], dim=1),
-        torch.stack([-x, -y, z], dim=1),
-    )
-    return torch.stack(rows, dim=1)
+    away = lens[:1].expand(parameters.batch_size, 1)
+    ray = torch.nn.functional.normalize(torch.cat([parameters.shift - lens[1:], away], dim=1), dim=1)
+    return rotation_between(ray.new_tensor([0.0, 0.0, 1.0]).expand_as(ray), ray)

@@ -13,12 +13,10 @@ import sys
 import numpy as np
 import warp as wp
 
-from warp_partdr import FitOptions, fit_body
+from warp_partdr import FitOptions, fit_body, metrics
 from warp_partdr.evaluation.partbench.samples import NEAR, make_sample
 from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.inputs.sample import Sample
-
-RESAMPLED = 2000
 
 
 def main(first: int = 200, last: int = 299, *, near: bool = False) -> None:
@@ -54,9 +52,8 @@ def compare(sample: Sample, options: FitOptions) -> list[float]:
 
 def interval(differences: np.ndarray) -> str:
     """Mean of differences and its 95 % interval."""
-    known, rng = differences[np.isfinite(differences)], np.random.default_rng(0)
-    means = rng.choice(known, (RESAMPLED, len(known))).mean(1)
-    low, high = np.quantile(means, [0.025, 0.975])
+    known = differences[np.isfinite(differences)]
+    low, high = metrics.bootstrap_sum(known, lambda sums: sums / len(known))
     return f"{known.mean():+.1f} ({low:+.1f} to {high:+.1f})"
 
 

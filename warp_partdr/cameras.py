@@ -293,6 +293,11 @@ def first_of(camera: Camera) -> Camera:
     return replace(camera, **tensors)  # type: ignore[arg-type]
 
 
+def zoomed(camera: Camera, zoom: float, size: tuple[int, int]) -> Camera:
+    """The camera of the whole picture at another size, (H, W) [px], ``zoom`` pixels a pixel."""
+    return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
+
+
 def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> torch.Tensor:
     """Intrinsics of a camera, one for all B bodies or one a body; raise unless it is one, on the device of ``like``.
 

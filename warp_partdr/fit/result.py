@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.lens import place_bodies
+from ..body.lens import find_camera, place_bodies
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather, Posed
 from ..cameras import Camera, Crop
@@ -57,16 +57,12 @@ class FitResult(Movable):
     @property
     def camera(self) -> Camera:
         """The camera in pixels of the full picture: perspective if it was given, else weak perspective."""
-        return self._placed[1].in_full(self.crop)
+        return find_camera(self.parameters, self.observation.lens, self.crop.size[0])[0].in_full(self.crop)
 
     @property
     def posed(self) -> Posed:
         """The body in the camera frame [m]; with weak perspective, which knows no distance, pelvis at the origin."""
-        return self._placed[0]
-
-    @property
-    def _placed(self) -> tuple[Posed, Camera]:
-        return place_bodies(self.parameters, self.parameters.posed(), self.observation.lens, self.crop.size[0])
+        return place_bodies(self.parameters, self.parameters.posed(), self.observation.lens, self.crop.size[0])[0]
 
     def landmarks(self, names: Sequence[str]) -> np.ndarray:
         """Landmarks (see ``body.landmarks``) in the camera frame, shape (L, 3) [m]."""

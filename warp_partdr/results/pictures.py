@@ -10,7 +10,7 @@ import torch
 
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
-from ..cameras import Camera, Crop, WeakPerspective, first_of
+from ..cameras import Camera, WeakPerspective, first_of, zoomed
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..inputs.keypoints import Keypoints2D
 from ..render.mesh import draw_mesh
@@ -50,7 +50,7 @@ def shade_mesh(
     height, width = image_size
     points = vertices.detach().cpu()
     size = height * _SAMPLES, width * _SAMPLES
-    fine = first_of(camera).to("cpu").in_crop(Crop(left=0.0, top=0.0, zoom=_SAMPLES, size=size))
+    fine = zoomed(first_of(camera).to("cpu"), _SAMPLES, size)
     image = draw_mesh(points, mesh, fine, size)
     corners = points[0].numpy()[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -20,7 +20,7 @@ from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
-from ..cameras import Camera, Crop, first_of
+from ..cameras import Camera, first_of, zoomed
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
 from ..errors import check_type
@@ -70,7 +70,7 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
         label_set = evidence.picture.label_set
         # In the picture or, if that is large, a smaller one.
         zoom, scored = _shown_at(size)
-        drawn = result.draw(scored, camera=_zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
+        drawn = result.draw(scored, camera=zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
         shown, target = label_set.part_groups[drawn], evidence.target(scored)
         report |= score_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
@@ -129,7 +129,7 @@ def save_registered(
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
         vertices = registered.detailed.vertices[:1].detach()
-        seen = _zoomed(first_of(camera).to(vertices.device), zoom, scored)
+        seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
         image = draw_mesh(vertices, detailed_mesh(model), seen, scored)
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
@@ -161,7 +161,7 @@ def _over(
     canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
     if canvas.size != (width, height):
         canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
-    rgba = shade(_zoomed(camera, zoom, (height, width)), (height, width))
+    rgba = shade(zoomed(camera, zoom, (height, width)), (height, width))
     return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
 
 
@@ -169,10 +169,6 @@ def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
     """Zoom and (H, W) at which a picture of this size is shown and compared: at most ``OVERLAY_SIDE`` px a side."""
     zoom = min(1.0, OVERLAY_SIDE / max(size))
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
-
-
-def _zoomed(camera: Camera, zoom: float, size: tuple[int, int]) -> Camera:
-    return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
 
 
 def body_file(

@@ -12,7 +12,7 @@ from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
-from ..cameras import Camera, Crop, Perspective, WeakPerspective
+from ..cameras import Camera, Perspective, WeakPerspective, zoomed
 from ..clothing.anny import anny, anny_shape
 from ..interop.torch_threads import one_torch_thread
 from . import people
@@ -138,7 +138,7 @@ def _draw(vertices: np.ndarray, camera: Camera, size: tuple[int, int]) -> tuple[
     """Part labels, each pixel's the majority of its samples, shape (H, W), and depth [m], shape (1, H, W)."""
     height, width = size
     fine_size = (height * _SAMPLES, width * _SAMPLES)
-    fine = camera.in_crop(Crop(left=0.0, top=0.0, zoom=_SAMPLES, size=fine_size))
+    fine = zoomed(camera, _SAMPLES, fine_size)
     labels, depth = people.draw_anny(torch.from_numpy(vertices)[None], fine, fine_size)
     blocks = labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
     votes = np.stack([(blocks == label).sum((1, 3), dtype=np.uint8) for label in range(NUM_PARTS + 1)])
