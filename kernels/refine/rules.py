@@ -71,10 +71,11 @@ def hold_thickness(problem: Problem, state: State, weight: float, b: int, k: int
 @rule(column=6)
 @wp.func
 def hold_depth(problem: Problem, state: State, weight: float, b: int, k: int):
-    """Squared distance along z of part k's centre from its given depth."""
+    """Squared distance along z of part k's centre from its given depth, in spreads of its own."""
     row = b % problem.rules.depths.shape[0]
     depth = state.ellipsoids.centres[b, k][2] - state.roots[b][2]
-    deviation = (depth - problem.rules.depths[row, k]) * _MILLIMETRES
-    push = 2.0 * weight * deviation * _MILLIMETRES
+    scale = problem.rules.depth_scales[row, k]
+    deviation = (depth - problem.rules.depths[row, k]) * scale
+    push = 2.0 * weight * deviation * scale
     state.pushes[b, k] = state.pushes[b, k] + wp.vec3(0.0, 0.0, push)
     return weight * deviation * deviation

@@ -70,6 +70,7 @@ class Rules:
     usual_lengths: wp.array2d[float]  # (N, 12) [m]
     usual_thicknesses: wp.array2d[float]  # (N, 15) [m]
     depths: wp.array2d[float]  # (N, P) of the parts' centres [m]
+    depth_scales: wp.array2d[float]  # (N, P) [1/m], by which deviations from these are multiplied
 
 
 @wp.struct

@@ -42,7 +42,7 @@ def test_each_level_is_farther_from_the_truth() -> None:
 
 def test_near_people_come_with_their_camera() -> None:
     (near,), (far, *_) = partbench_samples(1, [NEAR]), partbench_samples(1, ["realistic"])
-    assert near.camera is make_person(0, near=True).camera
+    assert near.camera is make_person(0, "near").camera
     assert near.source == source_name("near")
     assert far.camera is None or far.camera is make_person(0).camera
     known, weak = (METHODS[name].fit_sample(near, "cpu") for name in (KNOWN_CAMERA, "parts"))

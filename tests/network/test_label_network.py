@@ -15,7 +15,8 @@ from scenes.bodies import seen_by, walker
 
 from warp_partdr.body.labels import LABEL_SETS, label_set
 from warp_partdr.body.parameters import BodyParameters
-from warp_partdr.body.template import LOCKED_PARTS, NUM_PARTS
+from warp_partdr.body.pose_prior import FREE_PARTS
+from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import observe
@@ -28,6 +29,7 @@ from warp_partdr.network.label_network import (
     draw_heatmaps,
     label_shares,
     label_table,
+    lens_rays,
     map_shares,
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
@@ -111,7 +113,7 @@ def test_a_regressor_starts_near_the_mean_body():
 def test_predicted_numbers_are_those_of_a_fit(network, device):
     network = network.to(device)
     shares = torch.rand(3, NUM_CHANNELS, 64, 64, device=device)
-    predicted = network(shares, torch.rand(3, len(LANDMARKS), 3, device=device))
+    predicted = network(shares, torch.rand(3, len(LANDMARKS), 3, device=device), torch.zeros(3, 4, device=device))
     body = predicted.parameters()
     assert torch.allclose(body.posed().joints, predicted.posed().joints, atol=1e-5)
     assert torch.equal(body.camera(64).scale, predicted.camera(64).scale)
@@ -125,8 +127,34 @@ def test_a_batch_says_what_its_members_say(network):
     alone = predict_bodies([without], network)
     assert torch.allclose(both.rotations[1], alone.rotations[0], atol=1e-5)
     assert not torch.allclose(both.rotations[0], both.rotations[1], atol=1e-5)
-    shares, _ = network_inputs(without, 64)
+    shares, _, rays = network_inputs(without, 64)
     assert (shares[-1] == 1).all()
+    assert (rays == 0).all()
+
+
+def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
+    lenses = torch.tensor([[2.0, 0.5, -1.0], [2.0, 0.5, -1.0], [1e9, 0.0, 0.0]])
+    rays = lens_rays(lenses, torch.tensor([True, False, True]))
+    assert torch.allclose(rays, torch.tensor([[1.0, 0.5, 0.25, -0.5], [0.0] * 4, [1.0, 0.0, 0.0, 0.0]]))
+    keypoints, parts = seen_by(walker())
+    seen, _ = observe(keypoints, parts)
+    known = replace(seen, lens=lenses[0])
+    assert torch.equal(network_inputs(known, 64)[2], rays[0])
+    bodies = predict_bodies([seen, known], network)
+    assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
+
+
+def test_uncertainties_are_positive_and_go_with_their_bodies(network):
+    shares, keypoints = torch.rand(3, NUM_CHANNELS, 64, 64), torch.rand(3, len(LANDMARKS), 3)
+    said = network(shares, keypoints, torch.zeros(3, 4)).uncertainty
+    assert [tuple(values.shape) for values in vars(said).values()] == [
+        (3, len(JOINT_NAMES) - 1),
+        (3, 1 + len(FREE_PARTS)),
+        (3,),
+    ]
+    assert all((values > 0).all() for values in vars(said).values())
+    first = network(shares, keypoints, torch.zeros(3, 4)).select(slice(1, 2)).uncertainty
+    assert all(torch.equal(have, getattr(said, name)[1:2]) for name, have in vars(first).items())
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -139,7 +167,7 @@ def test_a_network_comes_back_from_its_file(network, tmp_path, half):
         assert json.loads(file.metadata()["about"]) == {"steps": 3}
     assert not back.training
     shares, keypoints = torch.rand(2, NUM_CHANNELS, 64, 64), torch.rand(2, len(LANDMARKS), 3)
-    want, have = network(shares, keypoints), back(shares, keypoints)
+    want, have = network(shares, keypoints, torch.zeros(2, 4)), back(shares, keypoints, torch.zeros(2, 4))
     assert torch.allclose(want.rotations, have.rotations, atol=1e-2 if half else 0)
 
 
@@ -165,7 +193,7 @@ def test_files_that_are_no_networks_are_named(network, tmp_path):
         ({"size": "64"}, "size: '64'; expected a whole number"),
         ({"places": -1}, "expected a network"),
     ):
-        save_file(weights, path, {"format": "warp-partdr label network 1", "config": json.dumps(sizes)})
+        save_file(weights, path, {"format": "warp-partdr label network 2", "config": json.dumps(sizes)})
         refused(said)
     path.write_bytes(path.read_bytes()[:-100])
     refused("expected a network")

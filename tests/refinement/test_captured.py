@@ -121,11 +121,13 @@ def test_kernels_are_compiled_anew_when_a_rule_changes():
 
 
 def test_depth_is_held_as_in_torch(device):
-    """Of each body to its own energy's, and of none where nothing is to be held."""
+    """Of each body to its own energy's, as hard as these are sure, and of none where nothing is to be held."""
     body = walker(device)
     depths = body.posed().centres[0, :, 2]
     free = energy_of(body, weights=Weights(depth=0.01))
-    energies = [replace(free, depths=depths + offset) for offset in (0.0, 0.05)]
+    sure = torch.linspace(5e-4, 5e-3, len(depths), device=device)
+    held = [{"depths": depths}, {"depths": depths + 0.05, "depth_spreads": sure}]
+    energies = [replace(free, observation=replace(free.observation, **each)) for each in held]
     bodies = moved_bodies(body, 4, amount=0.3)
     terms, gradient = gradient_at(energies, bodies)
     for number, energy in enumerate(energies):
@@ -145,7 +147,7 @@ def test_a_known_camera_in_both_paths(device, gradient):
     body = walker(device)
     weights = Weights(depth=0.01, seg=1.0)
     plain = energy_of(body, labels=True, weights=weights, renderer=RendererEllipsoids(gradient))
-    plain = replace(plain, depths=body.posed().centres[0, :, 2])
+    plain = replace(plain, observation=replace(plain.observation, depths=body.posed().centres[0, :, 2]))
     lenses = torch.tensor([[2.5, 1.5, -0.7], [6.0, 0.1, 0.2]], device=device)
     energies = [replace(plain, observation=replace(plain.observation, lens=lens)) for lens in lenses]
     bodies = moved_bodies(body, 4, amount=0.3)

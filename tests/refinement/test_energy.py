@@ -53,7 +53,8 @@ def test_each_weight_weighs_its_own_term(device, name):
     body = walker(device)
     depths = body.posed().centres[0, :, 2]
     ones = Weights(**{field.name: 1.0 for field in fields(Weights)})
-    energy = Energy(observation_of(body), size=64, weights=ones, prior=PosePrior().to(device), depths=depths)
+    seen = replace(observation_of(body), depths=depths)
+    energy = Energy(seen, size=64, weights=ones, prior=PosePrior().to(device))
     terms = energy(off(body))
     assert terms.keys() == {field.name for field in fields(Weights)}
     assert all(term.item() > 1e-2 for term in terms.values())

@@ -57,7 +57,7 @@ def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
 def test_near_people_are_the_same_before_another_camera() -> None:
     aside = []
     for index in range(4):
-        person, far = make_person(index, near=True), make_person(index)
+        person, far = make_person(index, "near"), make_person(index)
         assert isinstance(person.camera, Perspective)
         middle = person.vertices.mean(0)
         assert 1.5 <= middle[2] <= 3.0

@@ -9,17 +9,20 @@ import torch
 from scenes.bodies import walker
 from scenes.training import make_task
 
+from warp_partdr.body.lens import ray_rotations
 from warp_partdr.body.posing import LandmarkGather
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.errors import InputError
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import Predicted
+from warp_partdr.network.uncertainty import Uncertainty
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.synthetic.training_people import PeopleBatch
 from warp_partdr.training.config import Phase, TrainingConfig, make_config
-from warp_partdr.training.label_task import LabelTask, body_losses
+from warp_partdr.training.label_task import LabelTask, body_losses, uncertainty_losses
 
 SIZE = 64
+DISTANCE = 2.5  # [m]
 SMALL = {
     "size": SIZE,
     "channels": [8, 16, 16, 16, 16],
@@ -51,10 +54,22 @@ def known(device: str) -> tuple[Predicted, PeopleBatch]:
         thicknesses=body.thicknesses,
         log_scale=body.log_scale,
         shift=body.shift,
+        uncertainty=Uncertainty(
+            torch.full((2, 20), 1e-3, device=device),
+            torch.full((2, 19), 1e-3, device=device),
+            torch.full((2,), 1 / DISTANCE, device=device),
+        ),
     )
     posed = predicted.posed()
-    points = predicted.camera(2).project(LandmarkGather(LANDMARKS, device)(posed))[..., :2] - 1
-    parts = draw_ellipsoids(posed, predicted.camera(SIZE), (SIZE, SIZE)).labels
+    # One camera looks straight at its person, the other one past it.
+    lenses = torch.tensor([[0.0, *body.shift[0].tolist()], [0.0, 0.6, -0.4]], device=device)
+    lenses[:, 0] = DISTANCE * body.log_scale.exp()
+    turns = torch.cat([ray_rotations(body.select(torch.tensor([i], device=device)), lenses[i]) for i in range(2)])
+    turned = replace(predicted, orientation=turns @ predicted.orientation)
+    camera, pelvises = turned.camera(SIZE).to_perspective(lenses[:, 0] * SIZE / 2, (lenses[:, 1:] + 1) * SIZE / 2)
+    before = turned.posed().at(pelvises)
+    points = camera.project(LandmarkGather(LANDMARKS, device)(before))[..., :2] * (2 / SIZE) - 1
+    parts = draw_ellipsoids(before, camera, (SIZE, SIZE)).labels
     return predicted, PeopleBatch(
         groups=parts,
         label_sets=torch.zeros(2, dtype=torch.int64, device=device),
@@ -65,6 +80,10 @@ def known(device: str) -> tuple[Predicted, PeopleBatch]:
         orientation=predicted.orientation,
         rotations=predicted.rotations,
         lengths=predicted.lengths,
+        lenses=lenses,
+        lens_known=torch.tensor([True, False], device=device),
+        turns=turns,
+        distances=torch.full((2,), DISTANCE, device=device),
     )
 
 
@@ -72,11 +91,14 @@ def known(device: str) -> tuple[Predicted, PeopleBatch]:
     ("changed", "costs"),
     [
         ("nothing", set()),
-        ("orientation", {"joints", "rotations", "proj", "seg"}),
-        ("lengths", {"joints", "proj", "seg", "lengths"}),
+        ("orientation", {"joints", "rotations", "proj", "seg", "spreads"}),
+        ("lengths", {"joints", "proj", "seg", "lengths", "spreads"}),
         ("thicknesses", {"proj", "seg", "thicknesses"}),  # eyes and ears lie on the surface
         ("log_scale", {"proj", "seg"}),
         ("shift", {"proj", "seg"}),
+        ("depths", {"spreads"}),
+        ("turns", {"spreads"}),
+        ("nearness", {"nearness"}),
     ],
 )
 def test_what_is_wrong_costs_where_it_shows(device, changed, costs):
@@ -84,6 +106,9 @@ def test_what_is_wrong_costs_where_it_shows(device, changed, costs):
     if changed == "orientation":
         turn = rotation_from_axis_angle(torch.tensor([0.0, 0.5, 0.2], device=device))
         predicted = replace(predicted, orientation=turn @ predicted.orientation)
+    elif changed in vars(predicted.uncertainty):
+        said = {changed: 1.5 * getattr(predicted.uncertainty, changed)}
+        predicted = replace(predicted, uncertainty=replace(predicted.uncertainty, **said))
     elif changed != "nothing":
         value = getattr(predicted, changed)
         wrong = 1.4 * value if changed in ("lengths", "thicknesses") else value + 0.2
@@ -126,7 +151,37 @@ def test_held_out_people_are_the_same_in_every_run(task):
         assert errors == other.validate(model, torch.device("cpu"))
         sheet = task.pictures(model, torch.device("cpu"))
     assert sheet.size == (12 * SIZE, 3 * SIZE)
-    assert set(errors) == {"MPJPE [mm]", "PA-MPJPE [mm]", "part F1", "foreground F1"}
+    shares = {f"{what} within their 68 %" for what in ("depths", "rotations")}
+    assert set(errors) == {
+        "MPJPE [mm]",
+        "PA-MPJPE [mm]",
+        "PA-MPJPE of the tilted [mm]",
+        "part F1",
+        "foreground F1",
+        *shares,
+    }
+    assert all(0 <= errors[name] <= 1 for name in shares)
+
+
+def test_spreads_are_least_wrong_where_68_percent_of_errors_are_below():
+    """The pinball loss of 10,000 known errors, over spreads of all sizes."""
+    predicted, people = known("cpu")
+    count = 10_000
+    errors = torch.randn(count, generator=torch.Generator().manual_seed(0)).abs() * 0.1
+    some = torch.zeros(count, dtype=torch.int64)
+    predicted, truth = predicted.select(some), {each.name: getattr(people, each.name)[some] for each in fields(people)}
+    joints = truth["joints"].clone()
+    joints[:, 1:, 2] += errors[:, None]
+    truth = PeopleBatch(**{**truth, "joints": joints})
+    own = predicted.posed().joints
+
+    def loss(spread: float) -> float:
+        said = replace(predicted.uncertainty, depths=torch.full((count, 20), spread))
+        return float(uncertainty_losses(replace(predicted, uncertainty=said), own, truth)["spreads"])
+
+    spreads = [0.06, 0.08, 0.09, 0.0994, 0.11, 0.12, 0.15]  # 68 % of normal errors are below 0.9945 deviations
+    losses = [loss(spread) for spread in spreads]
+    assert losses.index(min(losses)) == 3
 
 
 def test_batches_go_on_where_they_stopped_and_differ_between_processes(task):

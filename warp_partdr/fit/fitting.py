@@ -21,9 +21,10 @@ from ..inputs.observation import Observation, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
-from ..network.predict import predict_bodies
+from ..network.predict import predict
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
+from .depth_flips import repair_depth_order
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
 from .result import FitResult
@@ -122,11 +123,25 @@ class _Fit:
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
-        body = self._turned(predict_bodies([self.seen], network))
-        seconds = time.perf_counter() - started
+        predicted = predict([self.seen], network)
+        body = self._turned(predicted.parameters())
+        seconds = {"network": time.perf_counter() - started}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
+        order = None
+        if self.stages and seen.labels is not None:
+            started = time.perf_counter()
+            body, order = repair_depth_order(body, seen, self.prior)
+            seconds["depth order"] = time.perf_counter() - started
+        said = predicted.uncertainty
+        assert said is not None
+        seen = replace(seen, depths=body.posed().centres[0, :, 2], depth_spreads=said.centre_depths()[0])
         found = self._refine(body, seen, "network")
-        return replace(found, stage_seconds={"network": seconds, **found.stage_seconds})
+        return replace(
+            found,
+            stage_seconds=seconds | found.stage_seconds,
+            depth_order=order,
+            uncertainty=said,
+        )
 
     def _refine(
         self,
@@ -152,10 +167,7 @@ class _Fit:
             weights = stage.weights or options.weights
             if stage.size == 0:
                 weights = replace(weights, seg=0.0)
-            if weights.depth > 0 and (count := len(bodies.log_scale)) > 1:
-                raise ValueError(f"stages: {stage.name!r} holds depth, of {count} bodies; expected one body")
-            depths = bodies.posed().centres[0, :, 2] if weights.depth > 0 else None
-            energy = Energy(seen, max(stage.size, 1), weights, self.prior, renderer=stage.renderer, depths=depths)
+            energy = Energy(seen, max(stage.size, 1), weights, self.prior, renderer=stage.renderer)
 
             def step(iteration: int, name: str = stage.name, before: int = done) -> None:
                 if self.progress is not None:

@@ -14,9 +14,11 @@ from ..cameras import Camera, Crop
 from ..inputs.evidence import Evidence
 from ..inputs.observation import Observation
 from ..interop.movable import Movable
+from ..network.uncertainty import Uncertainty
 from ..render.ellipsoids import EllipsoidImage
 from ..render.mesh import PartImage
 from ..render.renderers import Renderer, RendererMesh
+from .depth_flips import DepthOrder
 from .stages import Stage, Start
 
 _FINE_MESH = RendererMesh(3)
@@ -39,6 +41,8 @@ class FitResult(Movable):
         start: Start of the winner, "network" or "search".
         evidence: Keypoints and labels in the picture.
         warnings: Faults of the input or the body, a sentence each.
+        depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
+        uncertainty: How sure the network was of its body, before any stage; None of a search.
     """
 
     parameters: BodyParameters
@@ -53,6 +57,8 @@ class FitResult(Movable):
     start: Start
     evidence: Evidence
     warnings: tuple[str, ...] = ()
+    depth_order: DepthOrder | None = None
+    uncertainty: Uncertainty | None = None
 
     @property
     def camera(self) -> Camera:

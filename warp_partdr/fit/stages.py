@@ -85,12 +85,12 @@ _SEARCH: dict[Quality, tuple[Stage, ...]] = {
 }
 
 # From the network's body, a few iterations do; keypoints count less beside labels than in a search, and sizes are held
-# to what the network says. An outline would cost joints: neither labels nor keypoints hold depth, so bodies lean and
-# limbs tilt to fill it, and bones stretch to where label sets end parts. So depth is held, keypoints and lengths more.
-# (In a search it pays nothing: its depth is no better than where an outline leaves it.)
-_NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3)
-_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, length=2e-2, thickness=2e-3, depth=1e-2)
-_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, length=3e-3, depth=1e-2)
+# to what the network says. Neither labels nor keypoints hold depth, so bodies lean and limbs tilt to fill an outline,
+# and bones stretch to where label sets end parts. So depth is held as hard as the network is sure of it, and for an
+# outline the pose and keypoints more. (In a search it pays nothing: its depth is no better than an outline's.)
+_NEAR = Weights(proj=0.3, prior=1.0, length=1e-2, thickness=2e-3, depth=1.0)
+_NEAR_OUTLINE = Weights(proj=2.5, seg=0.5, prior=10.0, length=2e-2, thickness=2e-3, depth=10.0)
+_NEAR_OUTLINE_FIRST = Weights(proj=4.0, seg=1.0, prior=10.0, length=3e-3, depth=30.0)
 
 _NETWORK: dict[Quality, tuple[Stage, ...]] = {
     "fast": (Stage("labels", 1, 50, 0.007, 128, _NEAR, renderer=_EDGES),),

@@ -36,6 +36,8 @@ class Observation(Movable):
         known: Weight of each pixel of ``maps``, shape (N, N); the rest to 1 is the share to be ignored.
         lengths: Expected ``LENGTH_NAMES`` of the person [m], shape (12,); None: the mean adult's.
         thicknesses: Expected ``THICKNESS_NAMES`` [m], shape (15,); None: the mean adult's.
+        depths: Expected depths of the parts' centres, pelvis at 0 [m], shape (20,); None: unknown.
+        depth_spreads: How sure these are: half widths of intervals of 68 % [m], shape (20,); None: 1 mm.
         marks: Point of the body that each keypoint marks (``Skeleton.marks``); None: ``landmarks`` themselves.
         lens: Focal length and principal point of the picture's camera, in the crop's coordinates, shape (3,); None:
             unknown, and weak perspective serves.
@@ -50,6 +52,8 @@ class Observation(Movable):
     known: torch.Tensor | None = None
     lengths: torch.Tensor | None = None
     thicknesses: torch.Tensor | None = None
+    depths: torch.Tensor | None = None
+    depth_spreads: torch.Tensor | None = None
     marks: tuple[str, ...] | None = None
     lens: torch.Tensor | None = None
 

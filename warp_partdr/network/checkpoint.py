@@ -85,7 +85,7 @@ class NetworkFiles(Generic[Network, Config]):
 
 
 _LABEL_NETWORKS = NetworkFiles(
-    "warp-partdr label network 1",
+    "warp-partdr label network 2",
     LabelNetwork,
     LabelNetworkConfig,
     "a network of `partdr train label-network` (safetensors)",

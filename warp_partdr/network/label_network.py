@@ -1,12 +1,12 @@
 """Label network: a body from part labels and keypoints, no colour, by a small convolutional encoder and a regressor.
 
 Its input is independent of the label set and the keypoint format: a pixel holds the share of each of the 20 parts in
-its label, of background and of unknown; keypoints are those of ``LANDMARKS`` that were found.
+its label, of background and of unknown; keypoints are those of ``LANDMARKS`` that were found. A camera may be known.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,10 +19,12 @@ from .heads import cell_centres
 from .landmarks import LANDMARKS
 from .predicted import Predicted
 from .regressor import Regressor, RegressorConfig
+from .uncertainty import UncertaintyHead
 
 NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
 _UNKNOWN = NUM_CHANNELS - 1
 _HEATMAP_STRIDE = 4  # of the labels' pixels
+_RAYS = 4  # numbers of ``lens_rays``
 _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being 2
 
 
@@ -80,8 +82,23 @@ def map_shares(maps: torch.Tensor, known: torch.Tensor, table: torch.Tensor) -> 
     return torch.einsum("bghw,gc->bchw", shares, rows)
 
 
+def lens_rays(lenses: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """Cameras as networks see them: by the tangents of their rays, which are finite however far away a camera is.
+
+    Args:
+        lenses: Focal length and principal point in crop coordinates, shape (B, 3).
+        known: False for those that the network isn't to know, shape (B,), bool.
+
+    Returns:
+        1; of the crop's half side; of its middle, negative, across and down; all 0 where unknown, shape (B, 4).
+    """
+    focal = lenses[:, :1]
+    rays = torch.cat([torch.ones_like(focal), 1 / focal, lenses[:, 1:] / focal], dim=1)
+    return torch.where(known[:, None], rays, 0.0)
+
+
 class LabelNetwork(nn.Module):
-    """Label shares and keypoints to bodies."""
+    """Label shares, keypoints and rays of the camera to bodies, as a camera sees them that looks at the pelvis."""
 
     def __init__(self, config: LabelNetworkConfig) -> None:
         super().__init__()
@@ -104,23 +121,31 @@ class LabelNetwork(nn.Module):
         )
         keypoints = config.keypoint_features
         self.keypoints = nn.Sequential(
-            nn.Linear(3 * len(LANDMARKS), 2 * keypoints), nn.ReLU(), nn.Linear(2 * keypoints, keypoints), nn.ReLU()
+            nn.Linear(3 * len(LANDMARKS) + _RAYS, 2 * keypoints),
+            nn.ReLU(),
+            nn.Linear(2 * keypoints, keypoints),
+            nn.ReLU(),
         )
         side = config.size // 2 ** len(config.channels)
-        self.regressor = Regressor(config.places * side**2 + keypoints, config.regressor)
+        features = config.places * side**2 + keypoints
+        self.regressor = Regressor(features, config.regressor)
+        self.uncertainty = UncertaintyHead(features)
 
-    def forward(self, shares: torch.Tensor, keypoints: torch.Tensor) -> Predicted:
+    def forward(self, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> Predicted:
         """Bodies.
 
         Args:
             shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S).
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
+            rays: Of the cameras, from ``lens_rays``, shape (B, 4).
         """
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
         seen = self.stages(torch.cat([coarse, heatmaps.to(coarse.dtype)], dim=1))
-        predicted: Predicted = self.regressor(torch.cat([seen, self.keypoints(keypoints.flatten(1)).to(seen)], dim=1))
-        return predicted
+        points = self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))
+        features = torch.cat([seen, points.to(seen)], dim=1)
+        predicted: Predicted = self.regressor(features)
+        return replace(predicted, uncertainty=self.uncertainty(features))
 
 
 def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:

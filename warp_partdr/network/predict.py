@@ -10,12 +10,22 @@ from ..body.parameters import BodyParameters
 from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..interop.torch_threads import one_torch_thread
-from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, map_shares
+from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
 from .landmarks import network_keypoints
+from .predicted import Predicted
 
 
-def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Input of a label network for one person: shares (22, size, size) and keypoints (24, 3)."""
+def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Input of a label network for one person: shares (22, size, size), keypoints (24, 3) and rays (4,)."""
+    return *_network_picture(seen, size), _network_rays(seen)
+
+
+def _network_rays(seen: Observation) -> torch.Tensor:
+    lens = seen.points.new_ones(3) if seen.lens is None else seen.lens
+    return lens_rays(lens[None], torch.full((1,), seen.lens is not None, device=lens.device))[0]
+
+
+def _network_picture(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor]:
     keypoints = network_keypoints(seen.landmarks, seen.points, seen.confidence)
     device = keypoints.device
     if seen.label_set is None or seen.labels is None:
@@ -50,6 +60,13 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
     check_type("network", network, LabelNetwork, "of load_label_network")
     if not observations:
         raise ValueError("observations: none; expected at least one")
+    return predict(observations, network).parameters()
+
+
+@torch.no_grad()
+def predict(observations: Sequence[Observation], network: LabelNetwork) -> Predicted:
+    """Bodies as ``predict_bodies`` has them, and how sure they are; of people whose camera is known, see ``lens``."""
     inputs = [network_inputs(seen, network.config.size) for seen in observations]
-    shares, keypoints = (torch.stack(values) for values in zip(*inputs, strict=True))
-    return network(shares.contiguous(memory_format=torch.channels_last), keypoints).parameters()
+    shares, keypoints, rays = (torch.stack(values) for values in zip(*inputs, strict=True))
+    predicted: Predicted = network(shares.contiguous(memory_format=torch.channels_last), keypoints, rays)
+    return predicted

@@ -12,11 +12,12 @@ from ..body.posing import LandmarkGather, Posed, pose
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import WeakPerspective
 from ..render.ellipsoids import draw_ellipsoids
+from .uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """B bodies, each in a square crop of side 2, as ``BodyParameters`` has them."""
+    """B bodies in crops of side 2, as ``BodyParameters`` has them, seen by a camera that looks at their pelvis."""
 
     orientation: torch.Tensor  # global orientation, camera frame, shape (B, 3, 3)
     rotations: torch.Tensor  # local rotations; those of the hips are the identity, shape (B, 20, 3, 3)
@@ -24,6 +25,7 @@ class Predicted:
     thicknesses: torch.Tensor  # ``THICKNESS_NAMES`` [m], shape (B, 15)
     log_scale: torch.Tensor  # logarithm of the crop's half-sides a metre, shape (B,)
     shift: torch.Tensor  # position of the pelvis in the crop, shape (B, 2)
+    uncertainty: Uncertainty | None = None  # of the label network
 
     def posed(self) -> Posed:
         """Posed bodies in the camera frame, pelvis at the origin [m], differentiable."""
@@ -36,7 +38,9 @@ class Predicted:
 
     def select(self, index: torch.Tensor | slice) -> Predicted:
         """Some of the bodies."""
-        return Predicted(**{name: value[index] for name, value in vars(self).items()})
+        chosen = {name: value[index] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        said = self.uncertainty
+        return Predicted(**chosen, uncertainty=None if said is None else said.select(index))
 
     def drawn(self, size: int) -> torch.Tensor:
         """Part labels of the bodies in their crops, shape (B, size, size), uint8."""

@@ -158,6 +158,7 @@ class CapturedRefinement:
         thicknesses = torch.stack([each.usual_thicknesses for each in energies])
         nowhere = torch.zeros(NUM_PARTS, device=self._device)
         depths = torch.stack([nowhere if each.depths is None else each.depths for each in energies])
+        depth_scales = torch.stack([each.depth_scales for each in energies])
         seen = {name for each in energies for name in each.observation.body_points}
         problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
@@ -165,7 +166,8 @@ class CapturedRefinement:
         lenses = [weak if (lens := each.observation.lens) is None else lens for each in energies]
         problem.lenses = warp_array(torch.stack(lenses), wp.vec3)
         problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))
-        problem.rules = rule_arrays(where, energy.prior, *map(warp_array, (lengths, thicknesses, depths)))
+        usual = warp_array(lengths), warp_array(thicknesses), warp_array(depths), warp_array(depth_scales)
+        problem.rules = rule_arrays(where, energy.prior, *usual)
         problem.mixture = mixture_arrays(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         return problem

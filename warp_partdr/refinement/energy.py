@@ -17,6 +17,7 @@ from ..body.lens import place_bodies
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
+from ..body.template import NUM_PARTS
 from ..cameras import Camera
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..render.renderers import Renderer, RendererEllipsoids
@@ -64,7 +65,7 @@ def _limits(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.T
 
 def _depth(energy: Energy, parameters: BodyParameters, posed: Posed) -> torch.Tensor:
     assert energy.depths is not None
-    return ((posed.centres[..., 2] - energy.depths) * _MILLIMETRES).square().sum(1)
+    return ((posed.centres[..., 2] - energy.depths) * energy.depth_scales).square().sum(1)
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ class Weights:
         thickness: Of L_t [1/mm²].
         prior: Of the pose's negative log-likelihood [1/nat].
         limits: Of the squared excess over joint limits [1/rad²].
-        depth: Of the squared distance from ``Energy.depths`` along z [1/mm²]; without those it does nothing.
+        depth: Of the squared distance from ``Energy.depths`` along z, in their spreads [1/spread²; 1/mm² without
+            spreads]; without depths it does nothing.
     """
 
     proj: float = _term(
@@ -118,13 +120,14 @@ class Energy:
         prior: The pose prior.
         renderer: Exact ellipsoids, or their mesh; a level that is "auto" is chosen for the first bodies that are drawn.
             With a label set of one group no z gradient is looked for: nothing that shows hides something else.
-        depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
-            labels nor keypoints say so, and a body leans to fit an outline.
 
     Attributes:
         votes: Weight of each landmark, shape (L,).
         usual_lengths: Lengths at which L_l is 0 [m], shape (12,).
         usual_thicknesses: Thicknesses at which L_t is 0 [m], shape (15,).
+        depths: Where the parts' centres are to stay along z, pelvis at 0 [m], shape (20,); None: anywhere. Neither
+            labels nor keypoints say so, and a body leans to fit an outline.
+        depth_scales: 1 / the observation's ``depth_spreads`` [1/m], of 1 mm each without, shape (20,).
         target: Target labels, shape (size, size), uint8; None if nothing is drawn.
         key: Of this energy among others.
     """
@@ -134,7 +137,6 @@ class Energy:
     weights: Weights = field(default_factory=Weights)
     prior: PosePrior | None = None
     renderer: Renderer = field(default_factory=RendererEllipsoids)
-    depths: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
         seen = self.observation
@@ -147,6 +149,9 @@ class Energy:
         mean = BodyParameters.mean(1, device=device)
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
+        self.depths = seen.depths
+        even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
+        self.depth_scales = even if seen.depth_spreads is None else 1 / seen.depth_spreads
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None

@@ -63,11 +63,17 @@ def landmark_arrays(device: str, names: Collection[str], points: wp.array, votes
 
 
 def rule_arrays(
-    device: str, prior: PosePrior | None, lengths: wp.array, thicknesses: wp.array, depths: wp.array
+    device: str,
+    prior: PosePrior | None,
+    lengths: wp.array,
+    thicknesses: wp.array,
+    depths: wp.array,
+    depth_scales: wp.array,
 ) -> Rules:
-    """Sizes (N, 12) and (N, 15) and depths (N, 20) of N people, and the prior's joint limits if there is one."""
+    """Sizes (N, 12) and (N, 15), depths and their scales (N, 20) of N people, and the prior's joint limits, if any."""
     table = Rules()
-    table.usual_lengths, table.usual_thicknesses, table.depths = lengths, thicknesses, depths
+    table.usual_lengths, table.usual_thicknesses = lengths, thicknesses
+    table.depths, table.depth_scales = depths, depth_scales
     free = np.full((NUM_PARTS, 3), np.inf)
     lower, upper = (
         (-free, free) if prior is None else (prior.lower_limits.cpu().numpy(), prior.upper_limits.cpu().numpy())

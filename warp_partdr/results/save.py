@@ -243,6 +243,7 @@ def make_report(result: FitResult) -> dict[str, Any]:
         "energy_of_finalists": [round(value, 4) for value in result.finalists],
         "hypotheses": result.hypotheses,
         "start": result.start,
+        "depth": _depth_report(result),
         "keypoints": {
             "confident": int(sure.sum()),
             "mean_distance_px": round(distance, 3),
@@ -258,6 +259,21 @@ def make_report(result: FitResult) -> dict[str, Any]:
             "machine": platform.machine(),
         },
     }
+
+
+def _depth_report(result: FitResult) -> dict[str, Any]:
+    """Flips that were tried, and how sure the network was of depths and distance."""
+    order, said = result.depth_order, result.uncertainty
+    report: dict[str, Any] = {}
+    if order is not None:
+        report |= {"flips_tried": list(order.tried), "flipped": order.flipped}
+    if said is not None:
+        spreads = zip(JOINT_NAMES[1:], said.depths[0].tolist(), strict=True)
+        report |= {
+            "spread_m": {name: round(spread, 3) for name, spread in spreads},  # 68 %, relative to the pelvis
+            "network_distance_m": round(1 / max(float(said.nearness[0]), 1e-3), 2),
+        }
+    return report
 
 
 def score_labels(shown: np.ndarray, target: np.ndarray, source: LabelSet) -> dict[str, Any]:

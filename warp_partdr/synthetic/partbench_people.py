@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from ..cameras import Camera, Perspective, WeakPerspective, zoomed
 from ..clothing.anny import anny, anny_shape
 from ..interop.torch_threads import one_torch_thread
 from . import people
-from .pose_recipes import POSES, draw_pose
+from .pose_recipes import POSES, TILTED_POSES, draw_pose
 from .poses import mean_body
 
 NUM_PEOPLE = 200
@@ -30,11 +31,13 @@ _NEAR = (1.5, 3.0)  # [m], of near ones
 _ASIDE = (20.0, 10.0)  # [degrees], how far a near person is beside the camera's axis, across and up or down, at most
 _WEAK = 0.5  # share of weak-perspective cameras
 _PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
+_TILT = (45.0, 20.0)  # [degrees], how far a tilted camera looks up or down, and is turned about its axis, at most
 _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
 
 COCO = skeleton("coco17")
+Setting = Literal["usual", "near", "tilted"]
 _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
 
 
@@ -53,8 +56,10 @@ class Person:
     camera: Camera  # that drew the labels, B = 1
 
 
-def pose_kind(index: int) -> str:
+def pose_kind(index: int, setting: Setting = "usual") -> str:
     """Kind of pose that person ``index`` has: any first N people have all kinds in about the same shares."""
+    if setting == "tilted":
+        return TILTED_POSES[index % len(TILTED_POSES)]
     if index % 5 in _PRIOR_EVERY:
         return "prior"
     kinds = tuple(POSES)
@@ -69,19 +74,22 @@ def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
 
 @lru_cache(maxsize=NUM_PEOPLE)
 @one_torch_thread()  # or sums, and so the last bits, would depend on their number
-def make_person(index: int, *, near: bool = False) -> Person:
+def make_person(index: int, setting: Setting = "usual") -> Person:
     """Person 0 to 199; each has a seed of its own.
 
-    ``near``: the same before a perspective camera that is near and looks beside, as in a crop of a wide picture.
+    "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture;
+    "tilted": the same bodies upright, lying, reclining and seated, before a camera that looks up, down and askew.
     """
+    near, tilted = setting == "near", setting == "tilted"
     phenotypes, rng = draw_phenotypes(index)
     shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
-    kind = pose_kind(index)
+    kind = pose_kind(index, setting)
     pose = draw_pose(kind, rng)
-    pitch = np.radians(rng.uniform(*_PITCH))
-    up, yaw, pitch = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, pitch))
+    degrees = rng.uniform(np.negative(_TILT), _TILT) if tilted else (rng.uniform(*_PITCH), 0.0)
+    values = (pose.up, pose.yaw, *np.radians(degrees))
+    up, yaw, pitch, roll = (torch.tensor(value, dtype=torch.float64)[None] for value in values)
     rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
-    posed = mean_body(rotations, people.seen_by_camera(people.upright(up, yaw), pitch).float())
+    posed = mean_body(rotations, people.seen_by_camera(people.upright(up, yaw), pitch, roll).float())
     model = anny()
     body, stature = people.pose_anny(model, shape, posed), float(people.statures(model, shape))
 

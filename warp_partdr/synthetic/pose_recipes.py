@@ -104,12 +104,29 @@ POSES: dict[str, Callable[[np.random.Generator], _Recipe]] = {
 }
 
 
+def _reclining(rng: np.random.Generator) -> _Recipe:
+    legs = [_leg(rng.uniform(20, 80), rng.uniform(0, 20), rng.uniform(5, 90)) for _ in range(2)]
+    arms = [_arm(rng.uniform(45, 85), rng.uniform(-25, 40), rng.uniform(0, 30), rng.uniform(5, 90)) for _ in range(2)]
+    return _Recipe(arms[0] | legs[0], arms[1] | legs[1], trunk=rng.uniform(0, 15), lean=rng.uniform(-75, -25))
+
+
+LYING = "lying"  # any pose of the prior, on its back, front or side
+TILTED_POSES = ("prior", LYING, "reclining", "sitting")
+_RECIPES = POSES | {"reclining": _reclining}
+
+
 def draw_pose(kind: str, rng: np.random.Generator) -> Pose:
-    """A random pose of a kind, "prior" or a key of ``POSES``, in which no limb is inside another part."""
+    """A random pose of a kind, "prior", a key of ``POSES`` or one of ``TILTED_POSES``, no limb inside another part."""
     while True:
-        drawn = _from_prior(rng) if kind == "prior" else _from_recipe(kind, rng)
+        drawn = _from_prior(rng) if kind in ("prior", LYING) else _from_recipe(kind, rng)
         if drawn is not None and clear_poses(torch.from_numpy(drawn.rotations)[None].float()):
-            return drawn
+            return drawn._replace(up=_level(rng)) if kind == LYING else drawn
+
+
+def _level(rng: np.random.Generator) -> np.ndarray:
+    """A direction upward of somebody who lies, about square to the trunk."""
+    up = rng.standard_normal(3) * [1.0, 0.2, 1.0]
+    return up / np.linalg.norm(up)
 
 
 def _from_prior(rng: np.random.Generator) -> Pose | None:
@@ -120,7 +137,7 @@ def _from_prior(rng: np.random.Generator) -> Pose | None:
 
 
 def _from_recipe(kind: str, rng: np.random.Generator) -> Pose:
-    recipe = POSES[kind](rng)
+    recipe = _RECIPES[kind](rng)
     sides = [recipe.left, recipe.right] if rng.random() < 0.5 else [recipe.right, recipe.left]
     rotations = np.zeros((NUM_PARTS, 3))
     for side, bends in zip(("left", "right"), sides, strict=True):

@@ -69,8 +69,10 @@ _STANCES = (
     _Stance(0.08, (-20, 20), _RAISED, _STRAIGHT),
     _Stance(0.06, (-10, 20), _SPREAD_OUT, _SPREAD_OUT, alike=0.3),
     _Stance(0.10, (25, 95), _BENT, _BENT, alike=0.4),
+    _Stance(0.08, (-80, -25), _SEATED, _RAISED, alike=0.5),  # reclining
 )
-_LYING = 0.06  # of all: any side up, any legs
+_LYING = 0.16  # of all: any side up, any legs
+_OVERTURNED = 0.2  # of these: whatever is up, the head below too
 
 
 def draw_procedural(count: int, rng: TorchRng) -> Poses:
@@ -82,7 +84,8 @@ def draw_procedural(count: int, rng: TorchRng) -> Poses:
     for parts, flip in ((_LEFT_LEG, 1.0), (_RIGHT_LEG, -1.0)):
         leg = _one_leg(_LOOSE, count, rng) * ups.new_tensor([1.0, flip, flip])
         rotations[:, parts] = torch.where(lying[:, None, None], leg, rotations[:, parts])
-    level = rng.normal(count, 3) * torch.tensor([1.0, 0.25, 1.0], device=rng.device)
+    level = rng.normal(count, 3)
+    level[:, 1] *= torch.where(rng.chance(_OVERTURNED, count), 1.0, 0.25)
     ups = torch.where(lying[:, None], torch.nn.functional.normalize(level, dim=1), ups)
     rotations[:, _TRUNK] = _trunk(count, rng)
     rotations[:, _LEFT_ARM] = _arm(count, rng)

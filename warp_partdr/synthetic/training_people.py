@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,7 +11,7 @@ import torch
 
 from ..body.labels import IGNORE
 from ..body.landmarks import annotated
-from ..body.rotations import rotation_from_axis_angle
+from ..body.rotations import rotation_between, rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
@@ -33,14 +32,19 @@ from .rng import TorchRng, exact_float32
 CELL_LEVELS = 4  # of each phenotype value
 NUM_CELLS = CELL_LEVELS ** len(people.PHENOTYPE_RANGES)
 _BEYOND = 0.25  # of a cell: how far the outermost ones reach beyond the ranges of PartBench's people
-_WEAK = 0.5  # share of weak-perspective cameras
-_FAR_AWAY = 100.0  # [m]; their depths are moved so far, where 1/z is as good as linear
-_DISTANCE = (2.2, 7.0)  # [m], of perspective cameras
-_ASIDE = 0.08  # of the distance: standard deviation of how far a person is off the optical axis
-_PITCH, _ROLL = (7.0, 12.0), (0.0, 5.0)  # [degrees], mean and standard deviation; a camera above looks down
+_YOUNGER = 1.0  # of a cell: how far below their ages
+_FAR = 0.35  # share of cameras so far away that 1/z is as good as linear: weak perspective
+_FAR_AWAY = 100.0  # [m]
+_DISTANCE = (1.4, 9.0)  # [m], of the other cameras; small ones as often as large ones, as logarithms
+_KNOWN = 0.5  # share of these that the network knows
+# A person is off the optical axis by tangents of this standard deviation, or of a wide picture evenly up to this.
+_ASIDE, _WIDE_ASIDE, _WIDE = 0.08, 0.5, 0.35
+# Mean and standard deviation of pitch and roll [degrees], of most cameras and of the others; one above looks down.
+_TILTS = ((7.0, 12.0), (0.0, 5.0)), ((8.0, 32.0), (0.0, 18.0))
+_TILTED = 0.3
 _CROP_JITTER = 0.06  # of the crop's half side
 _CUT = 0.25  # share of people of whom the picture's border cuts off
-_CUT_SHARE = (0.03, 0.35)  # of their height or width
+_CUT_SHARE = (0.03, 0.55)  # of their height or width
 _CUT_SIDES = (0.22, 0.16, 0.22, 0.4)  # left, top, right, bottom
 _BORDER = 0.7  # chance of each other side of the picture to be near, at most:
 _NEAR = 0.35  # of the person's longer extent
@@ -58,10 +62,41 @@ class PeopleBatch:
     keypoints: torch.Tensor  # ``LANDMARKS`` as seen: crop coordinates, confidence; 0 where missing, shape (B, 24, 3)
     parts: torch.Tensor  # true part labels 0 to 20, 255 beyond the picture, shape (B, S, S), uint8
     points: torch.Tensor  # true ``LANDMARKS`` of the bones, not of COCO's annotators, shape (B, 24, 2)
-    joints: torch.Tensor  # true ``JOINT_NAMES`` of Anny, camera frame, pelvis at 0 [m], shape (B, 21, 3)
-    orientation: torch.Tensor  # EllipBody's global orientation, camera frame, shape (B, 3, 3)
+    joints: torch.Tensor  # true ``JOINT_NAMES`` of Anny, pelvis at 0 [m], seen along its ray, shape (B, 21, 3)
+    orientation: torch.Tensor  # EllipBody's global orientation, seen along the ray to its pelvis, shape (B, 3, 3)
     rotations: torch.Tensor  # EllipBody's local rotations, its bones along Anny's, shape (B, 20, 3, 3)
     lengths: torch.Tensor  # ``LENGTH_NAMES`` between Anny's joints, both sides' mean [m], shape (B, 12)
+    lenses: torch.Tensor  # true focal length and principal point of the camera, shape (B, 3)
+    lens_known: torch.Tensor  # whether the network knows these, shape (B,), bool
+    turns: torch.Tensor  # from the frame along the ray to the camera's, shape (B, 3, 3)
+    distances: torch.Tensor  # of the pelvis from the camera, along its axis [m], shape (B,)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Cameras of people whose pelvises are at ``pelvis`` (B, 3) in the frame that they were posed in [m]."""
+
+    pelvis: torch.Tensor
+    distance: torch.Tensor  # of the pelvis, along the camera's axis [m], shape (B, 1)
+    aside: torch.Tensor  # tangents of the ray to the pelvis, shape (B, 2)
+
+    def __call__(self, points: torch.Tensor) -> torch.Tensor:
+        """Points as the camera sees them: places at the pelvis' depth, the pelvis at 0, and depth [m], (B, N, 3)."""
+        offsets = points - self.pelvis[:, None]
+        depth = offsets[..., 2:] + self.distance[:, None]
+        # As a difference, of which nothing is lost however far away the camera is.
+        flat = (offsets[..., :2] - self.aside[:, None] * offsets[..., 2:]) * (self.distance[:, None] / depth)
+        return torch.cat([flat, depth], dim=-1)
+
+    def turns(self) -> torch.Tensor:
+        """Shortest rotations from the camera's axis to the rays to the pelvises, shape (B, 3, 3)."""
+        ray = torch.nn.functional.normalize(torch.nn.functional.pad(self.aside, (0, 1), value=1.0), dim=1)
+        return rotation_between(ray.new_tensor([0.0, 0.0, 1.0]).expand_as(ray), ray)
+
+    def lenses(self, crop: _Crop) -> torch.Tensor:
+        """Focal length and principal point in crop coordinates, shape (B, 3)."""
+        centre = crop((-self.aside * self.distance)[:, None])[:, 0]
+        return torch.cat([self.distance / crop.half[:, None], centre], dim=1)
 
 
 @dataclass(frozen=True)
@@ -120,7 +155,8 @@ class PeopleMaker:
         self._labels, self._detectors = LabelNoise(self._rng), KeypointNoise(self._rng)
         cells = held_out_cells() if held_out else np.setdiff1d(np.arange(NUM_CELLS), held_out_cells())
         levels = np.stack(np.unravel_index(cells, (CELL_LEVELS,) * len(people.PHENOTYPE_RANGES)), axis=1)
-        low, high = levels - _BEYOND * (levels == 0), levels + 1 + _BEYOND * (levels == CELL_LEVELS - 1)
+        below = np.where(np.array(list(PHENOTYPE_ANCHORS)) == "age", _YOUNGER, _BEYOND)
+        low, high = levels - below * (levels == 0), levels + 1 + _BEYOND * (levels == CELL_LEVELS - 1)
         self._cells = self._numbers(np.stack([low, high]))
         self._ranges = self._numbers(people.PHENOTYPE_RANGES)
         groups = (LANDMARKS, annotated(LANDMARKS, self.model.landmark_names), JOINT_NAMES)
@@ -168,7 +204,8 @@ class PeopleMaker:
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)
 
-        vertices, noted, plain = self._seen(body.vertices, noted, plain)
+        view = self._view(joints[:, :1])
+        vertices, noted, plain = (view(points) for points in (body.vertices, noted, plain))
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
@@ -193,37 +230,46 @@ class PeopleMaker:
 
         groups = self._labels.groups(picture.labels, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
+        along = view.turns().mT
+        joints = (joints - joints[:, :1]) @ along.mT
         bones = joints[:, 1:] - joints[:, self._bone_starts]
         lengths = bones.norm(dim=-1)
+        orientation, world = along @ orientation, along[:, None] @ posed.rotations
         return PeopleBatch(
             groups=groups.masked_fill(unseen | no_labels[:, None, None], IGNORE),
             label_sets=label_sets,
             keypoints=keypoints,
             parts=parts,
             points=crop(plain[..., :2]),
-            joints=joints - joints[:, :1],
+            joints=joints,
             orientation=orientation,
-            rotations=people.rotations_along(bones / lengths[..., None], orientation, posed.rotations),
+            rotations=people.rotations_along(bones / lengths[..., None], orientation, world),
             lengths=lengths @ self._length_weights.T,
+            lenses=view.lenses(crop),
+            lens_known=(view.distance < _FAR_AWAY)[:, 0] & rng.chance(_KNOWN, count),
+            turns=along.mT,
+            distances=view.distance[:, 0],
         )
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
         """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""
         count, rng = len(ups), self._rng
         yaw = rng.uniform(count, low=-np.pi, high=np.pi)
-        pitch, roll = (torch.deg2rad(mean + spread * rng.normal(count)) for mean, spread in (_PITCH, _ROLL))
+        usual, others = torch.tensor(_TILTS, device=self.device)  # (2, 2) each
+        angles = torch.where(rng.chance(_TILTED, count, 1, 1), others, usual)
+        pitch, roll = torch.deg2rad(angles[..., 0] + angles[..., 1] * rng.normal(count, 2)).unbind(1)
         return people.seen_by_camera(people.upright(ups, yaw), pitch, roll)
 
-    def _seen(self, *groups: torch.Tensor) -> Iterator[torch.Tensor]:
-        """Points as a random camera sees them: places at the pelvis' depth [m], and depth [m], shape (B, N, 3) each."""
-        count, rng = len(groups[0]), self._rng
-        weak = rng.chance(_WEAK, count, 1, 1)
-        distance = rng.uniform(count, 1, 1, low=_DISTANCE[0], high=_DISTANCE[1])
-        aside = distance * _ASIDE * rng.normal(count, 1, 2)
-        for points in groups:
-            flat, depth = points[..., :2], points[..., 2:] + distance
-            near = torch.cat([(flat + aside) * (distance / depth), depth], dim=-1)
-            yield torch.where(weak, torch.cat([flat, points[..., 2:] + _FAR_AWAY], dim=-1), near)
+    def _view(self, pelvises: torch.Tensor) -> _View:
+        """Random cameras of people with pelvises (B, 1, 3) [m]."""
+        count, rng = len(pelvises), self._rng
+        near, far = np.log(_DISTANCE)
+        distance = rng.uniform(count, 1, low=near, high=far).exp()
+        distance = torch.where(rng.chance(_FAR, count, 1), _FAR_AWAY, distance)
+        wide = rng.uniform(count, 2, low=-_WIDE_ASIDE, high=_WIDE_ASIDE)
+        aside = torch.where(rng.chance(_WIDE, count, 1), wide, _ASIDE * rng.normal(count, 2))
+        aside = torch.where(distance < _FAR_AWAY, aside, 0.0)
+        return _View(pelvises[:, 0], distance, aside)
 
     def _crop(
         self, vertices: torch.Tensor, points: torch.Tensor, detected: torch.Tensor, labelled: torch.Tensor

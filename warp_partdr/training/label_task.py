@@ -14,14 +14,19 @@ import numpy as np
 import torch
 
 from ..body.labels import label_set
+from ..body.pose_prior import FREE_PARTS
+from ..body.posing import pose
+from ..body.rotations import rotation_to_axis_angle
 from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ..body.template import JOINT_NAMES, NUM_PARTS, template
+from ..cameras import Perspective
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_label_network, save_label_network
-from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table
+from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table, lens_rays
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted, posed_landmarks
+from ..render.ellipsoids import draw_ellipsoids
 from ..render.renderers import RendererEllipsoids
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
@@ -36,6 +41,10 @@ if TYPE_CHECKING:
 _VALIDATION_SEED = 7  # the same people in every run
 _BATCH = 256  # of validation
 _SHOWN = 12  # people on the contact sheet
+_TILTED = np.radians(45.0)  # of the pelvis, from upright in the picture
+_SHARE = 0.68  # of the truth, within what ``Uncertainty`` says
+_ASTRAY = 2.0  # [half-sides of the crop]: projections farther off pull no harder, nor do they stop a run
+_EXACT = 1e-3  # errors below [m or rad] are equal
 _PARTS = "ellipbody20"
 _LSP = [JOINT_NAMES.index(name) for name in MPJPE_JOINTS]
 
@@ -54,7 +63,16 @@ class LabelTask(Task):
     MODEL: ClassVar[type[Any]] = LabelNetworkConfig
     DATA: ClassVar[type[Any]] = LabelData
     WEIGHTS: ClassVar[Mapping[str, float]] = MappingProxyType(
-        {"joints": 20.0, "rotations": 1.0, "proj": 10.0, "seg": 4.0, "lengths": 0.5, "thicknesses": 0.5}
+        {
+            "joints": 20.0,
+            "rotations": 1.0,
+            "proj": 10.0,
+            "seg": 4.0,
+            "lengths": 0.5,
+            "thicknesses": 0.5,
+            "spreads": 0.1,
+            "nearness": 0.5,
+        }
     )
 
     def __init__(self, config: TrainingConfig, *, rank: int, processes: int, device: torch.device) -> None:
@@ -84,20 +102,26 @@ class LabelTask(Task):
         return weighted_losses(terms, self.config.weights, self.left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
-        """Errors on held-out bodies in held-out poses."""
-        joints, counts = [], []
+        """Errors on held-out bodies in held-out poses, and how often the truth is where the network is sure of it."""
+        joints, counts, within, tilted = [], [], [], []
         for people in self._held_out:
             predicted = self._predict(model, people)
-            points = (predicted.posed().joints[:, _LSP], people.joints[:, _LSP])
+            posed = predicted.posed().joints
+            points = (posed[:, _LSP], people.joints[:, _LSP])
             joints.append(torch.stack([mpjpe(*points, centre_on=MPJPE_HIPS), pa_mpjpe(*points)]))
-            counts.append(confusion(predicted.drawn(people.parts.shape[-1]), people.parts, NUM_PARTS + 1).sum(0))
-        errors = torch.cat(joints, dim=1).mean(1) * 1000
-        matrix = pooled(counts)
+            counts.append(confusion(_drawn(predicted, people), people.parts, NUM_PARTS + 1).sum(0))
+            within.append((torch.cat(errors_of(predicted, posed, people), 1) < _spreads(predicted)).float())
+            tilted.append(people.orientation[:, 1, 1] > -np.cos(_TILTED))  # y points down in the picture
+        errors = torch.cat(joints, dim=1) * 1000
+        matrix, shares, depths = pooled(counts), torch.cat(within).mean(0), len(JOINT_NAMES) - 1
         return {
-            "MPJPE [mm]": float(errors[0]),
-            "PA-MPJPE [mm]": float(errors[1]),
+            "MPJPE [mm]": float(errors[0].mean()),
+            "PA-MPJPE [mm]": float(errors[1].mean()),
+            "PA-MPJPE of the tilted [mm]": float(errors[1, torch.cat(tilted)].mean()),
             "part F1": float(part_f1(matrix)),
             "foreground F1": float(part_f1(foreground_counts(matrix))),
+            "depths within their 68 %": float(shares[:depths].mean()),
+            "rotations within their 68 %": float(shares[depths:].mean()),
         }
 
     def pictures(self, model: torch.nn.Module, device: torch.device) -> Image.Image | None:
@@ -105,11 +129,11 @@ class LabelTask(Task):
         from PIL import Image
 
         people = self._held_out[0]
-        drawn = self._predict(model, people).drawn(people.parts.shape[-1])
+        found = _drawn(self._predict(model, people), people)
         names = list(TRAINING_LABEL_SETS)
         seen = [names[index] for index in people.label_sets.tolist()]
         rows = []
-        for images, sets in ((people.groups, seen), (people.parts, repeat(_PARTS)), (drawn, repeat(_PARTS))):
+        for images, sets in ((people.groups, seen), (people.parts, repeat(_PARTS)), (found, repeat(_PARTS))):
             shown = zip(images[:_SHOWN].cpu().numpy(), sets, strict=False)
             rows.append(np.concatenate([group_colours(label_set(of).part_groups)[ids] for ids, of in shown], axis=1))
         return Image.fromarray(np.concatenate(rows))
@@ -137,7 +161,7 @@ class LabelTask(Task):
         shares = label_shares(people.groups, self._tables, people.label_sets)
         if not model.training:  # validated without autocast
             shares = shares.float()
-        predicted: Predicted = model(shares, people.keypoints)
+        predicted: Predicted = model(shares, people.keypoints, lens_rays(people.lenses, people.lens_known))
         return predicted
 
     @cached_property
@@ -150,26 +174,88 @@ class LabelTask(Task):
 def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:
     """Loss terms by comparison with the truth of the same people, each a mean over the batch, without weights.
 
-    L_3D, L_proj, L_seg through PartDR, L_l and L_t (paper, section 3.4), and rotations.
+    L_3D, L_proj, L_seg through PartDR, L_l and L_t (paper, section 3.4), rotations, and what is said beside the body.
+    Predicted bodies are seen from where the picture's camera was, whether the network knows it or not.
 
     * joints: mean absolute error of coordinates [m];
     * rotations: squared difference of a rotation matrix, mean over the parts;
     * proj: mean absolute error of projected landmarks [half-sides of the crop];
     * seg: L_seg as a share of the picture's pixels, with the "edges" gradient;
     * lengths: mean absolute logarithm of the ratio to the true ones;
-    * thicknesses: mean squared logarithm of the ratio to the mean body's.
+    * thicknesses: mean squared logarithm of the ratio to the mean body's;
+    * spreads: pinball loss (Koenker and Bassett, 1978) of the logarithms of errors, least where 68 % are below;
+    * nearness: mean absolute error of 1 / distance [1/m].
     """
-    posed = predicted.posed()
     size = people.parts.shape[-1]
-    turns, true_turns = (torch.cat([each.orientation[:, None], each.rotations], 1) for each in (predicted, people))
-    seen = predicted.camera(2).project(posed_landmarks(posed, LANDMARKS))[..., :2] - 1
-    seg = RendererEllipsoids("edges").crop_loss(predicted, people.parts)
+    body, camera = _before_camera(predicted, people, size)
+    seen = camera.project(posed_landmarks(pose(*body, validate=False), LANDMARKS))[..., :2] * (2 / size) - 1
+    seg = RendererEllipsoids("edges").body_loss(body, camera, people.parts, validate=False)
     mean_thicknesses = torch.as_tensor(template().mean_thicknesses).to(predicted.thicknesses)
+    joints = predicted.posed().joints
     return {
-        "joints": (posed.joints - people.joints).abs().mean(),
-        "rotations": (turns - true_turns).square().sum((2, 3)).mean(),
-        "proj": (seen - people.points).abs().mean(),
+        "joints": (joints - people.joints).abs().mean(),
+        "rotations": (_turns(predicted) - _turns(people)).square().sum((2, 3)).mean(),
+        "proj": (seen - people.points).abs().clamp_max(_ASTRAY).mean(),
         "seg": seg.mean() / size**2,
         "lengths": (predicted.lengths / people.lengths).log().abs().mean(),
         "thicknesses": (predicted.thicknesses / mean_thicknesses).log().square().mean(),
+        **uncertainty_losses(predicted, joints.detach(), people),
     }
+
+
+def uncertainty_losses(predicted: Predicted, joints: torch.Tensor, people: PeopleBatch) -> dict[str, torch.Tensor]:
+    """The terms "spreads" and "nearness" of ``body_losses``; ``joints`` as in ``errors_of``."""
+    said = predicted.uncertainty
+    assert said is not None
+    errors = torch.cat(errors_of(predicted, joints, people), dim=1)
+    apart = errors.clamp_min(_EXACT).log() - _spreads(predicted).log()
+    return {
+        "spreads": torch.maximum(_SHARE * apart, (_SHARE - 1) * apart).mean(),
+        "nearness": (said.nearness - 1 / people.distances).abs().mean(),
+    }
+
+
+def _spreads(predicted: Predicted) -> torch.Tensor:
+    """What the network says of ``errors_of``, joined, shape (B, 39)."""
+    assert predicted.uncertainty is not None
+    return torch.cat([predicted.uncertainty.depths, predicted.uncertainty.turns], dim=1)
+
+
+@torch.no_grad()
+def errors_of(predicted: Predicted, joints: torch.Tensor, people: PeopleBatch) -> tuple[torch.Tensor, torch.Tensor]:
+    """Errors that ``Uncertainty`` speaks of: joints' along the view [m], (B, 20), and rotations' [rad], (B, 19).
+
+    ``joints`` are those of the predicted bodies, the pelvis at the origin.
+    """
+    depths = (joints - people.joints)[:, 1:, 2].abs()
+    free = [0, *(part + 1 for part in FREE_PARTS)]
+    turned = _turns(predicted)[:, free].mT @ _turns(people)[:, free]
+    return depths, rotation_to_axis_angle(turned).norm(dim=-1)
+
+
+def _turns(bodies: Predicted | PeopleBatch) -> torch.Tensor:
+    """Orientation and local rotations, shape (B, 21, 3, 3)."""
+    return torch.cat([bodies.orientation[:, None], bodies.rotations], 1)
+
+
+def _before_camera(
+    predicted: Predicted, people: PeopleBatch, size: int
+) -> tuple[tuple[torch.Tensor, ...], Perspective]:
+    """Arguments of ``pose`` for the predicted bodies before the pictures' cameras, and these cameras.
+
+    The pelvis is at its true place, and the camera's lens is as long as the predicted scale says: with the true lens,
+    a body said to be too large would come so near that its projection explodes.
+    """
+    weak = predicted.camera(size)
+    ray = people.turns[..., 2] / people.turns[:, 2:, 2]
+    focal = weak.scale * people.distances
+    camera = Perspective(focal[:, None].expand(-1, 2), weak.translation - focal[:, None] * ray[:, :2])
+    pelvises, orientation = ray * people.distances[:, None], people.turns @ predicted.orientation
+    return (orientation, pelvises, predicted.rotations, predicted.lengths, predicted.thicknesses), camera
+
+
+def _drawn(predicted: Predicted, people: PeopleBatch) -> torch.Tensor:
+    """Part labels of the predicted bodies as the true cameras see them, shape (B, S, S), uint8."""
+    size = people.parts.shape[-1]
+    body, camera = _before_camera(predicted, people, size)
+    return draw_ellipsoids(pose(*body, validate=False), camera, (size, size), validate=False).labels

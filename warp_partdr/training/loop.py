@@ -59,6 +59,7 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
             config; if a loss is NaN; if the GPU's memory is too small.
     """
+    torch.backends.cudnn.benchmark = True  # batches have one shape, for which the fastest convolutions are looked up
     with memory_errors(config), _accelerated(config, device) as accelerator:
         return _Run(config, accelerator, resume=resume).go(half)
 

@@ -25,7 +25,7 @@ from ..evaluate import Method, Report, tables
 from ..scoring import Score
 from . import VERSION
 from .methods import KNOWN_CAMERA
-from .samples import LABELS, NEAR, source_name
+from .samples import LABELS, SETTINGS, source_name
 
 WORST = 10
 DRAWN = "parts"  # the method whose worst fits are drawn
@@ -47,7 +47,7 @@ def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
     scores = {(each.source, each.method, each.sample): each for each in report.scores}
     people = sorted({each.sample for each in report.scores})
-    for level, pair in product((*LEVELS, NEAR), ORDER):
+    for level, pair in product((*LEVELS, *SETTINGS), ORDER):
         keys = ([(source_name(level), method, person) for method in pair] for person in people)
         matched = [[scores[key] for key in both] for both in keys if scores.keys() >= set(both)]
         if matched:

@@ -14,11 +14,12 @@ from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels
 from ...inputs.sample import Sample
 from ...synthetic.noise import HIDDEN_CONFIDENCE, LEVELS, noisy_keypoints, noisy_labels
-from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, make_person
+from ...synthetic.partbench_people import COCO, NUM_PEOPLE, SEED, Person, Setting, make_person
 from . import VERSION
 
 LABELS = label_set("cdcl14")
-NEAR = "near"  # level: noise as "realistic", people of ``make_person(near=True)``
+# Levels of noise as "realistic", and people of ``make_person(setting=...)``.
+NEAR, TILTED = SETTINGS = ("near", "tilted")
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
@@ -28,27 +29,27 @@ def source_name(level: str) -> str:
 
 
 def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
-    """The first ``count`` people at each level: those of noise, or ``NEAR``.
+    """The first ``count`` people at each level: those of noise, and ``SETTINGS``.
 
     Raises:
         InputError: If a level is unknown, or there are not so many people.
     """
     if not 1 <= count <= NUM_PEOPLE:
         raise InputError(f"people: {count}; expected 1 to {NUM_PEOPLE}")
-    if unknown := [level for level in levels if level not in (*LEVELS, NEAR)]:
-        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join((*LEVELS, NEAR))}")
+    if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS)]:
+        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join((*LEVELS, *SETTINGS))}")
     return [make_sample(index, level) for level in levels for index in range(count)]
 
 
 def make_sample(index: int, name: str) -> Sample:
     """Person ``index`` at a level: seen with its noise, and the truth without."""
-    near = name == NEAR
-    person, level = make_person(index, near=near), LEVELS["realistic" if near else name]
+    setting: Setting = name if name in SETTINGS else "usual"  # type: ignore[assignment]
+    person, level = make_person(index, setting), LEVELS["realistic" if name in SETTINGS else name]
     rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
     truth = LABELS.from_parts(person.parts)
     groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
     if rng.random() < level.stranger:
-        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE, near=near), rng)
+        groups, hidden, others = _add_stranger(person, truth, make_person((index + 1) % NUM_PEOPLE, setting), rng)
     groups = noisy_labels(groups, LABELS, person.height, level, rng)
     keypoints = noisy_keypoints(
         person.keypoints, hidden, COCO.landmarks, person.height, truth.shape, level=level, rng=rng
