@@ -101,9 +101,9 @@ def repairs() -> Iterator[tuple[str, int]]:
     yield "right bodies that stay as they are", sum(kept)
 
 
-def shares(first: int, last: int, level: str) -> np.ndarray:
-    """Share of people whose joint lies within the stated spread, each of LSP's 14 joints but the hips, shape (12,)."""
-    within = []
+def shares(first: int, last: int, level: str) -> tuple[np.ndarray, int]:
+    """Share of people whose joint lies within the stated spread, each of LSP's joints no hips; and how many flip."""
+    within, flipped, prior = [], 0, PosePrior()
     for index in range(first, last + 1):
         sample = make_sample(index, level)
         options = FitOptions(stages=(), search=())
@@ -117,16 +117,17 @@ def shares(first: int, last: int, level: str) -> np.ndarray:
         found = result.posed.joints[0, [JOINT_NAMES.index(name) for name in names], 2]
         spread = result.uncertainty.depths[0, [JOINT_NAMES.index(name) - 1 for name in names]]
         within.append(np.abs(found.numpy() - true) < spread.numpy())
-    return np.mean(within, axis=0)
+        flipped += repair_depth_order(result.parameters, result.observation, prior)[1].flipped is not None
+    return np.mean(within, axis=0), flipped
 
 
 def main(first: int = 200, last: int = 299) -> None:
     wp.config.log_level = wp.LOG_WARNING
     for level in ("realistic", "hard", "tilted"):
-        found = shares(first, last, level)
-        print(
-            f"{level}: {100 * found.mean():.0f} % of depths within their 68 %, {100 * found.min():.0f} to {100 * found.max():.0f} % by joint"
-        )
+        found, flipped = shares(first, last, level)
+        share, low, high = (100 * value for value in (found.mean(), found.min(), found.max()))
+        print(f"{level}: {share:.0f} % of depths within their 68 %; {low:.0f} to {high:.0f} % by joint")
+        print(f"{level}: flips of {flipped} of {last - first + 1} people accepted")
     for way, count in repairs():
         print(f"{way}: {count} of {CASES}")
 

@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
 from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
 from warp_partdr.synthetic.people import draw_anny
-from warp_partdr.synthetic.pose_recipes import POSES, draw_pose
+from warp_partdr.synthetic.pose_recipes import POSES, TILTED_POSES, draw_pose
 
 
 @pytest.mark.parametrize("index", [0, 1, 7])
@@ -78,3 +79,21 @@ def test_who_walks_away_shows_the_back_of_the_head() -> None:
 def test_partbench_keeps_its_people() -> None:
     # Of the release that introduced PartBench: training's check of poses, which it shares, must not change its people.
     np.testing.assert_allclose(make_person(7).joints.sum(0), [0.0226, -0.6262, 0.2861], atol=5e-4)
+
+
+def test_tilted_people_lie_recline_and_sit_before_askew_cameras():
+    people = [make_person(index, "tilted") for index in range(16)]
+    assert {person.kind for person in people} == set(TILTED_POSES)
+    hips, shoulders = (
+        [MPJPE_JOINTS.index(f"{side}_{name}") for side in ("left", "right")] for name in ("hip", "shoulder")
+    )
+    level = []
+    for person in people:
+        trunk = person.joints[shoulders].mean(0) - person.joints[hips].mean(0)
+        level.append(abs(trunk[1]) < np.linalg.norm(trunk) / 2)  # 30 degrees to the picture's rows
+    lying = [flat for flat, person in zip(level, people, strict=True) if person.kind == "lying"]
+    assert np.mean(lying) > np.mean(level)
+    assert 0.15 < np.mean(level) < 0.7
+    usual = make_person(0)
+    assert people[0].height != usual.height
+    assert (pose_kind(5, "tilted"), pose_kind(5)) == ("lying", "prior")

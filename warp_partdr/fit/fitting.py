@@ -21,7 +21,7 @@ from ..inputs.observation import Observation, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
-from ..network.predict import predict
+from ..network.predict import ask_network
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
 from .depth_flips import repair_depth_order
@@ -123,7 +123,7 @@ class _Fit:
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
-        predicted = predict([self.seen], network)
+        predicted = ask_network([self.seen], network)
         body = self._turned(predicted.parameters())
         seconds = {"network": time.perf_counter() - started}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])

@@ -60,12 +60,12 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
     check_type("network", network, LabelNetwork, "of load_label_network")
     if not observations:
         raise ValueError("observations: none; expected at least one")
-    return predict(observations, network).parameters()
+    return ask_network(observations, network).parameters()
 
 
 @torch.no_grad()
-def predict(observations: Sequence[Observation], network: LabelNetwork) -> Predicted:
-    """Bodies as ``predict_bodies`` has them, and how sure they are; of people whose camera is known, see ``lens``."""
+def ask_network(observations: Sequence[Observation], network: LabelNetwork) -> Predicted:
+    """Bodies as of ``predict_bodies``, with how sure they are."""
     inputs = [network_inputs(seen, network.config.size) for seen in observations]
     shares, keypoints, rays = (torch.stack(values) for values in zip(*inputs, strict=True))
     predicted: Predicted = network(shares.contiguous(memory_format=torch.channels_last), keypoints, rays)

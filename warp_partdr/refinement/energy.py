@@ -102,7 +102,7 @@ class Weights:
     thickness: float = _term(1e-3, 3, _thickness)
     prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
     limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
-    depth: float = _term(0.0, 6, _depth, lambda energy: energy.depths is not None)
+    depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
 
 
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
@@ -149,7 +149,7 @@ class Energy:
         mean = BodyParameters.mean(1, device=device)
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
-        self.depths = seen.depths
+        self.depths: torch.Tensor | None = seen.depths
         even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
         self.depth_scales = even if seen.depth_spreads is None else 1 / seen.depth_spreads
         self.target: torch.Tensor | None = None

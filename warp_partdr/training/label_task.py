@@ -46,7 +46,7 @@ _SHARE = 0.68  # of the truth, within what ``Uncertainty`` says
 _ASTRAY = 2.0  # [half-sides of the crop]: projections farther off pull no harder, nor do they stop a run
 _EXACT = 1e-3  # errors below [m or rad] are equal
 _PARTS = "ellipbody20"
-_LSP = [JOINT_NAMES.index(name) for name in MPJPE_JOINTS]
+LSP_JOINTS = [JOINT_NAMES.index(name) for name in MPJPE_JOINTS]
 
 
 @dataclass(frozen=True)
@@ -98,19 +98,19 @@ class LabelTask(Task):
 
     def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:
         """The weighted terms of ``body_losses``, and their sum."""
-        terms = body_losses(self._predict(model, batch), batch)
+        terms = body_losses(self.predict(model, batch), batch)
         return weighted_losses(terms, self.config.weights, self.left_out)
 
     def validate(self, model: torch.nn.Module, device: torch.device) -> dict[str, float]:
         """Errors on held-out bodies in held-out poses, and how often the truth is where the network is sure of it."""
         joints, counts, within, tilted = [], [], [], []
-        for people in self._held_out:
-            predicted = self._predict(model, people)
+        for people in self.held_out:
+            predicted = self.predict(model, people)
             posed = predicted.posed().joints
-            points = (posed[:, _LSP], people.joints[:, _LSP])
+            points = (posed[:, LSP_JOINTS], people.joints[:, LSP_JOINTS])
             joints.append(torch.stack([mpjpe(*points, centre_on=MPJPE_HIPS), pa_mpjpe(*points)]))
             counts.append(confusion(_drawn(predicted, people), people.parts, NUM_PARTS + 1).sum(0))
-            within.append((torch.cat(errors_of(predicted, posed, people), 1) < _spreads(predicted)).float())
+            within.append((torch.cat(errors_of(predicted, posed, people), 1) < spreads_of(predicted)).float())
             tilted.append(people.orientation[:, 1, 1] > -np.cos(_TILTED))  # y points down in the picture
         errors = torch.cat(joints, dim=1) * 1000
         matrix, shares, depths = pooled(counts), torch.cat(within).mean(0), len(JOINT_NAMES) - 1
@@ -128,8 +128,8 @@ class LabelTask(Task):
         """Rows of what is seen, the truth, and the prediction."""
         from PIL import Image
 
-        people = self._held_out[0]
-        found = _drawn(self._predict(model, people), people)
+        people = self.held_out[0]
+        found = _drawn(self.predict(model, people), people)
         names = list(TRAINING_LABEL_SETS)
         seen = [names[index] for index in people.label_sets.tolist()]
         rows = []
@@ -157,7 +157,8 @@ class LabelTask(Task):
         """Go on from there."""
         self._maker.load_state_dict(state)
 
-    def _predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
+    def predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
+        """Bodies that a network says people have."""
         shares = label_shares(people.groups, self._tables, people.label_sets)
         if not model.training:  # validated without autocast
             shares = shares.float()
@@ -165,7 +166,8 @@ class LabelTask(Task):
         return predicted
 
     @cached_property
-    def _held_out(self) -> list[PeopleBatch]:
+    def held_out(self) -> list[PeopleBatch]:
+        """The people that errors are measured on."""
         maker = self._make_maker(_VALIDATION_SEED, held_out=True)
         count = self.config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
@@ -208,14 +210,14 @@ def uncertainty_losses(predicted: Predicted, joints: torch.Tensor, people: Peopl
     said = predicted.uncertainty
     assert said is not None
     errors = torch.cat(errors_of(predicted, joints, people), dim=1)
-    apart = errors.clamp_min(_EXACT).log() - _spreads(predicted).log()
+    apart = errors.clamp_min(_EXACT).log() - spreads_of(predicted).log()
     return {
         "spreads": torch.maximum(_SHARE * apart, (_SHARE - 1) * apart).mean(),
         "nearness": (said.nearness - 1 / people.distances).abs().mean(),
     }
 
 
-def _spreads(predicted: Predicted) -> torch.Tensor:
+def spreads_of(predicted: Predicted) -> torch.Tensor:
     """What the network says of ``errors_of``, joined, shape (B, 39)."""
     assert predicted.uncertainty is not None
     return torch.cat([predicted.uncertainty.depths, predicted.uncertainty.turns], dim=1)

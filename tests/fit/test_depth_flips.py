@@ -1,0 +1,104 @@
+"""Flips of limbs in depth: what they change, which are proposed, and when one is accepted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scenes.bodies import QUICK_SEARCH, observation_of, seen_by
+
+from warp_partdr import FitOptions, fit_body
+from warp_partdr.body.lens import place_bodies
+from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.body.pose_prior import PosePrior
+from warp_partdr.body.template import JOINT_NAMES
+from warp_partdr.fit.depth_flips import flip_depths, repair_depth_order
+from warp_partdr.results.save import make_report
+from warp_partdr.synthetic.pose_recipes import draw_pose
+
+LENS = torch.tensor([2.5, 0.9, -0.5])
+
+
+def arm_before_trunk(device: str) -> BodyParameters:
+    """A body that faces the camera with its arms before its trunk."""
+    drawn = draw_pose("arm before torso", np.random.default_rng(5))
+    rotations = torch.from_numpy(drawn.rotations)[None].float().to(device)
+    return replace(BodyParameters.mean(1, device=device), rotations=rotations)
+
+
+def test_flips_keep_what_is_seen_of_the_joints_and_mirror_depth(device):
+    body, prior = arm_before_trunk(device), PosePrior().to(device)
+    flips, names = flip_depths(body, prior)
+    assert flips.batch_size == 1 + len(names)
+    assert torch.equal(flips.rotations[:1], body.rotations)
+    assert any(name.startswith("left arm") for name in names)
+    assert not any("leg" in name for name in names)  # they stand apart
+    joints = flips.posed().joints
+    moved = (joints - joints[:1])[1:]
+    riding = [JOINT_NAMES.index(f"{side}_fingertip") for side in ("left", "right")]  # a hand turns with its forearm
+    held = [joint for joint in range(len(JOINT_NAMES)) if joint not in riding]
+    assert moved[:, held, :2].abs().max() < 1e-5
+    assert (moved[:, held, 2].abs().amax(1) > 0.05).all()
+    elbow, wrist, shoulder = (JOINT_NAMES.index(f"left_{name}") for name in ("elbow", "wrist", "shoulder"))
+    for name, flip in zip(names, joints[1:], strict=True):
+        if name == "left arm: upper_arm":
+            torch.testing.assert_close((flip[elbow] - flip[shoulder])[2], -(joints[0, elbow] - joints[0, shoulder])[2])
+            torch.testing.assert_close((flip[wrist] - flip[elbow])[2], (joints[0, wrist] - joints[0, elbow])[2])
+
+
+def test_flips_before_a_camera_mirror_along_its_ray(device):
+    body, prior, lens = arm_before_trunk(device), PosePrior().to(device), LENS.to(device)
+    for given, least, most in ((lens, 0.0, 0.04), (None, 0.04, 1.0)):
+        flips, names = flip_depths(body, prior, given)
+        assert names
+        posed, camera = place_bodies(flips, flips.posed(), lens, 2)
+        seen = camera.project(posed.joints)[..., :2]
+        wrist = JOINT_NAMES.index("left_wrist")
+        off = (seen[1:, wrist] - seen[:1, wrist]).norm(dim=-1).max()
+        assert least <= off < most
+
+
+def test_flips_beyond_joint_limits_are_not_proposed():
+    body = arm_before_trunk("cpu")
+    free, stiff = PosePrior(), PosePrior()
+    for prior, limit in ((free, 10.0), (stiff, 0.0)):
+        prior.lower_limits.fill_(-limit)
+        prior.upper_limits.fill_(limit)
+    assert len(flip_depths(body, free)[1]) > len(flip_depths(body, stiff)[1])
+
+
+def test_labels_repair_a_mirrored_arm_and_leave_a_right_one(device):
+    """The arm is behind the trunk in the start, before it in the labels."""
+    truth, prior = arm_before_trunk(device), PosePrior().to(device)
+    flips, names = flip_depths(truth, prior)
+    wrong = flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device))
+    seen = observation_of(truth)
+    found, order = repair_depth_order(wrong, seen, prior)
+    assert order.flipped == "left arm: upper_arm"
+    assert order.flipped in order.tried
+    elbow = JOINT_NAMES.index("left_elbow")
+    depth = [float(body.posed().joints[0, elbow, 2]) for body in (truth, wrong, found)]
+    assert abs(depth[2] - depth[0]) < 0.3 * abs(depth[1] - depth[0])
+    stays, order = repair_depth_order(truth, seen, prior)
+    assert order.flipped is None
+    assert stays is truth
+
+
+def test_a_fit_says_what_was_tried(device):
+    keypoints, parts = seen_by(arm_before_trunk(device))
+    result = fit_body(keypoints, parts, quality="fast", device=device)
+    assert result.depth_order is not None
+    assert result.depth_order.tried
+    report = make_report(result)["depth"]
+    assert report["flips_tried"] == list(result.depth_order.tried)
+    assert report["flipped"] == result.depth_order.flipped
+    assert report["spread_m"].keys() == set(JOINT_NAMES[1:])
+    assert 0 < report["spread_m"]["left_hip"] < report["spread_m"]["left_fingertip"] < 0.5
+    assert 1 < report["network_distance_m"] < 1000
+    alone = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
+    without = fit_body(keypoints, None, quality="fast", device=device)
+    assert alone.depth_order is None  # without stages the network's body stays as it is
+    assert without.depth_order is None  # no labels to decide
+    searched = fit_body(keypoints, parts, options=QUICK_SEARCH, device=device)
+    assert make_report(searched)["depth"] == {}
