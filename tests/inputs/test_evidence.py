@@ -269,7 +269,7 @@ def test_a_large_picture_is_looked_at_in_a_window() -> None:
     fitted, plain = (fit_body(*person, quality="fast") for person in (large, small))
     scale = float(fitted.camera.scale / plain.camera.scale)
     assert scale == pytest.approx(6, rel=5e-3)
-    assert part_f1(fitted, large) == pytest.approx(part_f1(plain, small), abs=5e-3)
+    assert part_f1(fitted, large) == pytest.approx(part_f1(plain, small), abs=1e-2)
 
 
 def test_a_small_person_in_a_large_picture_is_seen_pixel_by_pixel() -> None:
@@ -302,7 +302,8 @@ def test_scores_of_a_large_picture_are_of_a_smaller_one(tmp_path: Path, monkeypa
     monkeypatch.setattr("warp_partdr.results.save.OVERLAY_SIDE", 256)
     scores = save_fit(result, tmp_path)["parts"]
     assert Image.open(tmp_path / "overlay.png").size == (192, 256)
-    assert 0 < abs(scores["part_f1"] - plain["part_f1"]) < 0.01
+    assert scores["pixels"]["person"] < 0.5 * plain["pixels"]["person"]
+    assert abs(scores["part_f1"] - plain["part_f1"]) < 0.01
 
 
 def test_evidence_without_labels_has_no_target() -> None:
