@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
-from scenes.bodies import TIPS, WITHOUT_TIPS, bent_bodies, seen_by
+from scenes.bodies import QUICK_SEARCH, TIPS, WITHOUT_TIPS, bent_bodies, seen_by
 from scenes.files import EXAMPLE
 from typer.testing import CliRunner
 
@@ -56,8 +56,23 @@ def test_a_fit_without_labels_draws_nothing():
     choices = {choice.what: choice for choice in searched}
     assert choices["start"].left_out == "the label network"
     assert choices["camera"].left_out.startswith("distance")
+    unrefined = explain(*seen(label_set("body14")), options=FitOptions(stages=()))
+    assert unrefined[-1].why == "no stage draws"
     known = explain(keypoints, camera=Perspective.of_picture((480, 640), focal=500))
     assert known[1].modelled == "perspective, focal length 500 px"
+
+
+def test_a_fit_says_when_it_tries_limbs_mirrored_in_depth():
+    for labels, options, tried, why in (
+        (WITHOUT_TIPS, FitOptions(), True, "overlap"),
+        (WITHOUT_TIPS, QUICK_SEARCH, False, "hypotheses"),
+        (label_set("full1"), FitOptions(), False, "one label"),
+    ):
+        keypoints, parts = seen(labels)
+        choices = {choice.what: choice for choice in explain(keypoints, parts, options=options)}
+        assert bool(choices["depth order"].modelled) == tried
+        assert why in choices["depth order"].why
+        assert (fit_body(keypoints, parts, options=options).depth_order is not None) == tried
 
 
 def test_a_fit_says_where_it_looks_for_depth():

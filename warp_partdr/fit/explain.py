@@ -52,6 +52,8 @@ def explain(
         skipped = [stage.name for stage in options.stages if stage.name not in left]
         return [*choices, Choice("part labels", "", _list(["L_seg", *skipped]), "there are none: nothing is drawn")]
     drawn = [stage for stage in stages if stage.size > 0]
+    if not drawn:
+        return [*choices, Choice("part labels", "the start", "L_seg", "no stage draws")]
     side, size, start = REFERENCE_SIZE / crop.zoom, np.array(parts.groups.shape), np.array([crop.top, crop.left])
     covered = np.prod(np.clip(start + side, 0, size) - np.clip(start, 0, size)) / size.prod()
     sizes = _list(sorted({stage.size for stage in drawn}))
@@ -65,6 +67,7 @@ def explain(
         ),
         *_labels(seen, max(stage.size for stage in drawn)),
         *_parts(parts),
+        _depth_order(parts, options),
         _depth(parts, drawn, options),
         _path(parts, options),
     ]
@@ -157,6 +160,17 @@ def _parts(parts: PartLabels) -> Iterator[Choice]:
     )
     if free:
         yield Choice("parts in no group", f"{_list(free)} hide what is behind", "their labels", "the set has none")
+
+
+def _depth_order(parts: PartLabels, options: FitOptions) -> Choice:
+    flips = "limbs that lie over other parts, mirrored"
+    if parts.label_set.num_groups == 1:
+        return Choice("depth order", "", flips, "with one label, nothing that shows hides something else")
+    if options.start == "search" or not stages:
+        return Choice(
+            "depth order", "", flips, "hypotheses have either" if stages else "the network's body stays as it is"
+        )
+    return Choice("depth order", flips, "", "keypoints do not tell it, labels do where parts overlap")
 
 
 def _depth(parts: PartLabels, drawn: list[Stage], options: FitOptions) -> Choice:
