@@ -166,10 +166,8 @@ def _depth_order(parts: PartLabels, options: FitOptions) -> Choice:
     flips = "limbs that lie over other parts, mirrored"
     if parts.label_set.num_groups == 1:
         return Choice("depth order", "", flips, "with one label, nothing that shows hides something else")
-    if options.start == "search" or not stages:
-        return Choice(
-            "depth order", "", flips, "hypotheses have either" if stages else "the network's body stays as it is"
-        )
+    if options.start == "search":
+        return Choice("depth order", "", flips, "hypotheses have either")
     return Choice("depth order", flips, "", "keypoints do not tell it, labels do where parts overlap")
 
 
