@@ -12,7 +12,9 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from scenes.bodies import seen_by, walker
+from scenes.files import EXAMPLE
 
+from warp_partdr import FitOptions, Perspective, choose_person, fit_body, read_keypoints, read_parts
 from warp_partdr.body.labels import LABEL_SETS, label_set
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import FREE_PARTS
@@ -228,3 +230,26 @@ def test_predict_writes_a_body_for_each_picture(network, tmp_path, capsys):
     assert json.loads((tmp_path / "out/predictions.json").read_text())["files"].keys() == {"a.npz", "b.npz"}
     bodies = [load_body(tmp_path / f"out/{name}.npz") for name in ("a", "b")]
     assert np.array_equal(bodies[0].rotations, bodies[1].rotations)
+
+
+def test_predict_places_bodies_before_a_camera(network, tmp_path):
+    """As a fit without stages does, of the picture's own camera or of its EXIF data."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for suffix, source in (("png", "photo.png"), ("keypoints.json", "keypoints.json"), ("parts.png", "parts.png")):
+        (folder / f"a.{suffix}").write_bytes((EXAMPLE / source).read_bytes())
+    save_label_network(tmp_path / "n.safetensors", network.state_dict(), SMALL, {})
+    options = ["--labels", "cdcl14", "--network", str(tmp_path / "n.safetensors")]
+    fov = ["--fov", "50"]
+    assert not app(["predict", str(folder), *options, *fov, "--out", str(tmp_path / "out")], standalone_mode=False)
+    body = load_body(tmp_path / "out/a.npz")
+    parts = read_parts(folder / "a.parts.png", label_set("cdcl14"))
+    person = choose_person(read_keypoints(folder / "a.keypoints.json"), parts.groups)
+    given = FitOptions(stages=(), search=(), network=str(tmp_path / "n.safetensors"))
+    camera = Perspective.of_picture(parts.groups.shape, fov=50)
+    fitted = fit_body(person, parts, options=given, camera=camera)
+    np.testing.assert_allclose(body.translation, fitted.posed.joints[0, 0], rtol=1e-4)
+    np.testing.assert_allclose(body.global_orient, fitted.parameters.global_orient()[0], atol=1e-5)
+    np.testing.assert_allclose(body.camera().intrinsics, camera.intrinsics, rtol=1e-5)
+    with pytest.raises(InputError, match=r"a.png: .*EXIF"):
+        app(["predict", str(folder), *options, "--focal", "exif", "--out", str(tmp_path / "e")], standalone_mode=False)

@@ -44,7 +44,7 @@ registration.json. Older ones are replaced.
 the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`.
 """
 
-_QUALITY_HELP = "fast, balanced or accurate: part F1 0.86, 0.88, 0.90 on PartBench in 0.4, 1, 1.15 of the time."
+_QUALITY_HELP = "fast, balanced or accurate: part F1 0.86, 0.88, 0.89 on PartBench in 0.5, 1, 1.15 of the time."
 _START_HELP = "network (a search where that ends far off) or search."
 
 

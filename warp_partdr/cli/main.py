@@ -50,7 +50,7 @@ def _root(
 
 app.command("fit", help=FIT_HELP)(grouped(fit, required=["keypoints"]))
 app.command("register", help=REGISTER_HELP)(register_body)
-app.command("predict", help=PREDICT_HELP)(predict)
+app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("demo", help=DEMO_HELP)(grouped(demo))
 app.command("train", help=TRAIN_HELP)(train_network)
 app.add_typer(evaluate, name="evaluate")

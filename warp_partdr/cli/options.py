@@ -92,6 +92,11 @@ class CameraOptions:
         None
     )
 
+    @property
+    def given(self) -> bool:
+        """True if anything was said."""
+        return (self.focal, self.fov, self.principal) != (None, None, None)
+
     def read(self, size: tuple[int, int], photo: Path | None) -> Perspective | None:
         """The camera of a picture of (H, W) pixels, which may be a photo; None if nothing was said."""
         if self.focal is None and self.fov is None:

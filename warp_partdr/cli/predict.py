@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import DeviceOption, LabelsOption
+from ..inputs.part_labels import read_photo
+from .options import CameraOptions, DeviceOption, LabelsOption
+
+if TYPE_CHECKING:
+    from ..cameras import Perspective
+    from ..inputs.sample import Sample
 
 PREDICT_HELP = """Say at once where bodies are: 2D keypoints and part labels in, pose and measurements out, without
 refinement. For many people; `partdr fit` starts with the same and goes on.
@@ -18,7 +23,8 @@ refinement. For many people; `partdr fit` starts with the same and goes on.
 Example: `partdr predict pictures --labels cdcl14 --out bodies`
 
 FOLDER holds N.jpg or N.png, N.keypoints.json and, for all or none, N.parts.png; the largest person of each picture is
-taken. Without --labels, labels.json in the folder says what the part labels are.
+taken. Without --labels, labels.json in the folder says what the part labels are. With --focal or --fov, one camera took
+all pictures, or with `--focal exif` each its own, and bodies stand in metres before it.
 
 **Results** in --out: N.npz for each picture, as body.npz of `partdr fit` (`partdr register` clothes it), and
 predictions.json, which names them. Older results of those names are replaced.
@@ -35,6 +41,8 @@ def predict(
     ] = None,
     batch: Annotated[int, Option(help="People at a time.", metavar="N")] = 64,
     device: DeviceOption = "auto",
+    *,
+    view: CameraOptions,
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""
     from ..body.labels import label_set
@@ -43,9 +51,11 @@ def predict(
     if batch < 1:
         raise InputError(f"--batch: {batch}; expected 1 or more")
     samples = list(read_folder(folder, None if labels is None else label_set(labels)))
+    cameras = [_camera(view, sample) for sample in samples]
 
     import torch
 
+    from ..body.lens import find_camera, turn_to_rays
     from ..inputs.evidence import weigh_evidence
     from ..inputs.observation import REFERENCE_SIZE, crop_evidence, observe
     from ..interop.devices import choose_device
@@ -65,19 +75,23 @@ def predict(
     report = {"network": None if network is None else str(network), "people": len(samples)}
     with FitProgress() as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
         for start in range(0, len(samples), batch):
-            some = samples[start : start + batch]
+            some, theirs = samples[start : start + batch], cameras[start : start + batch]
             started = time.perf_counter()
             evidence = [weigh_evidence(sample.keypoints, sample.parts, sample.others)[0] for sample in some]
-            seen = [crop_evidence(each, device=where) for each in evidence]
+            pairs = zip(evidence, theirs, strict=True)
+            seen = [crop_evidence(each, device=where, camera=camera) for each, camera in pairs]
             read = time.perf_counter()
             bodies = predict_bodies([observation for observation, _ in seen], model)
             bodies.shift.sum().item()  # waits for the device
             reading, predicting = reading + read - started, predicting + time.perf_counter() - read
-            for i, (sample, (_, crop)) in enumerate(zip(some, seen, strict=True)):
-                body = bodies.select(torch.tensor([i], device=where))
-                camera = body.camera(REFERENCE_SIZE).in_full(crop)
+            for i, (sample, (observation, crop)) in enumerate(zip(some, seen, strict=True)):
+                body, lens = bodies.select(torch.tensor([i], device=where)), observation.lens
+                if lens is not None:
+                    body = turn_to_rays(body, lens)
+                camera, pelvis = find_camera(body, lens, REFERENCE_SIZE)
                 size = image_size(sample.keypoints, sample.parts, None)
-                body_file(body, camera, size).save(temporary / f"{sample.name}.npz")
+                place = None if pelvis is None else pelvis[0]
+                body_file(body, camera.in_full(crop), size, place).save(temporary / f"{sample.name}.npz")
             for sample, each in zip(some, evidence, strict=True):
                 told += [f"partdr: warning: {sample.name}: {warning}" for warning in each.warnings]
             progress("predicting", start + len(some), len(samples))
@@ -89,3 +103,11 @@ def predict(
         f"{len(samples) / (reading + predicting):.0f} a second with cropping; batches of {batch}, {where}"
     )
     typer.echo(f"{out} holds a body of each: N.npz")
+
+
+def _camera(view: CameraOptions, sample: Sample) -> Perspective | None:
+    """The camera of a sample's picture, if it is known."""
+    if not view.given:
+        return None
+    assert isinstance(sample.picture, Path)  # of a folder
+    return view.read(read_photo(sample.picture).shape[:2], sample.picture)
