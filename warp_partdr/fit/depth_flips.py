@@ -66,9 +66,8 @@ def repair_depth_order(body: BodyParameters, seen: Observation, prior: PosePrior
     best = int(refined.energy.argmin())
     if refined.energy[best] > (1 - _MARGIN) * refined.energy[0]:
         return body, DepthOrder(tuple(names), None)
-    return refined.parameters.select(torch.tensor([best], device=some.device)), DepthOrder(
-        tuple(names), names[int(some[best]) - 1]
-    )
+    order = DepthOrder(tuple(names), names[int(some[best]) - 1])
+    return refined.parameters.select(torch.tensor([best], device=some.device)), order
 
 
 def flip_depths(
@@ -108,9 +107,8 @@ def flip_depths(
     kept = excess <= excess[0] + _OVER_LIMITS
     kept[0] = True
     every = body.select(torch.zeros(int(kept.sum()), dtype=torch.int64, device=kept.device))
-    return replace(every, rotations=rotations[kept]), [
-        name for name, good in zip(names, kept.tolist(), strict=True) if good
-    ][1:]
+    names = [name for name, good in zip(names, kept.tolist(), strict=True) if good]
+    return replace(every, rotations=rotations[kept]), names[1:]
 
 
 def _is_one_of(parts: tuple[int, ...], like: torch.Tensor) -> torch.Tensor:

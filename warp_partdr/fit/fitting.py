@@ -128,9 +128,8 @@ class _Fit:
         seconds = {"network": time.perf_counter() - started}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         order = None
-        if (
-            self.stages and seen.label_set is not None and seen.label_set.num_groups > 1
-        ):  # of one, nothing hides another
+        several = seen.label_set is not None and seen.label_set.num_groups > 1  # of one, nothing hides another
+        if self.stages and several:
             started = time.perf_counter()
             body, order = repair_depth_order(body, seen, self.prior)
             seconds["depth order"] = time.perf_counter() - started
