@@ -49,5 +49,10 @@ def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tenso
     """Shortest rotations from the camera's axis to the rays through the pelvises, shape (B, 3, 3)."""
     lens = lens.to(parameters.shift)
     away = lens[:1].expand(parameters.batch_size, 1)
-    ray = torch.nn.functional.normalize(torch.cat([parameters.shift - lens[1:], away], dim=1), dim=1)
-    return rotation_between(ray.new_tensor([0.0, 0.0, 1.0]).expand_as(ray), ray)
+    return rotations_to(torch.cat([parameters.shift - lens[1:], away], dim=1))
+
+
+def rotations_to(rays: torch.Tensor) -> torch.Tensor:
+    """Shortest rotations from the camera's axis to rays of any length, (B, 3), shape (B, 3, 3)."""
+    rays = torch.nn.functional.normalize(rays, dim=1)
+    return rotation_between(rays.new_tensor([0.0, 0.0, 1.0]).expand_as(rays), rays)

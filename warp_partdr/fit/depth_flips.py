@@ -7,8 +7,9 @@ order that it begins with; a flip jumps. What hides what is all that labels say 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import lru_cache
 
+import numpy as np
 import torch
 
 from ..body.lens import ray_rotations
@@ -145,12 +146,13 @@ def _crossing(posed: Posed, view: torch.Tensor) -> torch.Tensor:
     points = places[:, None] + _PLACES.to(bones)[:, None] * bones[:, None]  # (20, places, 2)
     offsets = points[:, :, None] - places  # (20, places, 20, 2)
     inside = (offsets[..., None, :] @ torch.linalg.inv(outlines) @ offsets[..., None])[..., 0, 0] < _BESIDE
-    return (inside.any(1) & _apart().to(inside.device)).any(1)
+    return (inside.any(1) & _apart(inside.device)).any(1)
 
 
-def _apart() -> torch.Tensor:
+@lru_cache(maxsize=8)
+def _apart(device: torch.device) -> torch.Tensor:
     """Pairs of parts of which none hangs on the other, nor both on the same, shape (20, 20), bool."""
-    close = torch.eye(len(PART_NAMES), dtype=torch.bool)
-    for one, other in product(range(len(PART_NAMES)), repeat=2):
-        close[one, other] |= PARENTS[one] == other or PARENTS[other] == one or PARENTS[one] == PARENTS[other]
-    return ~close
+    parts, parents = np.arange(len(PART_NAMES)), np.array(PARENTS)
+    hangs = parents[:, None] == parts
+    close = hangs | hangs.T | (parents[:, None] == parents) | (parts[:, None] == parts)
+    return torch.from_numpy(~close).to(device)

@@ -20,7 +20,7 @@ _COMMON = (0.05, 0.3, 0.3)  # depths' spread [m], rotations' [rad], and nearness
 
 @dataclass(frozen=True)
 class Uncertainty(Movable):
-    """How sure B predicted bodies are: half widths of intervals that hold the truth in 68 % of cases; a distance.
+    """Spreads of B predicted bodies, half widths of intervals that hold the truth in 68 % of cases; and a distance.
 
     Attributes:
         depths: Of ``JOINT_NAMES`` but the pelvis, relative to it, along the view [m], shape (B, 20).

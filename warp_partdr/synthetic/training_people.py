@@ -11,7 +11,8 @@ import torch
 
 from ..body.labels import IGNORE
 from ..body.landmarks import annotated
-from ..body.rotations import rotation_between, rotation_from_axis_angle
+from ..body.lens import rotations_to
+from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
@@ -90,8 +91,7 @@ class _View:
 
     def turns(self) -> torch.Tensor:
         """Shortest rotations from the camera's axis to the rays to the pelvises, shape (B, 3, 3)."""
-        ray = torch.nn.functional.normalize(torch.nn.functional.pad(self.aside, (0, 1), value=1.0), dim=1)
-        return rotation_between(ray.new_tensor([0.0, 0.0, 1.0]).expand_as(ray), ray)
+        return rotations_to(torch.nn.functional.pad(self.aside, (0, 1), value=1.0))
 
     def lenses(self, crop: _Crop) -> torch.Tensor:
         """Focal length and principal point in crop coordinates, shape (B, 3)."""

@@ -218,7 +218,7 @@ def uncertainty_losses(predicted: Predicted, joints: torch.Tensor, people: Peopl
 
 
 def spreads_of(predicted: Predicted) -> torch.Tensor:
-    """What the network says of ``errors_of``, joined, shape (B, 39)."""
+    """Spreads that the network states for ``errors_of``, joined, shape (B, 39)."""
     assert predicted.uncertainty is not None
     return torch.cat([predicted.uncertainty.depths, predicted.uncertainty.turns], dim=1)
 
