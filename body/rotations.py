@@ -65,10 +65,9 @@ def rotation_from_6d(columns: torch.Tensor) -> torch.Tensor:
     """
     _check("columns", columns, (6,))
     first, second = columns[..., :3], columns[..., 3:]
-    x_axis = torch.tensor([1.0, 0.0, 0.0], dtype=columns.dtype, device=columns.device)
-    first = _normalise_or(first, x_axis)
-    # the coordinate axis that the first column points along least
-    least = torch.nn.functional.one_hot(first.detach().abs().argmin(-1), 3).to(columns.dtype)
+    axes = torch.eye(3, dtype=columns.dtype, device=columns.device)
+    first = _normalise_or(first, axes[0])
+    least = axes[first.detach().abs().argmin(-1)]  # the coordinate axis that the first column points along least
     rest = second - (first * second).sum(-1, keepdim=True) * first
     fallback = least - (first * least).sum(-1, keepdim=True) * first
     # What is left after the projection is rounding where the columns were collinear: measure it against the column.

@@ -26,7 +26,8 @@ from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.training.checkpoints import list_checkpoints, load_checkpoint
 from warp_partdr.training.config import Phase, make_config, packaged_configs, read_config
-from warp_partdr.training.loop import run_training, running_mean
+from warp_partdr.training.loop import run_training
+from warp_partdr.training.running_mean import RunningMean
 
 
 def newest(out: Path):
@@ -133,7 +134,7 @@ import json, sys
 sys.modules["tensorboard"] = None
 from pathlib import Path
 from scenes.training import tiny_config
-from warp_partdr.training.loop import run_training, running_mean
+from warp_partdr.training.loop import run_training
 {first}
 run_training(tiny_config(Path({str(folder / out)!r}), **json.loads({json.dumps(numbers)!r})), device="cpu")
 """
@@ -364,16 +365,16 @@ def test_a_time_limit_ends_the_run_and_its_schedule(tmp_path, monkeypatch):
 
 def test_running_mean():
     model = torch.nn.Sequential(torch.nn.Linear(2, 1, bias=False), torch.nn.BatchNorm1d(1))
-    mean = running_mean(model, decay=0.5)
+    mean = RunningMean(model, decay=0.5)
     start = model[0].weight.detach().clone()
     with torch.no_grad():
         model[0].weight += 1
         model[1].running_mean += 1
         model[1].num_batches_tracked += 3
-    mean.update_parameters(model)  # decay 2/11
+    mean.update(model)  # decay 2/11
     torch.testing.assert_close(mean.module[0].weight, start + 9 / 11)
-    mean.n_averaged.fill_(1000)
-    mean.update_parameters(model)
+    mean.steps = 1000
+    mean.update(model)
     torch.testing.assert_close(mean.module[0].weight, start + 1 - 1 / 11)
     torch.testing.assert_close(mean.module[1].running_mean, torch.tensor([1 - 1 / 11]))
     assert mean.module[1].num_batches_tracked == 3

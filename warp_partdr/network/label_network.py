@@ -105,7 +105,7 @@ class LabelNetwork(nn.Module):
         self.config = config
         stem, *rest, last = config.channels
         self.stem = nn.Sequential(
-            nn.Conv2d(NUM_CHANNELS, stem, 5, stride=2, padding=2, bias=False), nn.BatchNorm2d(stem), nn.ReLU()
+            _Widening(NUM_CHANNELS, stem, 5, stride=2, padding=2, bias=False), nn.BatchNorm2d(stem), nn.ReLU()
         )
         self.coarse = _Block(stem, rest[0], stride=2)
         self.stages = nn.Sequential(
@@ -135,7 +135,7 @@ class LabelNetwork(nn.Module):
         """Bodies.
 
         Args:
-            shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S).
+            shares: From ``label_shares`` or ``map_shares``, shape (B, 22, S, S); more channels, of zeros, may follow.
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
             rays: Of the cameras, from ``lens_rays``, shape (B, 4).
         """
@@ -153,6 +153,16 @@ def draw_heatmaps(keypoints: torch.Tensor, size: int) -> torch.Tensor:
     centres = cell_centres(size, keypoints.device)
     spots = (-0.5 * ((centres - keypoints[..., :2, None]) / _SPREAD).square()).exp()
     return keypoints[..., 2, None, None] * spots[..., 1, :, None] * spots[..., 0, None, :]
+
+
+class _Widening(nn.Conv2d):
+    """Convolution of inputs that may have more channels than weights, which don't count."""
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Values (B, ..., H, W)."""
+        more = values.shape[1] - self.in_channels
+        weight = nn.functional.pad(self.weight, (0, 0, 0, 0, 0, more)) if more else self.weight
+        return self._conv_forward(values, weight, self.bias)
 
 
 class _Block(nn.Module):

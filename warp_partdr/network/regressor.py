@@ -9,17 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import nn
 
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import FREE_PARTS, PosePrior
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
-from ..body.template import LENGTH_NAMES, NUM_PARTS, THICKNESS_NAMES, template
+from ..body.template import LENGTH_NAMES, LOCKED_PARTS, THICKNESS_NAMES, template
 from .predicted import Predicted
 
 _MAX_LOG_SIZE = 1.0  # sizes stay within e of the mean body's
 _MAX_LOG_SCALE = 2.0  # a person of 1.7 m fills a crop at about 0
+_NUM_SIZES = len(LENGTH_NAMES) + len(THICKNESS_NAMES)
 _HEADS: dict[str, int] = {
     "orientation": 6,
     "rotations": 6 * len(FREE_PARTS),
@@ -27,6 +29,7 @@ _HEADS: dict[str, int] = {
     "thicknesses": len(THICKNESS_NAMES),
     "camera": 3,  # log_scale, shift
 }
+_GROUPS = [6, 6 * len(FREE_PARTS), _NUM_SIZES, 3]  # of an estimate, sizes together
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,9 @@ class RegressorConfig:
 class Regressor(nn.Module):
     """So many ``features`` to bodies."""
 
-    mean: torch.Tensor
+    mean: torch.Tensor  # where the iterations begin
+    sizes: torch.Tensor  # lengths and thicknesses of the mean body [m]
+    locked: torch.Tensor  # rotations of the hips
 
     def __init__(self, features: int, config: RegressorConfig) -> None:
         super().__init__()
@@ -56,7 +61,11 @@ class Regressor(nn.Module):
             nn.init.normal_(head.weight, std=1e-3)
             nn.init.zeros_(head.bias)
         self.iterations = config.iterations
+        constants = template()
+        sizes = np.concatenate([constants.mean_lengths, constants.mean_thicknesses])
         self.register_buffer("mean", _mean_estimate(), persistent=False)
+        self.register_buffer("sizes", torch.from_numpy(sizes).float(), persistent=False)
+        self.register_buffer("locked", torch.eye(3).expand(1, len(LOCKED_PARTS), 3, 3).clone(), persistent=False)
 
     def forward(self, features: torch.Tensor) -> Predicted:
         """Bodies of features (B, F)."""
@@ -68,7 +77,20 @@ class Regressor(nn.Module):
                 hidden = hidden + second(first(hidden, iteration), iteration)
             correction = torch.cat([self.heads[name](hidden) for name in _HEADS], dim=1)
             estimate = estimate + correction.float()
-        return _bodies(estimate)
+        return self._bodies(estimate)
+
+    def _bodies(self, estimate: torch.Tensor) -> Predicted:
+        orientation, turns, logarithms, camera = estimate.split(_GROUPS, dim=1)
+        free = rotation_from_6d(turns.unflatten(1, (-1, 6)))
+        sizes = (_MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)).exp() * self.sizes
+        return Predicted(
+            orientation=rotation_from_6d(orientation),
+            rotations=torch.cat([self.locked.expand(len(free), -1, -1, -1), free], dim=1),  # the hips come first
+            lengths=sizes[:, : len(LENGTH_NAMES)],
+            thicknesses=sizes[:, len(LENGTH_NAMES) :],
+            log_scale=camera[:, 0].clamp(-_MAX_LOG_SCALE, _MAX_LOG_SCALE),
+            shift=camera[:, 1:],
+        )
 
 
 class _Layer(nn.Module):
@@ -89,24 +111,4 @@ def _mean_estimate() -> torch.Tensor:
     """The mean adult in the mean pose, facing the camera, in the order of the heads; sizes as logarithms of factors."""
     mean = BodyParameters.mean(1)
     turns = rotation_to_6d(rotation_from_axis_angle(PosePrior().mean_pose[list(FREE_PARTS)]))
-    sizes = torch.zeros(len(LENGTH_NAMES) + len(THICKNESS_NAMES))
-    return torch.cat([mean.orientation[0], turns.flatten(), sizes, torch.zeros(3)])
-
-
-def _bodies(estimate: torch.Tensor) -> Predicted:
-    orientation, turns, lengths, thicknesses, camera = estimate.split(list(_HEADS.values()), dim=1)
-    free = rotation_from_6d(turns.unflatten(1, (-1, 6)))
-    locked = torch.eye(3).to(free).expand(len(free), NUM_PARTS - len(FREE_PARTS), 3, 3)  # the hips, which come first
-    constants = template()
-
-    def sizes(logarithms: torch.Tensor, mean: object) -> torch.Tensor:
-        return (_MAX_LOG_SIZE * torch.tanh(logarithms / _MAX_LOG_SIZE)).exp() * torch.as_tensor(mean).to(logarithms)
-
-    return Predicted(
-        orientation=rotation_from_6d(orientation),
-        rotations=torch.cat([locked, free], dim=1),
-        lengths=sizes(lengths, constants.mean_lengths),
-        thicknesses=sizes(thicknesses, constants.mean_thicknesses),
-        log_scale=camera[:, 0].clamp(-_MAX_LOG_SCALE, _MAX_LOG_SCALE),
-        shift=camera[:, 1:],
-    )
+    return torch.cat([mean.orientation[0], turns.flatten(), torch.zeros(_NUM_SIZES + 3)])

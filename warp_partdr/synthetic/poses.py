@@ -26,7 +26,7 @@ Poses = tuple[torch.Tensor, torch.Tensor]  # rotation vectors (N, 20, 3) and up 
 
 def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) -> Posed:
     """Mean adults of local rotations (B, 20, 3, 3) and orientations (B, 3, 3), or upright; the pelvis at the origin."""
-    batch, sizes = len(rotations), _mean_sizes(rotations.device, rotations.dtype)
+    batch, sizes = len(rotations), mean_sizes(rotations.device, rotations.dtype)
     if orientation is None:
         orientation = torch.eye(3, dtype=rotations.dtype, device=rotations.device).expand(batch, 3, 3)
     sizes = tuple(values.expand(batch, -1) for values in sizes)
@@ -34,7 +34,8 @@ def mean_body(rotations: torch.Tensor, orientation: torch.Tensor | None = None) 
 
 
 @lru_cache(maxsize=8)
-def _mean_sizes(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+def mean_sizes(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+    """Lengths, shape (12,), and thicknesses, shape (15,), of the mean adult [m]."""
     mean = template().mean_lengths, template().mean_thicknesses
     return tuple(torch.from_numpy(sizes).to(device, dtype) for sizes in mean)
 

@@ -21,8 +21,10 @@ from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
 from ..render.mesh import draw_mesh
 from . import people
+from .cut_masks import cut_mask
 from .keypoint_noise import KeypointNoise
-from .label_noise import LabelNoise, draw_absent, draw_strengths
+from .label_noise import TRAINING_LABEL_SETS, LabelNoise, draw_absent, draw_strengths
+from .noise import KEYPOINT_NOISE
 from .occluders import draw_occluders
 from .partbench_people import NUM_PEOPLE, draw_phenotypes
 from .pose_sampler import PoseBank, PoseSampler
@@ -52,6 +54,9 @@ _NEAR = 0.35  # of the person's longer extent
 _OPEN = 100.0  # [m], where a side isn't near
 
 _COCO = 0.5  # share of people whose keypoints are as COCO's annotators place them
+_CUT_MASKS = 0.08  # share whose labels are a mask cut by bones, and of these whose overlapping limbs are unknown
+_UNSURE = 0.7
+_EVERY_PART = "ellipbody20"
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,10 @@ class PeopleBatch:
     lens_known: torch.Tensor  # whether the network knows these, shape (B,), bool
     turns: torch.Tensor  # from the frame along the ray to the camera's, shape (B, 3, 3)
     distances: torch.Tensor  # of the pelvis from the camera, along its axis [m], shape (B,)
+
+    def select(self, index: torch.Tensor) -> PeopleBatch:
+        """Some of the people."""
+        return PeopleBatch(**{name: value[index] for name, value in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -207,6 +216,8 @@ class PeopleMaker:
         view = self._view(joints[:, :1])
         vertices, noted, plain = (view(points) for points in (body.vertices, noted, plain))
         strength, label_sets = draw_strengths(count, rng), self._labels.label_sets(count)
+        cut = round(_CUT_MASKS * count)  # as many in every batch, so that nothing waits for the device
+        label_sets[:cut] = list(TRAINING_LABEL_SETS).index(_EVERY_PART)
         no_labels, no_keypoints = draw_absent(count, rng)
         detected = self._detectors.detected(count) & ~no_keypoints[:, None]
         crop = self._crop(vertices[..., :2], noted[..., :2], detected, ~no_labels)
@@ -228,7 +239,9 @@ class PeopleMaker:
         keypoints = self._detectors.keypoints(points, hidden, detected, stature / crop.half, strength)
         keypoints = keypoints * _inside(keypoints[..., :2], crop.low, crop.high)[..., None]
 
-        groups = self._labels.groups(picture.labels, label_sets, strength)
+        masks, places = picture.labels[:cut] > 0, crop(view(joints)[..., :2])[:cut]
+        shown = torch.cat([self._cut(masks, places, stature / crop.half, strength), picture.labels[cut:]])
+        groups = self._labels.groups(shown, label_sets, strength)
         groups = torch.where(occluders.mask, occluders.groups, groups)
         along = view.turns().mT
         joints = (joints - joints[:, :1]) @ along.mT
@@ -250,6 +263,19 @@ class PeopleMaker:
             turns=along.mT,
             distances=view.distance[:, 0],
         )
+
+    def _cut(
+        self, masks: torch.Tensor, joints: torch.Tensor, stature: torch.Tensor, strength: torch.Tensor
+    ) -> torch.Tensor:
+        """Labels of the first N people's masks (N, S, S), cut by bones between joints as they are found.
+
+        Of true joints (N, 21, 2), and of statures and strengths of all people, in crop coordinates.
+        """
+        count, rng = len(masks), self._rng
+        stature, strength = stature[:count], strength[:count]
+        spread = strength * KEYPOINT_NOISE * stature
+        joints = joints + spread[:, None, None] * rng.normal(*joints.shape)
+        return cut_mask(masks, joints, stature, rng.chance(_UNSURE, count))
 
     def orientations(self, ups: torch.Tensor) -> torch.Tensor:
         """The pelvis in the camera frame, (B, 3, 3): upright as ``ups`` (B, 3) says, looking anywhere, and tilted."""

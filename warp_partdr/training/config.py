@@ -60,6 +60,7 @@ class TrainingConfig:
     # (1 + step) / (10 + step).
     ema: float = 0.999
     precision: Literal["no", "bf16"] = "no"  # "bf16": the model runs in autocast to bfloat16; "no": in float32
+    compile: bool = False  # the model by torch.compile, for long runs: it takes a minute, then steps are faster
     tf32: bool = True  # on CUDA, float32 products of matrices in the step may be rounded to TF32
     log_every: int = 50  # steps between lines of the log
     validate_every: int = 1000  # steps between validations, with a picture; 0: at the end alone

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import repeat
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..body.pose_prior import FREE_PARTS
 from ..body.posing import pose
 from ..body.rotations import rotation_to_axis_angle
 from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
-from ..body.template import JOINT_NAMES, NUM_PARTS, template
+from ..body.template import JOINT_NAMES, NUM_PARTS
 from ..cameras import Perspective
 from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
@@ -31,6 +31,7 @@ from ..render.renderers import RendererEllipsoids
 from ..results.palette import group_colours
 from ..synthetic.label_noise import TRAINING_LABEL_SETS
 from ..synthetic.pose_sampler import PoseBank
+from ..synthetic.poses import mean_sizes
 from ..synthetic.training_people import PeopleBatch, PeopleMaker
 from .config import TrainingConfig
 from .task import PACKAGED_NETWORK, Task, weighted_losses
@@ -55,6 +56,13 @@ class LabelData:
 
     poses: str = ""  # folder of motion capture, or a pose bank made of one (.npz); "" takes the packaged prior alone
     validation: int = 1024  # number of held-out people that errors are measured on
+    ahead: int = 1  # batches whose people are made at once, which takes less time and more memory
+    uses: int = 1  # batches that each person is in
+
+    def __post_init__(self) -> None:
+        for name in ("validation", "ahead", "uses"):
+            if getattr(self, name) < 1:
+                raise InputError(f"data.{name}: {getattr(self, name)}; expected 1 or more")
 
 
 class LabelTask(Task):
@@ -79,9 +87,12 @@ class LabelTask(Task):
         super().__init__(config, rank=rank, processes=processes, device=device)
         # As the first layer takes them, so that nothing is converted.
         kind = torch.bfloat16 if config.precision == "bf16" and device.type == "cuda" else torch.float32
-        self._tables = torch.stack([label_table(label_set(name)) for name in TRAINING_LABEL_SETS]).to(device, kind)
+        tables = torch.stack([label_table(label_set(name)) for name in TRAINING_LABEL_SETS])
+        padding = -tables.shape[2] % 8  # GPUs convolve such numbers of channels in half the time
+        self._tables = torch.nn.functional.pad(tables, (0, padding)).to(device, kind)
         # Processes differ in their seeds; those of one process follow one another.
-        self._maker = self._make_maker(config.seed * processes + rank, held_out=False)
+        maker, data = self._make_maker(config.seed * processes + rank, held_out=False), config.data
+        self._stock = _Stock(maker, size=config.batch_size, ahead=data.ahead, uses=data.uses)
 
     def _make_maker(self, seed: int, *, held_out: bool) -> PeopleMaker:
         source = self.config.data.poses
@@ -93,8 +104,8 @@ class LabelTask(Task):
         return LabelNetwork(self.config.model).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def batch(self, device: torch.device) -> PeopleBatch:
-        """New people."""
-        return self._maker(self.config.batch_size)
+        """People of the stock."""
+        return self._stock.take()
 
     def loss(self, model: torch.nn.Module, batch: PeopleBatch) -> dict[str, torch.Tensor]:
         """The weighted terms of ``body_losses``, and their sum."""
@@ -145,17 +156,17 @@ class LabelTask(Task):
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         """Weights of a trained network; see ``Task``."""
         network = load_label_network(None if source == PACKAGED_NETWORK else source)
-        if network.config != self.config.model:
+        if _sizes(network.config) != _sizes(self.config.model):
             raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
         return network.state_dict()
 
     def state_dict(self) -> dict[str, Any]:
         """Of what makes people."""
-        return self._maker.state_dict()
+        return self._stock.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        self._maker.load_state_dict(state)
+        self._stock.load_state_dict(state)
 
     def predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
         """Bodies that a network says people have."""
@@ -171,6 +182,45 @@ class LabelTask(Task):
         maker = self._make_maker(_VALIDATION_SEED, held_out=True)
         count = self.config.data.validation
         return [maker(min(_BATCH, count - first)) for first in range(0, count, _BATCH)]
+
+
+class _Stock:
+    """People made for ``ahead`` batches of ``size`` at once, each of whom is in ``uses`` of them, with other people."""
+
+    def __init__(self, maker: PeopleMaker, *, size: int, ahead: int, uses: int) -> None:
+        self._maker, self._count = maker, size * ahead
+        orders = [torch.randperm(self._count, generator=torch.Generator().manual_seed(use)) for use in range(uses)]
+        self._batches = torch.cat(orders).to(maker.device).split(size)
+        self._begin(maker.state_dict())
+
+    def _begin(self, before: dict[str, Any]) -> None:
+        self._before = before  # state of the maker
+        self._taken = len(self._batches)  # batches of the people in stock
+        self._people: PeopleBatch | None = None
+
+    def take(self) -> PeopleBatch:
+        """The next batch."""
+        if self._people is None or self._taken == len(self._batches):
+            self._before, self._taken = self._maker.state_dict(), 0
+            self._people = self._maker(self._count)
+        self._taken += 1
+        return self._people.select(self._batches[self._taken - 1])
+
+    def state_dict(self) -> dict[str, Any]:
+        used_up = self._taken == len(self._batches)
+        return {"maker": self._maker.state_dict() if used_up else self._before, "taken": self._taken}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self._maker.load_state_dict(state["maker"])
+        self._begin(state["maker"])
+        if state["taken"] < len(self._batches):
+            self.take()
+            self._taken = state["taken"]
+
+
+def _sizes(config: LabelNetworkConfig) -> LabelNetworkConfig:
+    """The same with no dropout, which changes no weight's shape."""
+    return replace(config, regressor=replace(config.regressor, dropout=0.0))
 
 
 def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:
@@ -192,8 +242,8 @@ def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Te
     body, camera = _before_camera(predicted, people, size)
     seen = camera.project(posed_landmarks(pose(*body, validate=False), LANDMARKS))[..., :2] * (2 / size) - 1
     seg = RendererEllipsoids("edges").body_loss(body, camera, people.parts, validate=False)
-    mean_thicknesses = torch.as_tensor(template().mean_thicknesses).to(predicted.thicknesses)
     joints = predicted.posed().joints
+    mean_thicknesses = mean_sizes(joints.device, joints.dtype)[1]
     return {
         "joints": (joints - people.joints).abs().mean(),
         "rotations": (_turns(predicted) - _turns(people)).square().sum((2, 3)).mean(),
@@ -230,14 +280,18 @@ def errors_of(predicted: Predicted, joints: torch.Tensor, people: PeopleBatch) -
     ``joints`` are those of the predicted bodies, the pelvis at the origin.
     """
     depths = (joints - people.joints)[:, 1:, 2].abs()
-    free = [0, *(part + 1 for part in FREE_PARTS)]
-    turned = _turns(predicted)[:, free].mT @ _turns(people)[:, free]
+    turned = _free_turns(predicted).mT @ _free_turns(people)
     return depths, rotation_to_axis_angle(turned).norm(dim=-1)
 
 
 def _turns(bodies: Predicted | PeopleBatch) -> torch.Tensor:
     """Orientation and local rotations, shape (B, 21, 3, 3)."""
     return torch.cat([bodies.orientation[:, None], bodies.rotations], 1)
+
+
+def _free_turns(bodies: Predicted | PeopleBatch) -> torch.Tensor:
+    """Orientation and the local rotations of ``FREE_PARTS``, which come last, shape (B, 19, 3, 3)."""
+    return torch.cat([bodies.orientation[:, None], bodies.rotations[:, -len(FREE_PARTS) :]], 1)
 
 
 def _before_camera(

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch.optim.swa_utils import AveragedModel
 
 from ..errors import InputError, cause
 from ..interop.precision import matmul_precision
@@ -28,6 +27,7 @@ from .config import Phase, TrainingConfig, find_task
 from .guards import FiniteWatch, memory_errors, signals
 from .joint_norm import normalise_jointly
 from .logs import RunLog
+from .running_mean import RunningMean
 from .task import Task
 
 MODEL_FILE = "model.safetensors"
@@ -114,7 +114,7 @@ class _Run:
         if config.initial is not None and not found:
             self.bare.load_state_dict(self.task.read(config.initial))
         set_seed(config.seed, device_specific=True)
-        self.mean = running_mean(self.bare, config.ema)
+        self.mean = RunningMean(self.bare, config.ema)
         if self.processes > 1 and config.joint_normalisation:
             normalise_jointly(self.bare)
         self.names = {parameter: name for name, parameter in self.bare.named_parameters()}
@@ -125,6 +125,8 @@ class _Run:
             betas=config.betas,
             fused=self.device.type == "cuda",
         )
+        if config.compile:
+            self.bare.compile()
         self.model = accelerator.prepare(self.bare)
 
         self.step = 0
@@ -225,7 +227,7 @@ class _Run:
         self.optimizer.zero_grad()
         self.step += 1
         self.summed += 1
-        self.mean.update_parameters(self.bare)
+        self.mean.update(self.bare)
         self.share = max(self.step / self.steps, self.share)
         self.watch.see(self.step, [*totals, gradient], batches)
 
@@ -303,7 +305,7 @@ class _Run:
             raise InputError(f"{place}: {cause(error)}; expected a checkpoint of this network") from error
         for name in ("seconds", *_KEPT):
             setattr(self, name, checkpoint.about[name])
-        self.mean.n_averaged += self.step
+        self.mean.steps = self.step
         state = checkpoint.ranks[rank]
         torch.set_rng_state(state["torch"])
         if self.device.type == "cuda" and state["cuda"] is not None:
@@ -336,24 +338,6 @@ class _Run:
             **({"gpu_memory_gib": round(torch.cuda.max_memory_allocated() / 2**30, 2)} if on_cuda else {}),
             "config": self.config.to_json(),
         }
-
-
-def running_mean(model: torch.nn.Module, decay: float) -> AveragedModel:
-    """Exponential moving average of a network's weights and floating-point buffers, at first a copy of them.
-
-    The share of the mean that stays at a step is ``decay``, in the first steps (1 + step) / (10 + step).
-    """
-
-    def average(means: Any, news: Any, _: Any) -> None:
-        step = int(mean.n_averaged)
-        if means[0].is_floating_point():
-            torch._foreach_lerp_(means, news, 1 - min(decay, (1 + step) / (10 + step)))
-        else:
-            torch._foreach_copy_(means, news)
-
-    mean = AveragedModel(model, multi_avg_fn=average, use_buffers=True).eval().requires_grad_(False)
-    mean.n_averaged += 1  # by itself it copies at the first step
-    return mean
 
 
 def _count_steps(config: TrainingConfig, epoch: int | None, processes: int) -> int:
