@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from scenes.training import make_task
 
 from warp_partdr.body.labels import label_set
+from warp_partdr.body.landmarks import annotated
 from warp_partdr.body.skeletons import MPJPE_HIPS, MPJPE_JOINTS, skeleton
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.keypoints import Keypoints2D
@@ -183,6 +184,20 @@ def test_joints_count_where_they_and_the_hips_are_known(examples, prediction):
     alone = body_terms(last, rows(changed, 3, 4))["joints"].item()
     assert alone > 1
     assert body_terms(prediction, changed)["joints"].item() == pytest.approx(alone / 4, rel=1e-4)
+
+
+@pytest.mark.parametrize("marks", [False, True])
+def test_keypoints_pull_to_what_their_format_marks(examples, prediction, marks):
+    bodies = prediction.bodies
+    names = annotated(LANDMARKS) if marks else LANDMARKS
+    seen = bodies.camera(2).project(posed_landmarks(bodies.posed(), names))[..., :2].detach() - 1
+    keypoints = torch.cat([seen, torch.ones_like(seen[..., :1])], dim=-1)
+    own, others = (
+        body_terms(prediction, replace(examples, keypoints=keypoints, annotated=torch.full((4,), said)))["proj"].item()
+        for said in (marks, not marks)
+    )
+    assert own == pytest.approx(0, abs=1e-2)
+    assert others > 10
 
 
 def test_what_is_not_known_pulls_nowhere(examples, prediction):

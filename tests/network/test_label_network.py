@@ -16,12 +16,13 @@ from scenes.files import EXAMPLE
 
 from warp_partdr import FitOptions, Perspective, choose_person, fit_body, read_keypoints, read_parts
 from warp_partdr.body.labels import LABEL_SETS, label_set
+from warp_partdr.body.landmarks import mirror_name, mirror_order
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import FREE_PARTS
-from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS
+from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART_NAMES
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.observation import observe
+from warp_partdr.inputs.observation import observe, resize_nearest
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.checkpoint import load_label_network, save_label_network
 from warp_partdr.network.label_network import (
@@ -35,7 +36,7 @@ from warp_partdr.network.label_network import (
     map_shares,
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
-from warp_partdr.network.predict import network_inputs, predict_bodies
+from warp_partdr.network.predict import ask_network, network_inputs, predict_bodies
 from warp_partdr.network.regressor import Regressor, RegressorConfig
 from warp_partdr.results.body_file import load_body
 
@@ -132,6 +133,32 @@ def test_a_batch_says_what_its_members_say(network):
     shares, _, rays = network_inputs(without, 64)
     assert (shares[-1] == 1).all()
     assert (rays == 0).all()
+
+
+def test_of_a_mirror_image_the_mirrored_body_is_said():
+    keypoints, parts = seen_by(walker())
+    network = load_label_network()
+    seen, _ = observe(keypoints, parts)
+    labels = resize_nearest(seen.labels, network.config.size)  # of several pixels, a mirror image takes others
+    seen = replace(seen, labels=labels, lens=torch.tensor([2.0, 0.4, -0.1]))
+    parts = seen.label_set
+    ids = torch.tensor([0, *(mirror_order(parts.group_names) + 1), *range(parts.num_groups + 1, 256)])
+    image = replace(
+        seen,
+        landmarks=tuple(map(mirror_name, seen.landmarks)),
+        points=seen.points * torch.tensor([-1.0, 1.0]),
+        labels=ids[labels.flip(1).long()].to(torch.uint8),
+        lens=seen.lens * torch.tensor([1.0, -1.0, 1.0]),
+    )
+    own, others = (ask_network([each], network) for each in (seen, image))
+    joints = own.posed().joints[:, mirror_order(JOINT_NAMES)] * torch.tensor([-1.0, 1.0, 1.0])
+    assert torch.allclose(others.posed().joints, joints, atol=1e-5)
+    assert not torch.allclose(own.posed().joints, joints, atol=1e-2)  # a body that is its own image would prove nothing
+    assert torch.allclose(others.log_scale, own.log_scale, atol=1e-5)
+    assert torch.allclose(others.shift, own.shift * torch.tensor([-1.0, 1.0]), atol=1e-5)
+    swapped = mirror_order(JOINT_NAMES[1:]), [0, *(mirror_order([PART_NAMES[part] for part in FREE_PARTS]) + 1)]
+    assert torch.allclose(others.uncertainty.depths, own.uncertainty.depths[:, swapped[0]], atol=1e-6)
+    assert torch.allclose(others.uncertainty.turns, own.uncertainty.turns[:, swapped[1]], atol=1e-6)
 
 
 def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):

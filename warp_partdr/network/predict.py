@@ -12,6 +12,7 @@ from ..inputs.observation import Observation, resize_nearest
 from ..interop.torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
 from .landmarks import network_keypoints
+from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 
 
@@ -65,8 +66,10 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
 
 @torch.no_grad()
 def ask_network(observations: Sequence[Observation], network: LabelNetwork) -> Predicted:
-    """Bodies as of ``predict_bodies``, with how sure they are."""
-    inputs = [network_inputs(seen, network.config.size) for seen in observations]
-    shares, keypoints, rays = (torch.stack(values) for values in zip(*inputs, strict=True))
+    """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's."""
+    each = [network_inputs(seen, network.config.size) for seen in observations]
+    inputs = tuple(torch.stack(values) for values in zip(*each, strict=True))
+    shares, keypoints, rays = (torch.cat(both) for both in zip(inputs, mirror_inputs(*inputs), strict=True))
     predicted: Predicted = network(shares.contiguous(memory_format=torch.channels_last), keypoints, rays)
-    return predicted
+    count = len(observations)
+    return mean_bodies(predicted.select(slice(count)), mirror_bodies(predicted.select(slice(count, None))))

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from ..body.labels import label_set
+from ..body.landmarks import annotated
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import PART_NAMES
@@ -94,7 +95,7 @@ def _shade(rotations: torch.Tensor, ups: torch.Tensor, rng: TorchRng, first: int
     pictures = (image.clamp(0, 1) * 255).byte().permute(0, 2, 3, 1).cpu().numpy()
     labels = drawn.labels[:, ::_SAMPLES, ::_SAMPLES].cpu().numpy()
 
-    names = skeleton(_KEYPOINTS).landmarks
+    names = annotated(skeleton(_KEYPOINTS).landmarks, model.landmark_names)
     points = camera.project(model.landmarks(body, names) + away)[..., :2].cpu().numpy()
     joints = (model.landmarks(body, MPJPE_JOINTS) + away).cpu().numpy()
     parts = label_set("ellipbody20")

@@ -81,6 +81,9 @@ class Examples:
     groups: torch.Tensor  # group ids, 255 where nothing is known, shape (B, S, S), uint8
     part_groups: torch.Tensor  # group id of each part label in a person's label set, on the host, shape (B, 21), uint8
     keypoints: torch.Tensor  # ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3)
+    annotated: (
+        torch.Tensor
+    )  # whether these lie where COCO's annotators mark them (``Skeleton.marks``), shape (B,), bool
     joints: torch.Tensor  # ``MPJPE_JOINTS``, camera frame [m], of any origin, 0 where unknown, shape (B, 14, 3)
     has_joints: torch.Tensor  # 1 where a joint is known, shape (B, 14)
 
@@ -136,6 +139,7 @@ def make_example(
         "groups": crop,
         "part_groups": part_groups,
         "keypoints": keypoints,
+        "annotated": np.array(found.format.marks != found.format.landmarks),
         "joints": np.where(has_joints[:, None], joints, 0).astype(np.float32),
         "has_joints": has_joints.astype(np.float32),
     }

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from ..body.labels import IGNORE
+from ..body.landmarks import annotated
 from ..body.skeletons import MPJPE_HIPS, MPJPE_JOINTS
 from ..body.template import template
 from ..inputs.observation import REFERENCE_SIZE, resize_nearest
@@ -35,7 +36,9 @@ def body_terms(prediction: PicturePrediction, examples: Examples) -> dict[str, t
     posed = bodies.posed()
     known = examples.has_joints * examples.has_joints[:, MPJPE_HIPS].prod(1, keepdim=True)
     apart = rooted(posed_landmarks(posed, MPJPE_JOINTS)) - rooted(examples.joints)
-    seen = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(posed, LANDMARKS))[..., :2]
+    plain, marks = (posed_landmarks(posed, names) for names in (LANDMARKS, annotated(LANDMARKS)))
+    marked = torch.where(examples.annotated[:, None, None], marks, plain)
+    seen = bodies.camera(REFERENCE_SIZE).project(marked)[..., :2]
     expected = (examples.keypoints[..., :2] + 1) * (REFERENCE_SIZE / 2)
     constants = template()
 

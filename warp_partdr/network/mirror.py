@@ -1,0 +1,75 @@
+"""Mirror images of what the label network sees and of what it says: with theirs, its bodies have no favourite side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import torch
+
+from ..body.landmarks import mirror_order
+from ..body.pose_prior import FREE_PARTS
+from ..body.rotations import rotation_from_6d, rotation_to_6d
+from ..body.template import JOINT_NAMES, PART_NAMES
+from .label_network import NUM_CHANNELS
+from .landmarks import LANDMARKS
+from .predicted import Predicted
+from .uncertainty import Uncertainty
+
+
+def mirror_inputs(
+    shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Inputs of a label network, left and right exchanged in the picture and in names; shapes as its ``forward``."""
+    swap = _orders(shares.device)
+    points = keypoints[:, swap["landmarks"]] * keypoints.new_tensor([-1.0, 1.0, 1.0])
+    return shares[:, swap["channels"]].flip(3), points, rays * rays.new_tensor([1.0, 1.0, -1.0, 1.0])
+
+
+def mirror_bodies(bodies: Predicted) -> Predicted:
+    """Bodies with left and right exchanged."""
+    swap = _orders(bodies.shift.device)
+    # Of M R M, where M mirrors x.
+    signs = bodies.shift.new_tensor([[1.0, -1.0, -1.0], [-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+    said = bodies.uncertainty
+    if said is not None:
+        said = replace(said, depths=said.depths[:, swap["joints"]], turns=said.turns[:, swap["turns"]])
+    return replace(
+        bodies,
+        orientation=bodies.orientation * signs,
+        rotations=bodies.rotations[:, swap["parts"]] * signs,
+        shift=bodies.shift * bodies.shift.new_tensor([-1.0, 1.0]),
+        uncertainty=said,
+    )
+
+
+def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
+    """Bodies halfway between two predictions of the same people."""
+
+    def middle(name: str) -> torch.Tensor:
+        return (getattr(first, name) + getattr(second, name)) / 2
+
+    turns = {name: rotation_from_6d(rotation_to_6d(middle(name))) for name in ("orientation", "rotations")}
+    numbers = {name: middle(name) for name in ("lengths", "thicknesses", "log_scale", "shift")}
+    said = first.uncertainty
+    if said is not None and second.uncertainty is not None:
+        pairs = zip(vars(said).items(), vars(second.uncertainty).values(), strict=True)
+        said = Uncertainty(**{name: (own + other) / 2 for (name, own), other in pairs})
+    return Predicted(**turns, **numbers, uncertainty=said)
+
+
+@lru_cache(maxsize=8)
+def _orders(device: torch.device) -> dict[str, torch.Tensor]:
+    """Where the mirror images of channels, landmarks, parts, joints and rotations stand."""
+    parts = mirror_order(PART_NAMES)
+    joints = mirror_order(JOINT_NAMES[1:])
+    free = mirror_order([PART_NAMES[part] for part in FREE_PARTS])
+    orders = {
+        "channels": [*parts, *range(len(parts), NUM_CHANNELS)],
+        "landmarks": mirror_order(LANDMARKS),
+        "parts": parts,
+        "joints": joints,
+        "turns": [0, *(free + 1)],
+    }
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return {name: torch.tensor([int(each) for each in order], device=device) for name, order in orders.items()}
