@@ -8,13 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scenes.bodies import bank
+from scenes.bodies import bank, drawn_labels, walker
 
+from warp_partdr.body.labels import label_set
 from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.body.posing import pose
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, NUM_PARTS, PART_NAMES, template
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.landmarks import LANDMARKS
+from warp_partdr.synthetic.cut_masks import cut_mask
 from warp_partdr.synthetic.label_noise import TRAINING_LABEL_SETS
 from warp_partdr.synthetic.people import PHENOTYPE_RANGES
 from warp_partdr.synthetic.training_people import NUM_CELLS, PeopleBatch, PeopleMaker, cell_of, held_out_cells
@@ -191,3 +193,39 @@ def test_precision_of_training_stays_out_and_comes_back(device: str) -> None:
     finally:
         torch.set_float32_matmul_precision(before)
     torch.testing.assert_close(made.joints, exact.joints, atol=1e-6, rtol=0)
+
+
+def test_a_mask_is_cut_by_its_own_bones_about_where_parts_end(device: str) -> None:
+    body = walker(device)
+    picture = drawn_labels(body, label_set("ellipbody20"), SIZE)
+    joints = body.camera(2).project(body.posed().joints)[..., :2] - 1
+    stature = MEAN_STATURE * body.log_scale.exp()
+    sure, unsure = (
+        cut_mask(picture > 0, joints, stature, torch.tensor([said], device=device)) for said in (False, True)
+    )
+    assert torch.equal(sure > 0, picture > 0)
+    assert (sure == picture)[picture > 0].float().mean() > 0.75
+    assert set(sure.unique().tolist()) == set(range(NUM_PARTS + 1))
+    unknown = unsure == 255
+    assert torch.equal(unsure[~unknown], sure[~unknown])
+    assert 0 < unknown.float().sum() < 0.2 * (picture > 0).sum()
+
+
+def test_only_parts_that_are_no_neighbours_hide_each_other(device: str) -> None:
+    """A hand before the chest makes its surroundings unknown, the elbow of a stretched arm does not."""
+    joints = torch.zeros(1, len(JOINT_NAMES), 2, device=device)
+    joints[0, :, 0] = 5.0  # out of sight
+    places = {"spine": (0.0, 0.3), "neck": (0.0, -0.3), "left_shoulder": (0.3, -0.3), "left_elbow": (0.3, 0.1)}
+    places |= {"left_wrist": (0.05, 0.0), "left_fingertip": (-0.1, 0.0)}
+    for name, place in places.items():
+        joints[0, JOINT_NAMES.index(name)] = torch.tensor(place, device=device)
+    mask, yes = torch.ones(1, 64, 64, dtype=torch.bool, device=device), torch.ones(1, dtype=torch.bool, device=device)
+    found = cut_mask(mask, joints, torch.full((1,), 1.5, device=device), yes)[0]
+
+    def at(x: float, y: float) -> int:
+        return int(found[round(32 * (y + 1)), round(32 * (x + 1))])
+
+    assert at(-0.05, 0.0) == 255  # hand and chest
+    assert at(0.3, 0.08) != 255  # upper arm and forearm
+    assert at(0.3, -0.1) == PART_NAMES.index("left_upper_arm") + 1
+    assert at(-0.1, -0.25) == PART_NAMES.index("chest") + 1

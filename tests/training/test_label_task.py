@@ -194,6 +194,31 @@ def test_batches_go_on_where_they_stopped_and_differ_between_processes(task):
     assert not torch.equal(first.orientation, second.orientation)
 
 
+def test_people_made_ahead_come_as_often_as_said_and_meet_others_each_time():
+    numbers = small_config().to_json()
+    task = make_task(make_config({**numbers, "data": {"validation": 14, "ahead": 3, "uses": 2}}))
+    batches, states = [], []
+    for _ in range(8):
+        states.append(task.state_dict())
+        batches.append(task.batch(torch.device("cpu")).orientation.flatten(1))
+    stock = torch.cat(batches[:6])
+    people, counts = torch.unique(stock, dim=0, return_counts=True)
+    assert (len(people), set(counts.tolist())) == (18, {2})
+    met = [{tuple(row) for row in batch.tolist()} for batch in batches]
+    assert not any(first & second for first in met[:3] for second in met[:3] if first is not second)
+    assert all(met[i] not in met[3:6] for i in range(3))
+    assert not met[6] & set().union(*met[:6])  # the stock was used up
+    for place in (1, 6, 7):
+        task.load_state_dict(states[place])
+        assert torch.equal(task.batch(torch.device("cpu")).orientation.flatten(1), batches[place])
+
+
+@pytest.mark.parametrize("name", ["ahead", "uses", "validation"])
+def test_counts_of_people_are_positive(name):
+    with pytest.raises(InputError, match=rf"data\.{name}: 0; expected 1 or more"):
+        make_config({"task": "label-network", "steps": 1, "data": {name: 0}})
+
+
 def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     weights = task.model().state_dict()
     task.save(tmp_path / "model.safetensors", weights, {}, half=False)
@@ -202,5 +227,6 @@ def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     assert all(torch.equal(read[name], value) for name, value in weights.items())
     with pytest.raises(InputError, match="initial: packaged: a network of"):
         task.read("packaged")
-    packaged = make_task(make_config({"task": "label-network", "steps": 1}))
+    without = {"model": {"regressor": {"dropout": 0.0}}}  # changes no weight's shape
+    packaged = make_task(make_config({"task": "label-network", "steps": 1, **without}))
     packaged.model().load_state_dict(packaged.read("packaged"))

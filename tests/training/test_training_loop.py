@@ -325,6 +325,15 @@ def test_bfloat16_and_float32_in_one_process(tmp_path, device):
     assert one == pytest.approx(two, rel=0.02)
 
 
+def test_a_compiled_model_learns_the_same(tmp_path, device):
+    values = {"steps": 3, "log_every": 1, "model": {"dropout": 0.0}}
+    for compiled in (False, True):
+        run_training(config(tmp_path / str(compiled), compile=compiled, **values), device=device)
+    plain, compiled = (newest(tmp_path / str(compiled)).tensors["model"] for compiled in (False, True))
+    assert plain.keys() == compiled.keys()
+    assert all(torch.allclose(value.float(), compiled[name].float(), atol=1e-5) for name, value in plain.items())
+
+
 def test_validation_and_log_change_nothing(tmp_path):
     run_training(config(tmp_path / "often", validate_every=1, log_every=1), device="cpu")
     run_training(config(tmp_path / "never", validate_every=0, log_every=7), device="cpu")

@@ -1,0 +1,170 @@
+"""Detailed models with few vertices, for drawing: where a scene shows less than the mesh holds, less is enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from trimesh.triangles import closest_point
+
+from ..body.template import NUM_PARTS
+from ..errors import check_whole
+from .model import DetailedModel
+from .surfaces import vertex_parts
+
+_LEAST = 12  # vertices of a part
+_ROUNDS = 3  # of moving vertices to where the surface was
+_MOST = 0.99  # share of the area that the error holds for
+_NOTHING = 1e-6  # of a landmark: what a joint carries less of counts nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Model of few vertices.
+
+    Attributes:
+        model: Of the same shapes, joints and landmarks. Faces have the first ``drawn`` vertices; the others carry
+            landmarks, which are exactly those of the whole model.
+        drawn: Number of vertices with faces.
+        kept: The whole model's vertices that these stand for, shape (drawn,), int64.
+        error: Distance of the whole model's surface from this one at rest [m], exceeded by 1 % of its area.
+    """
+
+    model: DetailedModel
+    drawn: int
+    kept: torch.Tensor
+    error: float
+
+
+def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
+    """Reduce a model to about so many vertices, spread evenly over each part's skin, those of small parts denser.
+
+    A face stays where its corners fall to three different vertices. These move along their normals, by millimetres, so
+    that on average the surface is where it was.
+
+    Args:
+        model: Any.
+        vertices: That faces have, 240 or more.
+
+    Raises:
+        ValueError: If ``vertices`` is less than that, or more than the model has.
+    """
+    count = check_whole("vertices", vertices, _LEAST * NUM_PARTS, model.num_vertices)
+    part, areas = (values.cpu().numpy() for values in vertex_parts(model))
+    rest = model.rest_vertices.double().cpu().numpy()
+    faces = model.faces.cpu().numpy().astype(np.int64)
+    kept, nearest = _spread(rest, np.where(areas > 0, part, -1), areas, count)
+    corners = nearest[faces]
+    whole = (corners != np.roll(corners, 1, axis=1)).all(1) & (corners >= 0).all(1)
+    first = np.unique(np.sort(corners[whole], axis=1), axis=0, return_index=True)[1]
+    corners, labels = corners[whole][first], model.face_parts.cpu().numpy()[whole][first]
+    places, error = _settle(rest, areas, kept, nearest, corners)
+
+    points, joints, weights = _landmark_points(model)
+    some = torch.from_numpy(kept).to(model.faces.device)
+
+    def rows(values: torch.Tensor) -> torch.Tensor:
+        """Of vertices (..., V, C)."""
+        return torch.cat([values[..., some, :], points @ values], dim=-2)
+
+    rests, bends = rows(model.rest_vertices), model.pose_directions
+    rests[: len(kept)] += torch.from_numpy(places - rest[kept]).to(rests)
+    alone = torch.nn.functional.one_hot(joints, model.num_joints).to(rests)
+    reduced = replace(
+        model,
+        faces=torch.from_numpy(corners.astype(np.int32)).to(some.device),
+        face_parts=torch.from_numpy(labels).to(some.device),
+        rest_vertices=rests,
+        shape_directions=rows(model.shape_directions),
+        skin_weights=torch.cat([model.skin_weights[some], alone]),
+        landmark_weights=torch.nn.functional.pad(weights, (len(kept), 0)),
+        pose_directions=None if bends is None else rows(bends.unflatten(1, (-1, 3))).flatten(1),
+    )
+    return Reduced(reduced, len(kept), some, error)
+
+
+def _spread(rest: np.ndarray, part: np.ndarray, areas: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices to keep, and for each vertex the place of its nearest among them; -1 for one of no part."""
+    shares = np.sqrt(np.bincount(part[part >= 0], areas[part >= 0], NUM_PARTS))
+    wanted = np.maximum(_LEAST, count * shares / shares.sum())
+    kept: list[int] = []
+    nearest = np.full(len(rest), -1)
+    for index in range(NUM_PARTS):
+        members = np.flatnonzero(part == index)
+        if not len(members):
+            continue
+        places = rest[members]
+        chosen, squares, own = [], np.full(len(members), np.inf), np.zeros(len(members), dtype=np.int64)
+        farthest = int(np.square(places - places.mean(0)).sum(1).argmax())
+        while len(chosen) < min(wanted[index], len(members)):
+            distance = np.square(places - places[farthest]).sum(1)
+            own = np.where(distance < squares, len(chosen), own)
+            squares = np.minimum(squares, distance)
+            chosen.append(farthest)
+            farthest = int(squares.argmax())
+        nearest[members] = len(kept) + own
+        kept += members[chosen].tolist()
+    return np.array(kept), nearest
+
+
+def _settle(
+    rest: np.ndarray, areas: np.ndarray, kept: np.ndarray, nearest: np.ndarray, corners: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Places of the kept vertices about which the old surface is at distance 0 on average, and the error."""
+    members = np.flatnonzero(nearest >= 0)
+    own, areas = nearest[members], areas[members]
+    # All faces about each member's vertex, one after another.
+    order = np.argsort(corners, axis=None, kind="stable")
+    counts = np.bincount(corners.ravel(), minlength=len(kept))
+    repeats = counts[own]
+    starts = np.cumsum(repeats) - repeats
+    within = np.arange(repeats.sum()) - np.repeat(starts, repeats)
+    about = order[np.repeat((np.cumsum(counts) - counts)[own], repeats) + within] // 3
+    points = np.repeat(rest[members], repeats, axis=0)
+    near = repeats > 0
+
+    def distances(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the members from the faces, positive outside, and the normals of the kept vertices."""
+        triangles = places[corners]
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        offsets = points - closest_point(triangles[about], points)
+        lengths = np.linalg.norm(offsets, axis=1)
+        shortest = np.minimum.reduceat(lengths, starts[near])
+        signs = np.sign(
+            np.add.reduceat(
+                (offsets * normals[about]).sum(1) * (lengths == np.repeat(shortest, repeats[near])), starts[near]
+            )
+        )
+        found = np.zeros(len(members))
+        found[near] = shortest * signs
+        sums = np.zeros_like(places)
+        for corner in corners.T:
+            np.add.at(sums, corner, normals)
+        return found, sums / np.linalg.norm(sums, axis=1, keepdims=True).clip(1e-12)
+
+    places, weight = rest[kept], np.bincount(own, areas, len(kept)).clip(1e-12)
+    for _ in range(_ROUNDS):
+        found, normals = distances(places)
+        places = places + (np.bincount(own, found * areas, len(kept)) / weight)[:, None] * normals
+    found = np.abs(distances(places)[0])
+    order = found.argsort()
+    return places, float(found[order[np.searchsorted(areas[order].cumsum(), _MOST * areas.sum())]])
+
+
+def _landmark_points(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Points of which landmarks are sums, each carried by one joint alone, so that few of them are exact.
+
+    Returns:
+        The points as sums of vertices, shape (P, V); their joints, shape (P,); and the landmarks as sums of points and
+        of joints, shape (L, P + J).
+    """
+    vertices = model.num_vertices
+    by_vertex = model.landmark_weights[:, :vertices]
+    shares = by_vertex @ model.skin_weights  # of each landmark that each joint carries
+    landmarks, joints = (shares.abs() > _NOTHING).nonzero(as_tuple=True)
+    share = shares[landmarks, joints]
+    points = by_vertex[landmarks] * model.skin_weights[:, joints].mT / share[:, None]
+    weights = torch.zeros(len(by_vertex), len(share)).to(share)
+    weights[landmarks, torch.arange(len(share), device=share.device)] = share
+    return points, joints, torch.cat([weights, model.landmark_weights[:, vertices:]], dim=1)
