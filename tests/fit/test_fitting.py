@@ -11,11 +11,14 @@ from scenes.bodies import PICTURE_SIZE, QUICK_SEARCH, seen_by, walker
 
 from warp_partdr import metrics
 from warp_partdr.body.posing import LandmarkGather
+from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.errors import InputError
+from warp_partdr.fit import fitting
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.part_labels import PartLabels
+from warp_partdr.network.predict import ask_network
 
 
 def test_fit_finds_a_body_from_perfect_labels():
@@ -63,9 +66,16 @@ def test_fit_refuses_keypoints_that_say_nothing():
         fit_body(replace(keypoints, points=keypoints.points * 0 + 50), parts)
 
 
-def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure():
-    """Labels of one body pull another one that leans from it, in the picture alone if told so."""
+def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
+    """Labels and keypoints of one body pull another one that leans from it, in the picture alone if told so."""
     keypoints, parts = seen_by(walker())
+    lean = rotation_from_axis_angle(torch.tensor([0.4, 0.0, 0.0]))
+
+    def said(observations, network):
+        found = ask_network(observations, network)
+        return replace(found, orientation=lean @ found.orientation)
+
+    monkeypatch.setattr(fitting, "ask_network", said)
     options = replace(FitOptions.at("balanced"), search=())
     *before, outline = options.stages
 

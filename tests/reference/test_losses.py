@@ -77,9 +77,9 @@ def test_training_terms_are_the_books(rng):
     joints, has_joints = posed_landmarks(bodies.posed(), MPJPE_JOINTS).flip(0) + 0.1, torch.ones(2, len(MPJPE_JOINTS))
     has_joints[1, MPJPE_JOINTS.index("neck")] = 0
     keypoints = torch.from_numpy(rng.random((2, len(LANDMARKS), 3))).float()
-    terms = body_terms(
-        SimpleNamespace(bodies=bodies), SimpleNamespace(joints=joints, has_joints=has_joints, keypoints=keypoints)
-    )
+    plain = torch.zeros(2, dtype=torch.bool)
+    examples = SimpleNamespace(joints=joints, has_joints=has_joints, keypoints=keypoints, annotated=plain)
+    terms = body_terms(SimpleNamespace(bodies=bodies), examples)
     l_3d = l_proj = 0.0
     points = bodies.camera(REFERENCE_SIZE).project(posed_landmarks(bodies.posed(), LANDMARKS))[..., :2]
     for b in range(2):

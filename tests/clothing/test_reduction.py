@@ -1,0 +1,87 @@
+"""Detailed models of few vertices: the same body where it is drawn, the same landmarks exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scenes.bodies import walker
+
+from warp_partdr.body.template import NUM_PARTS
+from warp_partdr.cameras import WeakPerspective
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.model import DetailedModel, detailed_mesh
+from warp_partdr.clothing.pose import pose_from_ellipbody
+from warp_partdr.clothing.reduction import Reduced, reduce_model
+from warp_partdr.render.mesh import draw_mesh
+
+SIZE = 192
+
+
+@pytest.fixture(scope="module")
+def reduced() -> Reduced:
+    return reduce_model(anny(), 1500)
+
+
+def posed(model: DetailedModel, like: DetailedModel):
+    """A walker of an odd shape, posed as the whole model would be."""
+    shape = torch.linspace(-1.5, 1.5, like.num_shapes)[None]
+    return model.pose(shape, *pose_from_ellipbody(like, walker().posed(), shape))
+
+
+def drawn(model: DetailedModel) -> torch.Tensor:
+    camera = WeakPerspective(torch.tensor([90.0]), torch.full((1, 2), SIZE / 2))
+    return draw_mesh(posed(model, anny()).vertices, detailed_mesh(model), camera, (SIZE, SIZE)).labels[0]
+
+
+def test_it_has_as_many_vertices_as_asked_and_every_part(reduced):
+    assert 1400 < reduced.drawn < 1600
+    assert int(reduced.model.faces.max()) == reduced.drawn - 1
+    assert set(reduced.model.face_parts.tolist()) == set(range(1, NUM_PARTS + 1))
+    assert len(torch.unique(reduced.kept)) == reduced.drawn
+    assert torch.allclose(reduced.model.skin_weights.sum(1), torch.ones(reduced.model.num_vertices), atol=1e-5)
+
+
+def test_landmarks_are_the_whole_model_s(reduced):
+    whole, few = anny(), reduced.model
+    names = whole.landmark_names
+    want, have = (model.landmarks(posed(model, whole), names) for model in (whole, few))
+    assert (want - have).abs().max() < 1e-5
+    assert few.num_vertices < reduced.drawn + 250
+
+
+def test_its_picture_is_the_whole_model_s_but_for_borders(reduced):
+    want, have = drawn(anny()), drawn(reduced.model)
+    both = ((want > 0) & (have > 0)).sum() / ((want > 0) | (have > 0)).sum()
+    assert both > 0.95
+    assert (have > 0).sum() / (want > 0).sum() == pytest.approx(1, abs=0.035)
+    assert (want == have)[want > 0].float().mean() > 0.9
+
+
+def test_more_vertices_are_nearer(reduced):
+    errors = [reduce_model(anny(), count).error for count in (500, 4000)]
+    assert errors[0] > 1.5 * reduced.error > 1.5**2 * errors[1]
+    assert 0.002 < reduced.error < 0.01
+
+
+def test_pose_directions_are_kept(reduced):
+    """A model with SMPL's bends of the skin: those of its vertices, and of landmarks."""
+    whole = anny()
+    directions = 1e-3 * torch.randn(
+        9 * (whole.num_joints - 1), 3 * whole.num_vertices, generator=torch.Generator().manual_seed(0)
+    )
+    whole = replace(whole, pose_directions=directions)
+    few = reduce_model(whole, 600)
+    wide, narrow = posed(whole, whole), posed(few.model, whole)
+    names = whole.landmark_names
+    assert (whole.landmarks(wide, names) - few.model.landmarks(narrow, names)).abs().max() < 1e-4
+    moved = wide.vertices[:, few.kept] - posed(anny(), whole).vertices[:, few.kept]
+    without = posed(replace(few.model, pose_directions=None), whole).vertices[:, : few.drawn]
+    assert torch.allclose(narrow.vertices[:, : few.drawn] - without, moved, atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [239, 13_719])
+def test_numbers_that_no_mesh_has(count):
+    with pytest.raises(ValueError, match="vertices"):
+        reduce_model(anny(), count)
