@@ -1,4 +1,4 @@
-"""Measure and print what each quality of a fit gives, against the label network's body as it is, on PartBench's people.
+"""Measure and print what qualities of a fit and the mesh stage give, against the label network's body, on PartBench.
 
     python scripts/measure_stages.py LEVEL [FIRST LAST] [NETWORK]
 
@@ -17,20 +17,25 @@ from measure_camera import interval
 from warp_partdr import FitOptions, fit_body
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.scoring import Score, score_fit, summarise
+from warp_partdr.fit.mesh_stage import refine_mesh
 
 _ALONE = "network"
+_MESH = "mesh"  # from the fast quality on
 _FITS = {_ALONE: FitOptions(stages=())} | {name: FitOptions.at(name) for name in ("fast", "balanced", "accurate")}
 
 
 def main(level: str, first: int = 200, last: int = 299, network: str | None = None) -> None:
     wp.config.log_level = wp.LOG_WARNING
-    scores: dict[str, list[Score]] = {name: [] for name in _FITS}
+    scores: dict[str, list[Score]] = {name: [] for name in (*_FITS, _MESH)}
     for index in range(first, last + 1):
         sample = make_sample(index, level)
         for name, options in _FITS.items():
             given = replace(options, network=network)
             result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=given)
             scores[name].append(score_fit(sample, name, result, 0.0))
+            if name == "fast":
+                mesh = refine_mesh(result)
+                scores[_MESH].append(score_fit(sample, _MESH, mesh, 0.0, mesh.vertices))
     errors = {name: np.array([(each.pa_mpjpe, each.mpjpe) for each in those]).T for name, those in scores.items()}
     for name, those in scores.items():
         found = summarise(those)

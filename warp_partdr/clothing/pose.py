@@ -12,6 +12,8 @@ from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
 _AIMED = ("upper_leg", "lower_leg", "upper_arm", "forearm")
+# Of these, a model's bones lie a little askew in a body that stands as EllipBody does.
+_TRUNK = ("abdomen", "chest", "neck", "shoulder")
 # Where a part has several joints, the skin turns little by little: those of the trunk go halfway at the first one; the
 # upper limbs go halfway there in twist alone, so that the bone's direction stays; the lower limbs' last joint goes
 # halfway to the twist of the hand or foot.
@@ -21,7 +23,7 @@ _TWISTING_LAST = {"lower_leg": "foot", "forearm": "hand"}
 
 
 def pose_from_ellipbody(
-    model: DetailedModel, posed: Posed, shape: torch.Tensor | None = None
+    model: DetailedModel, posed: Posed, shape: torch.Tensor | None = None, *, trunk_along: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """A detailed model's pose in which its limbs have the directions and twists of EllipBody's.
 
@@ -31,13 +33,16 @@ def pose_from_ellipbody(
         model: On the device and of the dtype of ``posed``.
         posed: EllipBodies.
         shape: Shape values of the model, (B, S), on which bones' directions at rest depend a little. Default 0.
+        trunk_along: The trunk's bones have EllipBody's directions, too, as where its joints are a person's. By default
+            they turn as EllipBody's do from rest, as where the pose is a person's.
 
     Returns:
         Local rotations, shape (B, J, 3, 3), and position of the root joint [m], shape (B, 3), for ``model.pose``.
     """
     batch = len(posed.rotations)
     rest = model.rest(posed.rotations.new_zeros(batch, model.num_shapes) if shape is None else shape)
-    parts = dict(zip(PART_NAMES, (posed.rotations @ rest_turns(model, rest)).unbind(1), strict=True))
+    turned = rest_turns(model, rest, trunk_along=trunk_along)
+    parts = dict(zip(PART_NAMES, (posed.rotations @ turned).unbind(1), strict=True))
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
     pelvis = rotation_from_6d(rotation_to_6d(parts["left_hip"] + parts["right_hip"]))
 
@@ -71,8 +76,9 @@ def pose_from_ellipbody(
     return rotations, between_hips - (pelvis @ middle[..., None])[..., 0]
 
 
-def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
+def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = False) -> torch.Tensor:
     """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
+    aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED
     like = rest.joints
     identity = torch.eye(3, dtype=like.dtype, device=like.device).expand(len(like), 3, 3)
     directions = torch.from_numpy(template().rest_directions).to(like).expand(len(like), -1, -1)
@@ -80,7 +86,7 @@ def rest_turns(model: DetailedModel, rest: Detailed) -> torch.Tensor:
     turns: list[torch.Tensor] = []
     for part, (name, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
         kind = without_side(name)
-        if kind not in (*_AIMED, "hand"):
+        if kind not in (*aimed, "hand"):
             turns.append(identity)
             continue
         bone = known[JOINT_NAMES[part + 1]] - known[JOINT_NAMES[parent + 1]]

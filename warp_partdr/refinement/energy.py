@@ -105,6 +105,13 @@ class Weights:
     depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
 
 
+def landmark_votes(seen: Observation) -> torch.Tensor:
+    """Weights of landmarks, shape (L,): those of a part share its vote, for ten of a face say little more than one."""
+    parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(seen.confidence.device)
+    votes = torch.zeros(NUM_PARTS, device=parts.device).index_add(0, parts, seen.confidence)
+    return seen.confidence / votes.clamp_min(1.0)[parts]
+
+
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
 SEG = next(term for term in TERMS if term.name == "seg")
 
@@ -142,10 +149,7 @@ class Energy:
         seen = self.observation
         device = seen.points.device
         self._gather = LandmarkGather(seen.body_points, device)
-        # Ten points of a face say little more than one: the landmarks of one part share its vote.
-        parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(device)
-        votes = torch.zeros(20, device=device).index_add(0, parts, seen.confidence)
-        self.votes = seen.confidence / votes.clamp_min(1.0)[parts]
+        self.votes = landmark_votes(seen)
         mean = BodyParameters.mean(1, device=device)
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses

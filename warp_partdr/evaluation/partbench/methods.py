@@ -10,6 +10,7 @@ import numpy as np
 
 from ...clothing.anny import anny
 from ...clothing.registration import RegistrationOptions, RegistrationWeights, register
+from ...fit.mesh_stage import MeshOptions
 from ...fit.options import FitOptions
 from ...fit.result import FitResult
 from ..evaluate import METHODS as SUPERVISIONS
@@ -42,6 +43,6 @@ METHODS: dict[str, Method] = {
         options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices
     ),
     "parts, Anny's mesh": _MESH,
-    "parts, Anny's mesh, no z gradient": replace(_MESH, fit=partial(fit_anny, depth_weight=0.0)),
+    "parts, Anny's mesh, no z gradient": replace(_MESH, fit=partial(fit_anny, mesh=MeshOptions(depth_weight=0.0))),
 }
 QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)
