@@ -95,7 +95,8 @@ def _spread(rest: np.ndarray, part: np.ndarray, areas: np.ndarray, count: int) -
         if not len(members):
             continue
         places = rest[members]
-        chosen, squares, own = [], np.full(len(members), np.inf), np.zeros(len(members), dtype=np.int64)
+        chosen: list[int] = []
+        squares, own = np.full(len(members), np.inf), np.zeros(len(members), dtype=np.int64)
         farthest = int(np.square(places - places.mean(0)).sum(1).argmax())
         while len(chosen) < min(wanted[index], len(members)):
             distance = np.square(places - places[farthest]).sum(1)

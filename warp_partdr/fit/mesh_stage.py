@@ -6,6 +6,7 @@ It starts where a fit's ellipsoids are, and its pose and depth are held as hard 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -24,16 +25,17 @@ from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import pose_from_ellipbody
 from ..clothing.reduction import reduce_model
 from ..clothing.registration import shape_from_lengths
-from ..errors import check_type
+from ..errors import check_type, check_whole
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..interop.adam import Adam
-from ..interop.checks import check_steps
+from ..interop.checks import MAX_PICTURE, check_steps
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..network.uncertainty import Uncertainty
 from ..refinement.energy import landmark_votes
 from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh, mesh_label_loss
+from ..render.options import check_partdr_options
 from ..render.part_mesh import PartMesh
 from .fitting import Progress
 from .result import FitResult
@@ -72,6 +74,14 @@ class MeshOptions:
     shape: float = 1.0
     max_distance: float = 3.0
     depth_weight: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_steps(self.iterations, self.learning_rate)
+        check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
+        check_partdr_options(self.max_distance, self.depth_weight)
+        for name in ("proj", "seg", "depth", "turns", "shape"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
 
 
 @dataclass(frozen=True)
@@ -130,13 +140,13 @@ def refine_mesh(
 
     Raises:
         TypeError: If an argument is of another type.
-        ValueError: If an option is out of range, or the model is elsewhere or not float32.
+        ValueError: If the mesh can't have so many vertices, or the model is elsewhere or not float32.
     """
     check_type("result", result, FitResult, "of fit_body")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     check_type("options", options, MeshOptions | None, "such as MeshOptions()")
     options = options or MeshOptions()
-    iterations = check_steps(options.iterations, options.learning_rate)
+    iterations = options.iterations
     posed = result.parameters.posed()
     model = model or anny(posed.joints.device)
     like = model.rest_vertices

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 
 from ..body.landmarks import mirror_order
@@ -61,15 +62,13 @@ def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
 @lru_cache(maxsize=8)
 def _orders(device: torch.device) -> dict[str, torch.Tensor]:
     """Where the mirror images of channels, landmarks, parts, joints and rotations stand."""
-    parts = mirror_order(PART_NAMES)
-    joints = mirror_order(JOINT_NAMES[1:])
-    free = mirror_order([PART_NAMES[part] for part in FREE_PARTS])
+    parts, free = mirror_order(PART_NAMES), mirror_order([PART_NAMES[part] for part in FREE_PARTS])
     orders = {
-        "channels": [*parts, *range(len(parts), NUM_CHANNELS)],
+        "channels": np.append(parts, np.arange(len(parts), NUM_CHANNELS)),
         "landmarks": mirror_order(LANDMARKS),
         "parts": parts,
-        "joints": joints,
-        "turns": [0, *(free + 1)],
+        "joints": mirror_order(JOINT_NAMES[1:]),
+        "turns": np.append(0, free + 1),
     }
     with torch.inference_mode(False):  # kept for calls outside of it, too
-        return {name: torch.tensor([int(each) for each in order], device=device) for name, order in orders.items()}
+        return {name: torch.from_numpy(order).to(device) for name, order in orders.items()}

@@ -27,14 +27,13 @@ class RunningMean:
     def update(self, model: torch.nn.Module) -> None:
         """Move toward the weights of ``model``; whole numbers become its own."""
         self.steps += 1
-        pairs = zip(_tensors(self.module), _tensors(model), strict=True)
-        floats, others = [], []
-        for mean, new in pairs:
-            (floats if mean.is_floating_point() else others).append((mean, new.detach()))
         share = 1 - min(self._decay, (1 + self.steps) / (10 + self.steps))
-        for change, those in ((lambda a, b: torch._foreach_lerp_(a, b, share), floats), (torch._foreach_copy_, others)):
-            if those:
-                change(*map(list, zip(*those, strict=True)))
+        pairs = [(mean, new.detach()) for mean, new in zip(_tensors(self.module), _tensors(model), strict=True)]
+        floats = [pair for pair in pairs if pair[0].is_floating_point()]
+        torch._foreach_lerp_([mean for mean, _ in floats], [new for _, new in floats], share)
+        for mean, new in pairs:
+            if not mean.is_floating_point():
+                mean.copy_(new)
 
 
 def _tensors(model: torch.nn.Module) -> chain[torch.Tensor]:

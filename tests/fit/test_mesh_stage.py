@@ -1,0 +1,136 @@
+"""The mesh stage: a detailed body that shows what the labels do, where the fit that it goes on from was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr import Perspective, metrics
+from warp_partdr.clothing.anny import anny
+from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
+from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.mesh_stage import MeshFit, MeshOptions, refine_mesh
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.result import FitResult
+from warp_partdr.inputs.sample import Sample
+
+QUICK = MeshOptions(iterations=20, size=96, vertices=800)
+
+
+def fitted(sample: Sample, device: str = "cpu", **given: object) -> FitResult:
+    options = FitOptions.at("fast")
+    return fit_body(sample.keypoints, sample.parts, others=sample.others, options=options, device=device, **given)
+
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return make_sample(4, "clean")
+
+
+@pytest.fixture(scope="module")
+def first(sample) -> FitResult:
+    return fitted(sample)
+
+
+def part_f1(sample: Sample, shown: np.ndarray) -> float:
+    return float(metrics.part_f1(metrics.confusion(LABELS.from_parts(shown), sample.target, LABELS.num_groups + 1)))
+
+
+def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
+    first = fitted(sample, device)
+    mesh = refine_mesh(first)
+    size = sample.target.shape
+    before, after = (part_f1(sample, found.draw(size).labels[0].cpu().numpy()) for found in (first, mesh))
+    assert after > before + 0.04
+    assert mesh.vertices.shape == sample.vertices.shape
+    names = ("left_knee", "right_wrist", "neck")
+    assert np.abs(mesh.landmarks(names) - first.landmarks(names)).max() < 0.15
+    assert set(mesh.terms) == {"proj", "depth", "turns", "shape", "seg"}
+
+
+def test_no_steps_leave_ellipbodys_pose(first):
+    mesh = refine_mesh(first, options=replace(QUICK, iterations=0))
+    names = ("left_knee", "right_ankle", "left_elbow", "right_wrist", "neck", "head")
+    apart = np.linalg.norm(mesh.landmarks(names) - first.landmarks(names), axis=1)
+    assert apart.max() < 0.045
+    assert mesh.terms == {}
+
+
+def test_the_network_holds_depth_and_turns(first):
+    """The surer it says it is, the less the body moves."""
+
+    def moved(spread: float) -> tuple[float, float]:
+        said = first.uncertainty
+        said = replace(said, depths=spread * said.depths, turns=spread * said.turns)
+        start, found = (
+            refine_mesh(replace(first, uncertainty=said), options=replace(QUICK, iterations=steps)) for steps in (0, 20)
+        )
+        turned = (start.rotations.mT @ found.rotations).diagonal(dim1=2, dim2=3).sum(-1)
+        joints = [mesh.detailed.joints[0, :, 2] for mesh in (start, found)]
+        return float((joints[0] - joints[1]).abs().mean()), float((3 - turned).mean())
+
+    (depth, turn), (loose_depth, loose_turn) = moved(0.2), moved(5.0)
+    assert depth < 0.5 * loose_depth
+    assert turn < 0.5 * loose_turn
+
+
+def test_without_labels_keypoints_pull_alone(sample):
+    alone = fit_body(sample.keypoints, None, options=FitOptions.at("fast"))
+    off = []
+    for iterations in (0, 20):
+        mesh = refine_mesh(alone, options=replace(QUICK, iterations=iterations))
+        assert "seg" not in mesh.terms
+        places = torch.from_numpy(mesh.landmarks(sample.keypoints.format.marks))[None]
+        apart = mesh.camera.project(places)[0, :, :2].numpy() - sample.keypoints.points
+        off.append(np.linalg.norm(apart, axis=1)[sample.keypoints.confident].mean())
+    assert off[1] < 0.8 * off[0]
+
+
+def test_a_known_camera_sees_it_in_metres():
+    near = make_sample(0, "near")
+    found = fitted(near, camera=near.camera)
+    mesh = refine_mesh(found, options=QUICK)
+    assert isinstance(mesh.camera, Perspective)
+    assert mesh.camera.focal[0, 0] == pytest.approx(float(near.camera.focal[0, 0]), rel=1e-3)
+    pelvis = mesh.landmarks(("pelvis",))[0]
+    assert pelvis == pytest.approx(found.landmarks(("pelvis",))[0], abs=0.15)
+    assert 1 < pelvis[2] < 4
+    again = mesh.model.pose(mesh.shape, mesh.rotations, mesh.translation)
+    torch.testing.assert_close(again.vertices, mesh.detailed.vertices)
+
+
+def test_a_search_s_body_is_held_by_common_spreads(first):
+    mesh = refine_mesh(replace(first, uncertainty=None), options=QUICK)
+    assert all(np.isfinite(term) for term in mesh.terms.values())
+
+
+def test_progress_is_told(first):
+    told: list[tuple[str, int, int]] = []
+    refine_mesh(first, options=QUICK, progress=lambda *news: told.append(news))
+    assert told == [("mesh", step, 20) for step in range(1, 21)]
+
+
+def test_wrong_arguments_are_named(first):
+    with pytest.raises(TypeError, match="result"):
+        refine_mesh(first.posed)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="model"):
+        refine_mesh(first, "anny")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"model: torch\.float64 on cpu; expected torch\.float32 on cpu"):
+        refine_mesh(first, anny(dtype=torch.float64))
+    with pytest.raises(ValueError, match="iterations"):
+        refine_mesh(first, options=replace(QUICK, iterations=-1))
+    with pytest.raises(ValueError, match="size: 0; expected"):
+        MeshOptions(size=0)
+    with pytest.raises(ValueError, match="seg: -1"):
+        MeshOptions(seg=-1.0)
+    with pytest.raises(ValueError, match="vertices"):
+        refine_mesh(first, options=replace(QUICK, vertices=10))
+
+
+def test_it_moves_to_another_device_as_a_whole(first, device):
+    mesh = refine_mesh(first, options=replace(QUICK, iterations=1)).to(device)
+    assert isinstance(mesh, MeshFit)
+    assert str(mesh.detailed.vertices.device) == str(mesh.first.parameters.shift.device) == device
