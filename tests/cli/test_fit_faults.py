@@ -16,7 +16,7 @@ from scenes.files import tree
 from warp_partdr import InputError, load_body
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights
-from warp_partdr.fit import fitting
+from warp_partdr.fit import fitting, mesh_stage
 from warp_partdr.results import result_sets, save
 
 files, run = commands.files, commands.run  # fixtures
@@ -133,8 +133,8 @@ def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, m
 @pytest.mark.parametrize(
     ("fails", "error", "says"),
     [
-        ("register", RuntimeError("no memory left\non this device"), "no memory left on this device; "),
-        ("register", ValueError("joints: holds NaN"), "joints: holds NaN; "),
+        ("refine_mesh", RuntimeError("no memory left\non this device"), "no memory left on this device; "),
+        ("refine_mesh", ValueError("joints: holds NaN"), "joints: holds NaN; "),
         ("save_detailed", PermissionError(13, "Permission denied"), "out: Permission denied; expected a folder"),
     ],
 )
@@ -144,7 +144,7 @@ def test_a_detailed_body_that_fails_leaves_the_fit(
     def refuse(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(registration if fails == "register" else save, fails, refuse)
+    monkeypatch.setattr(mesh_stage if fails == "refine_mesh" else save, fails, refuse)
     code, said, complaint = run(f"fit {GOOD}")
     assert code == 2
     assert "label network" in said

@@ -48,7 +48,7 @@ def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
     assert mesh.vertices.shape == sample.vertices.shape
     names = ("left_knee", "right_wrist", "neck")
     assert np.abs(mesh.landmarks(names) - first.landmarks(names)).max() < 0.15
-    assert set(mesh.terms) == {"proj", "depth", "turns", "shape", "seg"}
+    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "seg"}
 
 
 def test_no_steps_leave_ellipbodys_pose(first):
@@ -56,7 +56,7 @@ def test_no_steps_leave_ellipbodys_pose(first):
     names = ("left_knee", "right_ankle", "left_elbow", "right_wrist", "neck", "head")
     apart = np.linalg.norm(mesh.landmarks(names) - first.landmarks(names), axis=1)
     assert apart.max() < 0.045
-    assert mesh.terms == {}
+    assert mesh.body.losses == {}
 
 
 def test_the_network_holds_depth_and_turns(first):
@@ -68,8 +68,8 @@ def test_the_network_holds_depth_and_turns(first):
         start, found = (
             refine_mesh(replace(first, uncertainty=said), options=replace(QUICK, iterations=steps)) for steps in (0, 20)
         )
-        turned = (start.rotations.mT @ found.rotations).diagonal(dim1=2, dim2=3).sum(-1)
-        joints = [mesh.detailed.joints[0, :, 2] for mesh in (start, found)]
+        turned = (start.body.rotations.mT @ found.body.rotations).diagonal(dim1=2, dim2=3).sum(-1)
+        joints = [mesh.body.detailed.joints[0, :, 2] for mesh in (start, found)]
         return float((joints[0] - joints[1]).abs().mean()), float((3 - turned).mean())
 
     (depth, turn), (loose_depth, loose_turn) = moved(0.2), moved(5.0)
@@ -82,7 +82,7 @@ def test_without_labels_keypoints_pull_alone(sample):
     off = []
     for iterations in (0, 20):
         mesh = refine_mesh(alone, options=replace(QUICK, iterations=iterations))
-        assert "seg" not in mesh.terms
+        assert "seg" not in mesh.body.losses
         places = torch.from_numpy(mesh.landmarks(sample.keypoints.format.marks))[None]
         apart = mesh.camera.project(places)[0, :, :2].numpy() - sample.keypoints.points
         off.append(np.linalg.norm(apart, axis=1)[sample.keypoints.confident].mean())
@@ -98,13 +98,35 @@ def test_a_known_camera_sees_it_in_metres():
     pelvis = mesh.landmarks(("pelvis",))[0]
     assert pelvis == pytest.approx(found.landmarks(("pelvis",))[0], abs=0.15)
     assert 1 < pelvis[2] < 4
-    again = mesh.model.pose(mesh.shape, mesh.rotations, mesh.translation)
-    torch.testing.assert_close(again.vertices, mesh.detailed.vertices)
+    body = mesh.body
+    again = body.model.pose(body.shape, body.rotations, body.translation)
+    torch.testing.assert_close(again.vertices, body.detailed.vertices)
 
 
 def test_a_search_s_body_is_held_by_common_spreads(first):
     mesh = refine_mesh(replace(first, uncertainty=None), options=QUICK)
-    assert all(np.isfinite(term) for term in mesh.terms.values())
+    assert all(np.isfinite(term) for term in mesh.body.losses.values())
+
+
+def test_it_goes_on_from_where_the_outline_stage_began(sample):
+    options = FitOptions()
+    short = replace(options, stages=(options.stages[0], replace(options.stages[1], iterations=30)))
+    whole, before = (
+        fit_body(sample.keypoints, sample.parts, options=each) for each in (short, short.without_outline())
+    )
+    assert before.before_outline is None
+    names = ("left_knee", "right_wrist", "neck")
+    ends = [refine_mesh(each, options=QUICK).landmarks(names) for each in (whole, before)]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-5)
+
+
+def test_it_is_registered_to_the_ellipsoids(first):
+    """What they are thicker or longer than the body stands in the file, for edits."""
+    body = refine_mesh(first, options=QUICK).body
+    eye = torch.eye(3).expand(1, 20, 3, 3)
+    torch.testing.assert_close(body.stretches, eye, atol=1e-5, rtol=0)
+    assert (body.growth == 1).all()
+    assert 0.01 < body.unexplained.abs().mean() < 0.5
 
 
 def test_progress_is_told(first):
@@ -133,4 +155,4 @@ def test_wrong_arguments_are_named(first):
 def test_it_moves_to_another_device_as_a_whole(first, device):
     mesh = refine_mesh(first, options=replace(QUICK, iterations=1)).to(device)
     assert isinstance(mesh, MeshFit)
-    assert str(mesh.detailed.vertices.device) == str(mesh.first.parameters.shift.device) == device
+    assert str(mesh.body.detailed.vertices.device) == str(mesh.first.parameters.shift.device) == device

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,12 +14,17 @@ from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
 from .options import CameraOptions, DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
-from .register import MODEL_HELP, clothe, describe_scores, read_model
+from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..cameras import Perspective
+    from ..clothing.model import DetailedModel
     from ..fit.options import FitOptions
+    from ..fit.result import FitResult
     from ..inputs.person import PersonInputs
+    from .progress import FitProgress
 
 NO_MODEL = "none"
 
@@ -26,7 +32,7 @@ NO_MODEL = "none"
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids to one person's keypoints and part labels; clothe it in a skinned mesh.
+FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to one person's keypoints and part labels.
 
 Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14`
 
@@ -100,11 +106,39 @@ def fit(
         return
     try:
         with FitProgress() as progress:
-            seen = result.camera, size, person.photo, result.evidence
-            told = clothe(result.posed, detailed_model, out, *seen, progress=progress)
+            if person.parts is None:
+                seen = result.camera, size, person.photo, result.evidence
+                told = clothe(result.posed, detailed_model, out, *seen, progress=progress)
+            else:
+                told = _refine_mesh(result, detailed_model, out, size, person.photo, progress)
     except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
     typer.echo(told)
+
+
+def _refine_mesh(
+    result: FitResult,
+    model: DetailedModel,
+    out: Path,
+    size: tuple[int, int],
+    photo: np.ndarray | None,
+    progress: FitProgress,
+) -> str:
+    """The mesh stage, its files, and a line about them."""
+    import warp as wp
+
+    from ..fit.mesh_stage import refine_mesh
+    from ..kernels.mesh import push_xy, push_z, rasterize, resolve
+    from ..results.save import save_registered
+
+    for module in (rasterize, resolve, push_xy, push_z):
+        wp.load_module(module, device=str(result.parameters.shift.device))
+    started = time.perf_counter()
+    mesh = refine_mesh(result, model, progress=progress)
+    seconds, seen = round(time.perf_counter() - started, 3), result.evidence
+    progress("writing results", 1, 1)
+    report = save_registered(mesh.body, out, mesh.camera, size, photo=photo, evidence=seen, seconds=seconds)
+    return say_detailed(report, out)
 
 
 def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> FitOptions:

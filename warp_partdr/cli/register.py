@@ -148,9 +148,14 @@ def clothe(
     seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
     report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
-    scores = f"{describe_scores(report)}; " if evidence is not None and evidence.picture is not None else ""
+    return say_detailed(report, out)
+
+
+def say_detailed(report: dict[str, Any], out: Path) -> str:
+    """A line about a detailed body's report, and where it is."""
+    scores = f"{describe_scores(report)}; " if "parts" in report else ""
     files = f"{out / 'detailed.png'} shows the detailed body, {out / 'detailed.glb'} opens in Blender"
-    return f"{model.name}: {scores}{files}"
+    return f"{report['model']}: {scores}{files}"
 
 
 def describe_scores(report: dict[str, Any]) -> str:

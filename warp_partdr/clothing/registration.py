@@ -203,6 +203,25 @@ def register(
         return Registered(model, *found, detailed, terms(detailed))
 
 
+def ungrown(
+    model: DetailedModel,
+    posed: Posed,
+    shape: torch.Tensor,
+    rotations: torch.Tensor,
+    translation: torch.Tensor,
+    detailed: Detailed,
+    losses: dict[str, torch.Tensor],
+) -> Registered:
+    """Detailed bodies found otherwise, with no part grown, as ``Registered`` to EllipBodies of the same people."""
+    parts, areas = vertex_parts(model)
+    body = Growth(model, parts, areas, shape)
+    unexplained = body.demanded(posed.semi_axes) - body.measured(shape)
+    growth = torch.ones_like(unexplained)
+    losses = {name: loss.detach() for name, loss in losses.items()}
+    found = shape, rotations, translation, body.stretches(growth), growth, unexplained
+    return Registered(model, *found, detailed, losses)
+
+
 def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
     """Shape values, shape (B, S), whose bones at rest have EllipBody's lengths (Gauss and Newton's method).
 

@@ -28,7 +28,7 @@ from .depth_flips import repair_depth_order
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
 from .result import FitResult
-from .stages import STAGES, Quality, Stage, Start
+from .stages import OUTLINE, STAGES, Quality, Stage, Start
 from .start_search import LiftEnergy, distinct, hypothesize
 
 Progress = Callable[[str, int, int], None]
@@ -158,6 +158,7 @@ class _Fit:
         seconds: dict[str, float] = {}
         lineage: list[np.ndarray] = []  # energies of what is left and of its ancestors
         finalists: list[float] = []
+        before_outline: BodyParameters | None = None
         done, total = 0, sum(stage.iterations for stage in self.stages)
         for index, stage in enumerate(self.stages):
             started = time.perf_counter()
@@ -165,6 +166,8 @@ class _Fit:
                 kept = distinct(bodies, energies, stage.bodies)
                 bodies = bodies.select(kept)
                 lineage = [rows[:, kept.cpu().numpy()] for rows in lineage]
+            if stage.name == OUTLINE:
+                before_outline = bodies
             weights = stage.weights or options.weights
             if stage.size == 0:
                 weights = replace(weights, seg=0.0)
@@ -189,8 +192,9 @@ class _Fit:
             done += stage.iterations
             seconds[stage.name] = time.perf_counter() - started
         winner = int(energies.argmin())
+        chosen = torch.tensor([winner], device=energies.device)
         return FitResult(
-            parameters=bodies.select(torch.tensor([winner], device=energies.device)),
+            parameters=bodies.select(chosen),
             crop=self.crop,
             observation=seen,
             stages=self.stages,
@@ -201,6 +205,7 @@ class _Fit:
             finalists=finalists,
             start=start,
             evidence=self.evidence,
+            before_outline=None if before_outline is None else before_outline.select(chosen),
         )
 
     def complaints(self, found: FitResult) -> list[str]:

@@ -24,7 +24,7 @@ from ..clothing.anny import anny
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import pose_from_ellipbody
 from ..clothing.reduction import reduce_model
-from ..clothing.registration import shape_from_lengths
+from ..clothing.registration import Registered, shape_from_lengths, ungrown
 from ..errors import check_type, check_whole
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..interop.adam import Adam
@@ -53,7 +53,7 @@ class MeshOptions:
         iterations: Steps of Adam.
         learning_rate: Of angles [rad] and camera [half-sides of the crop].
         size: Side of the drawn crop [px].
-        vertices: Of the mesh that is drawn meanwhile (``reduce_model``).
+        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more.
         proj: Weight of L_proj.
         seg: Weight of L_seg.
         depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
@@ -90,36 +90,27 @@ class MeshFit(Movable):
 
     Attributes:
         first: The fit that it went on from.
-        model: The whole model.
-        shape: Shape values, shape (1, S).
-        rotations: Local rotation of each joint, shape (1, J, 3, 3).
-        translation: Position of the root joint in the camera frame [m], shape (1, 3).
-        detailed: The posed body in the camera frame [m]; with weak perspective near the origin.
+        body: The detailed body in the camera frame, as ``register`` gives one; with weak perspective near the origin.
+            Its losses are the energy's terms before the last step.
         camera: In pixels of the full picture.
-        terms: Weighted terms of the energy before the last step, by name.
     """
 
     first: FitResult
-    model: DetailedModel
-    shape: torch.Tensor
-    rotations: torch.Tensor
-    translation: torch.Tensor
-    detailed: Detailed
+    body: Registered
     camera: Camera
-    terms: dict[str, float]
 
     @property
     def vertices(self) -> np.ndarray:
         """The body's, in the camera frame, shape (V, 3) [m]."""
-        return self.detailed.vertices[0].cpu().numpy()
+        return self.body.detailed.vertices[0].cpu().numpy()
 
     def landmarks(self, names: Sequence[str]) -> np.ndarray:
         """Landmarks in the camera frame, shape (L, 3) [m]."""
-        return self.model.landmarks(self.detailed, names)[0].cpu().numpy()
+        return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()
 
     def draw(self, image_size: tuple[int, int]) -> PartImage:
         """The body's 20 parts in the full picture of (H, W) pixels."""
-        return draw_mesh(self.detailed.vertices, _whole_mesh(self.model), self.camera, image_size)
+        return draw_mesh(self.body.detailed.vertices, _whole_mesh(self.body.model), self.camera, image_size)
 
 
 @one_torch_thread()
@@ -133,7 +124,7 @@ def refine_mesh(
     """Refine a detailed body from a fit on, against the same labels and keypoints.
 
     Args:
-        result: Of ``fit_body``; best without its outline stage (``FitOptions.at("fast")``).
+        result: Of ``fit_body``; it goes on from where the outline stage began, which costs joints.
         model: On the result's device, float32; default Anny.
         options: Iterations, size and weights.
         progress: Told the stage, how many iterations are done and how many there are.
@@ -147,13 +138,14 @@ def refine_mesh(
     check_type("options", options, MeshOptions | None, "such as MeshOptions()")
     options = options or MeshOptions()
     iterations = options.iterations
-    posed = result.parameters.posed()
+    start = result.before_outline or result.parameters
+    posed = start.posed()
     model = model or anny(posed.joints.device)
     like = model.rest_vertices
     if (like.dtype, like.device) != (posed.joints.dtype, posed.joints.device):
         expected = f"{posed.joints.dtype} on {posed.joints.device}, as the result"
         raise ValueError(f"model: {like.dtype} on {like.device}; expected {expected}")
-    body = _Body(model, result.parameters, shape_from_lengths(model, posed))
+    body = _Body(model, start, shape_from_lengths(model, posed))
     energy = _MeshEnergy(body, result.observation, result.uncertainty, options)
     pose = [body.turns, body.log_scale, body.shift]
     adam = Adam([(pose, options.learning_rate), ([body.shape], _SHAPE_RATE * options.learning_rate)])
@@ -166,17 +158,11 @@ def refine_mesh(
             progress("mesh", iteration + 1, iterations)
     with torch.no_grad():
         camera, pelvis = find_camera(body.parameters(), result.observation.lens, result.crop.size[0])
-        rotations, translation = body.rotations(), body.translation + (0.0 if pelvis is None else pelvis)
-        return MeshFit(
-            result,
-            model,
-            body.shape.detach(),
-            rotations,
-            translation,
-            model.pose(body.shape, rotations, translation),
-            camera.in_full(result.crop),
-            {name: float(term) for name, term in terms.items()},
-        )
+        shape, rotations = body.shape.detach(), body.rotations()
+        translation = body.translation + (0.0 if pelvis is None else pelvis)
+        detailed = model.pose(shape, rotations, translation)
+        registered = ungrown(model, result.posed, shape, rotations, translation, detailed, terms)
+        return MeshFit(result, registered, camera.in_full(result.crop))
 
 
 class _Body:
@@ -207,7 +193,7 @@ class _MeshEnergy:
     def __init__(self, body: _Body, seen: Observation, said: Uncertainty | None, options: MeshOptions) -> None:
         self._body, self._seen, self._options = body, seen, options
         whole = body.model
-        self._drawn, mesh = _drawn_mesh(whole, min(options.vertices, whole.num_vertices))
+        self._drawn, mesh = _drawn_mesh(whole, options.vertices)
         known = {place: name for place, name in enumerate(_points_of(whole, seen)) if name is not None}
         places = torch.tensor(list(known), dtype=torch.int64, device=body.shape.device)
         self._points, self._votes = seen.points[places], landmark_votes(seen)[places]
@@ -277,8 +263,8 @@ def _points_of(model: DetailedModel, seen: Observation) -> list[str | None]:
 
 @lru_cache(maxsize=4)
 def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, PartMesh]:
-    reduced = reduce_model(model, vertices).model
-    return reduced, detailed_mesh(reduced)
+    drawn = model if model.num_vertices <= vertices else reduce_model(model, vertices).model
+    return drawn, detailed_mesh(drawn)
 
 
 @lru_cache(maxsize=4)

@@ -43,6 +43,7 @@ class FitResult(Movable):
         warnings: Faults of the input or the body, a sentence each.
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
         uncertainty: How sure the network was of its body, before any stage; None of a search.
+        before_outline: The body where the outline stage began, nearer in 3D; None without that stage.
     """
 
     parameters: BodyParameters
@@ -59,6 +60,7 @@ class FitResult(Movable):
     warnings: tuple[str, ...] = ()
     depth_order: DepthOrder | None = None
     uncertainty: Uncertainty | None = None
+    before_outline: BodyParameters | None = None
 
     @property
     def camera(self) -> Camera:

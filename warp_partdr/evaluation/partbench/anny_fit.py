@@ -20,6 +20,6 @@ def fit_anny(
     mesh: MeshOptions | None = None,
     device: str = "cpu",
 ) -> MeshFit:
-    """Fit EllipBody as ``fit_body`` does, but for its last stage, and from there Anny (``refine_mesh``)."""
+    """Fit EllipBody as ``fit_body`` does, but for its outline stage, and from there Anny (``refine_mesh``)."""
     first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device)
     return refine_mesh(first, options=mesh)
