@@ -14,6 +14,9 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.body.posing import pose
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.pose import pose_from_ellipbody
+from warp_partdr.clothing.registration import shape_from_lengths
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.synthetic.cut_masks import cut_mask
@@ -97,6 +100,21 @@ def test_truth_poses_ellipbody_along_annys_bones(device: str) -> None:
     apart = (posed.joints - made.joints).norm(dim=-1)
     assert apart.mean() < 0.006
     assert apart.max() < 0.03  # the pelvis' own shape; its two parts have no rotation of their own
+
+
+def test_truth_poses_anny_back_where_the_trunk_lies_along_its_bones(device: str) -> None:
+    made = people(device)
+    thicknesses = torch.from_numpy(template().mean_thicknesses).float().to(device).expand(COUNT, -1)
+    pelvis = torch.zeros(COUNT, 3, device=device)
+    posed = pose(made.orientation, pelvis, made.rotations, made.lengths, thicknesses)
+    model = anny(device)
+    shape = shape_from_lengths(model, posed)
+    apart = []
+    for along in (True, False):
+        body = model.pose(shape, *pose_from_ellipbody(model, posed, shape, trunk_along=along))
+        apart.append((model.landmarks(body, JOINT_NAMES) - posed.joints).norm(dim=-1).mean())
+    assert apart[0] < 0.015
+    assert apart[0] < 0.8 * apart[1]
 
 
 def test_points_are_the_joints_seen_by_the_lens(device: str) -> None:
