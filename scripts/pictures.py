@@ -22,9 +22,10 @@ import warp as wp
 from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 import warp_partdr as partdr
+from warp_partdr.fit.mesh_stage import refine_mesh
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import blend, shade_mesh, turntable_views
-from warp_partdr.results.save import draw_overlay
+from warp_partdr.results.save import draw_detailed, draw_overlay
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -99,24 +100,26 @@ def side_by_side(panels: dict[str, Image.Image]) -> Image.Image:
 
 
 def draw_example(height: int = 400) -> Image.Image:
-    """Photo and part labels of the packaged example, the body over the photo, and the body from the side."""
+    """Photo and part labels of the packaged example, both bodies over the photo, and the ellipsoids from the side."""
     folder = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
     photo = partdr.read_photo(folder / "photo.png")
     parts = partdr.read_parts(folder / "parts.png", partdr.label_set("cdcl14"))
     person = partdr.choose_person(partdr.read_keypoints(folder / "keypoints.json"), parts.groups)
     result = partdr.fit_body(person, parts)
+    mesh = refine_mesh(result)
     colours = group_colours(parts.label_set.part_groups)
     colours[0] = 255
     views = {
         "photo": Image.fromarray(photo),
         "part labels": Image.fromarray(colours[parts.groups]),
         "fitted body, with the keypoints": draw_overlay(result, photo.shape[:2], photo),
+        "the detailed body": draw_detailed(mesh.body, mesh.camera, photo.shape[:2], photo),
     }
     width = round(height * photo.shape[1] / photo.shape[0])
     panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}
     (side,) = turntable_views(result.posed, ((90, 0),), height)
     margin = (height - width) // 2
-    panels["the same from the side"] = Image.fromarray(side).crop((margin, 0, margin + width, height))
+    panels["ellipsoids from the side"] = Image.fromarray(side).crop((margin, 0, margin + width, height))
     return side_by_side(panels)
 
 

@@ -14,7 +14,9 @@ from warp_partdr import label_set
 from warp_partdr.body.labels import LabelSet
 from warp_partdr.cameras import Perspective
 from warp_partdr.cli import main
-from warp_partdr.fit.explain import explain, print_choices
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.reduction import reduce_model
+from warp_partdr.fit.explain import explain, explain_mesh, print_choices
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Stage
@@ -109,3 +111,15 @@ def test_the_command_explains(tmp_path):
     run = CliRunner().invoke(main.app, ["fit", *inputs, "--explain", "--model", "none", "--out", str(tmp_path / "fit")])
     assert run.exit_code == 0, run.output
     assert "What is modelled" in run.output
+
+
+def test_of_the_detailed_body_it_says_what_is_drawn():
+    _, parts = seen(label_set("body14"))
+    drawn, alone = explain_mesh(anny(), parts), explain_mesh(anny(), None)
+    assert (drawn.modelled, drawn.left_out) == (
+        "1,500 vertices, drawn against the labels",
+        "12,218 until the end: fingers, toes, face",
+    )
+    assert alone.left_out == "the mesh stage"
+    few = reduce_model(anny(), 500).model
+    assert explain_mesh(few, parts).left_out == ""

@@ -92,7 +92,7 @@ def fit(
     camera = view.read(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
-        _explain(person, options, camera)
+        _explain(person, options, camera, detailed_model)
     with FitProgress() as progress:
         _load_kernels(where, options, with_labels=person.parts is not None)
         how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
@@ -151,12 +151,16 @@ def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> 
     return options
 
 
-def _explain(person: PersonInputs, options: FitOptions, camera: Perspective | None) -> None:
+def _explain(
+    person: PersonInputs, options: FitOptions, camera: Perspective | None, model: DetailedModel | None
+) -> None:
     from rich.console import Console
 
-    from ..fit.explain import explain, print_choices
+    from ..fit.explain import explain, explain_mesh, print_choices
 
     choices = explain(person.keypoints, person.parts, others=person.others, options=options, camera=camera)
+    if model is not None:
+        choices.append(explain_mesh(model, person.parts))
     print_choices(choices, Console(highlight=False))
 
 

@@ -14,11 +14,14 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
 from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
+from .mesh_stage import MeshOptions
 from .options import FitOptions, stages_of
 from .stages import Stage
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from ..clothing.model import DetailedModel
 
 
 class Choice(NamedTuple):
@@ -71,6 +74,18 @@ def explain(
         _depth(parts, drawn, options),
         _path(parts, options),
     ]
+
+
+def explain_mesh(model: DetailedModel, parts: PartLabels | None) -> Choice:
+    """Say what of a detailed model ``partdr fit`` draws."""
+    if parts is None:
+        return Choice("detailed body", "a mesh put on the ellipsoids", "the mesh stage", "there are no labels")
+    most, every = MeshOptions().vertices, model.num_vertices
+    modelled = f"{min(most, every):,} vertices, drawn against the labels"
+    if every <= most:
+        return Choice("detailed body", modelled, "", "it has no more")
+    left_out = f"{every - most:,} until the end: fingers, toes, face"
+    return Choice("detailed body", modelled, left_out, "labels show no more of it")
 
 
 def print_choices(choices: list[Choice], console: Console) -> None:

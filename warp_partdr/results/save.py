@@ -120,7 +120,7 @@ def save_registered(
         **about: More for the report.
     """
     model = registered.model
-    picture, _ = _over(partial(shade_detailed, registered.detailed, model), camera, size, photo, 0.9)
+    picture = draw_detailed(registered, camera, size, photo)
     numbers: dict[str, Any] = {
         name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
     }
@@ -145,6 +145,13 @@ def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | N
     keypoints = result.evidence.keypoints
     draw_keypoints(overlay, replace(keypoints, points=keypoints.points * zoom))
     return overlay
+
+
+def draw_detailed(
+    registered: Registered, camera: Camera, size: tuple[int, int], photo: np.ndarray | None = None
+) -> Image:
+    """The detailed body over the photo, or on gray; at most ``OVERLAY_SIDE`` pixels a side."""
+    return _over(partial(shade_detailed, registered.detailed, registered.model), camera, size, photo, 0.9)[0]
 
 
 def _over(
