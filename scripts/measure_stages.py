@@ -8,34 +8,44 @@ People 0 to 199, and beyond by the same recipe; NETWORK is a file of `partdr tra
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
 from measure_camera import interval
 
 from warp_partdr import FitOptions, fit_body
+from warp_partdr.evaluation.evaluate import all_parts, no_labels, silhouette
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.scoring import Score, score_fit, summarise
 from warp_partdr.fit.mesh_stage import refine_mesh
+from warp_partdr.inputs.part_labels import PartLabels
 
 _ALONE = "network"
-_MESH = "mesh"  # from the fast quality on
+# The mesh stage from the fast quality on, and what both are given.
+_MESH: dict[str, Callable[[PartLabels], PartLabels | None]] = {
+    "mesh": all_parts,
+    "mesh, silhouette alone": silhouette,
+    "mesh, keypoints alone": no_labels,
+}
 _FITS = {_ALONE: FitOptions(stages=())} | {name: FitOptions.at(name) for name in ("fast", "balanced", "accurate")}
 
 
 def main(level: str, first: int = 200, last: int = 299, network: str | None = None) -> None:
     wp.config.log_level = wp.LOG_WARNING
-    scores: dict[str, list[Score]] = {name: [] for name in (*_FITS, _MESH)}
+    scores: dict[str, list[Score]] = {name: [] for name in (*_FITS, *_MESH)}
     for index in range(first, last + 1):
         sample = make_sample(index, level)
         for name, options in _FITS.items():
             given = replace(options, network=network)
             result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=given)
             scores[name].append(score_fit(sample, name, result, 0.0))
-            if name == "fast":
-                mesh = refine_mesh(result)
-                scores[_MESH].append(score_fit(sample, _MESH, mesh, 0.0, mesh.vertices))
+        for name, see in _MESH.items():
+            given = replace(_FITS["fast"], network=network)
+            mesh = refine_mesh(fit_body(sample.keypoints, see(sample.parts), others=sample.others, options=given))
+            scores[name].append(score_fit(sample, name, mesh, 0.0, mesh.vertices))
     errors = {name: np.array([(each.pa_mpjpe, each.mpjpe) for each in those]).T for name, those in scores.items()}
     for name, those in scores.items():
         found = summarise(those)
@@ -43,6 +53,8 @@ def main(level: str, first: int = 200, last: int = 299, network: str | None = No
         print(f"{name}: part F1 {found['part_f1']:.3f} ({low:.3f} to {high:.3f})")
         for what, values, alone in zip(("PA-MPJPE", "MPJPE"), errors[name], errors[_ALONE], strict=True):
             print(f"  {what} {np.nanmean(values):.1f} mm, against the network alone {interval(values - alone)}")
+    for one, other in pairwise(_MESH):
+        print(f"{one} minus {other}: PA-MPJPE {interval(errors[one][0] - errors[other][0])}")
 
 
 if __name__ == "__main__":
