@@ -81,9 +81,7 @@ class Examples:
     groups: torch.Tensor  # group ids, 255 where nothing is known, shape (B, S, S), uint8
     part_groups: torch.Tensor  # group id of each part label in a person's label set, on the host, shape (B, 21), uint8
     keypoints: torch.Tensor  # ``LANDMARKS``: place and confidence, all 0 where unknown, shape (B, 24, 3)
-    annotated: (
-        torch.Tensor
-    )  # whether these lie where COCO's annotators mark them (``Skeleton.marks``), shape (B,), bool
+    annotated: torch.Tensor  # whether they lie where COCO's annotators mark them, shape (B,), bool
     joints: torch.Tensor  # ``MPJPE_JOINTS``, camera frame [m], of any origin, 0 where unknown, shape (B, 14, 3)
     has_joints: torch.Tensor  # 1 where a joint is known, shape (B, 14)
 
