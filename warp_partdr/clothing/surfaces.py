@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -24,18 +25,20 @@ _CELL = 4.0  # [m] between the cells of the mesh of all parts and bodies
 _RAY_START = 1e-3  # [m] from a vertex: a ray does not hit the faces around it
 
 
+@lru_cache(maxsize=4)  # rays of all vertices take a tenth of a second
 def vertex_parts(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
     """Part index 0 to 19 of each vertex, shape (V,), int32, and its share of the skin at rest, shape (V,).
 
     A vertex is of the part that has most of the area around it; one within the body, as in the mouth, has no share.
     """
-    corners = model.rest_vertices[model.faces.long()]
-    doubled = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1)
-    shares = corners.new_zeros(model.num_vertices, NUM_PARTS)
-    for corner in model.faces.long().unbind(1):
-        shares.index_put_((corner, model.face_parts.long() - 1), doubled, accumulate=True)
-    areas = shares.sum(1) * skin_vertices(model)
-    return shares.argmax(1).int(), areas / areas.sum()
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        corners = model.rest_vertices[model.faces.long()]
+        doubled = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1)
+        shares = corners.new_zeros(model.num_vertices, NUM_PARTS)
+        for corner in model.faces.long().unbind(1):
+            shares.index_put_((corner, model.face_parts.long() - 1), doubled, accumulate=True)
+        areas = shares.sum(1) * skin_vertices(model)
+        return shares.argmax(1).int(), areas / areas.sum()
 
 
 def skin_vertices(model: DetailedModel) -> torch.Tensor:

@@ -263,10 +263,12 @@ def _points_of(model: DetailedModel, seen: Observation) -> list[str | None]:
 
 @lru_cache(maxsize=4)
 def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, PartMesh]:
-    drawn = model if model.num_vertices <= vertices else reduce_model(model, vertices).model
-    return drawn, detailed_mesh(drawn)
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        drawn = model if model.num_vertices <= vertices else reduce_model(model, vertices).model
+        return drawn, detailed_mesh(drawn)
 
 
 @lru_cache(maxsize=4)
 def _whole_mesh(model: DetailedModel) -> PartMesh:
-    return detailed_mesh(model)
+    with torch.inference_mode(False):
+        return detailed_mesh(model)
