@@ -123,7 +123,7 @@ def test_it_goes_on_from_where_the_outline_stage_began(sample):
 
 
 def test_it_is_registered_to_the_ellipsoids(first):
-    """What they are thicker or longer than the body stands in the file, for edits."""
+    """Their measures that the body lacks stand in the file, for edits."""
     body = refine_mesh(first, options=QUICK).body
     eye = torch.eye(3).expand(1, 20, 3, 3)
     torch.testing.assert_close(body.stretches, eye, atol=1e-5, rtol=0)

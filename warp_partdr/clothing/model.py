@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import torch
 
@@ -251,11 +251,13 @@ def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tens
     return torch.cat([top, bottom], dim=-2)
 
 
+@lru_cache(maxsize=8)  # its edges take a moment to find
 def detailed_mesh(model: DetailedModel) -> PartMesh:
-    """A detailed model's mesh with labels 1 to 20, on the model's device; keep it, its edges take a moment to find.
+    """A detailed model's mesh with labels 1 to 20, on the model's device.
 
     ``draw_mesh`` and ``mesh_label_loss`` draw it with ``detailed.vertices``, and their gradients
     reach shape and rotations. ``relabel`` shows another set of parts.
     """
     faces, parts = model.faces.cpu().numpy(), model.face_parts.cpu().numpy()
-    return PartMesh.from_faces(faces, parts, device=model.faces.device)
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return PartMesh.from_faces(faces, parts, device=model.faces.device)

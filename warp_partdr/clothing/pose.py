@@ -76,6 +76,18 @@ def pose_from_ellipbody(
     return rotations, between_hips - (pelvis @ middle[..., None])[..., 0]
 
 
+def free_joints(model: DetailedModel) -> list[int]:
+    """Joints that carry a part, and the root: those that refinements turn; others turn with them."""
+    return sorted({0, *model.part_joints})
+
+
+def turn_joints(rotations: torch.Tensor, joints: list[int], turns: torch.Tensor) -> torch.Tensor:
+    """Local rotations (B, J, 3, 3), these of ``joints`` turned by rotation vectors (B, N, 3), shape (B, J, 3, 3)."""
+    turned = rotations.clone()
+    turned[:, joints] = rotations[:, joints] @ rotation_from_axis_angle(turns)
+    return turned
+
+
 def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = False) -> torch.Tensor:
     """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
     aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED

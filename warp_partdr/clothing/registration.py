@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import torch
 
 from ..body.posing import Posed
-from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES
 from ..errors import check_type
 from ..interop.adam import Adam
@@ -23,7 +22,7 @@ from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from .growth import MEASURES, UNGROWN, Growth
 from .model import Detailed, DetailedModel
-from .pose import pose_from_ellipbody
+from .pose import free_joints, pose_from_ellipbody, turn_joints
 from .surfaces import PartCells, surface_samples, vertex_costs, vertex_parts
 
 # Where joints are compared: not at the neck, which in a detailed model is the middle of the shoulders and moves along.
@@ -167,7 +166,7 @@ def register(
     posed = Posed(*(tensor.detach().contiguous() for tensor in vars(posed).values()))
     shape = shape_from_lengths(model, posed) if start is None else start.shape.detach().clone()
     pose, translation = pose_from_ellipbody(model, posed, shape)
-    free = sorted({0, *model.part_joints})
+    free = free_joints(model)
     turns = like.new_zeros(len(shape), len(free), 3)
     loss = _Loss(model, posed, options.weights)
     measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)
@@ -176,8 +175,7 @@ def register(
     adam = Adam(([tensor], rate) for tensor, rate in zip(unknowns, _RATES, strict=True))
 
     def posed_model(*, stretched: bool) -> tuple[torch.Tensor, Detailed]:
-        rotations = pose.clone()
-        rotations[:, free] = pose[:, free] @ rotation_from_axis_angle(turns)
+        rotations = turn_joints(pose, free, turns)
         stretches = measures.stretches if stretched else None
         return rotations, model.pose(shape, rotations, translation, stretches=stretches)
 

@@ -17,12 +17,11 @@ import torch
 from ..body.lens import find_camera
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import FREE_PARTS
-from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.anny import anny
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
-from ..clothing.pose import pose_from_ellipbody
+from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
 from ..clothing.reduction import reduce_model
 from ..clothing.registration import Registered, shape_from_lengths, ungrown
 from ..errors import check_type, check_whole
@@ -35,7 +34,7 @@ from ..network.uncertainty import Uncertainty
 from ..refinement.energy import landmark_votes
 from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh, mesh_label_loss
-from ..render.options import check_partdr_options
+from ..render.options import DEFAULT_DEPTH_WEIGHT, check_partdr_options
 from ..render.part_mesh import PartMesh
 from .fitting import Progress
 from .result import FitResult
@@ -73,7 +72,7 @@ class MeshOptions:
     turns: float = 8.0
     shape: float = 1.0
     max_distance: float = 3.0
-    depth_weight: float = 0.1
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
 
     def __post_init__(self) -> None:
         check_steps(self.iterations, self.learning_rate)
@@ -110,7 +109,7 @@ class MeshFit(Movable):
 
     def draw(self, image_size: tuple[int, int]) -> PartImage:
         """The body's 20 parts in the full picture of (H, W) pixels."""
-        return draw_mesh(self.body.detailed.vertices, _whole_mesh(self.body.model), self.camera, image_size)
+        return draw_mesh(self.body.detailed.vertices, detailed_mesh(self.body.model), self.camera, image_size)
 
 
 @one_torch_thread()
@@ -171,19 +170,17 @@ class _Body:
     def __init__(self, model: DetailedModel, start: BodyParameters, shape: torch.Tensor) -> None:
         self.model, self._start = model, start
         self._rotations, self.translation = pose_from_ellipbody(model, start.posed(), shape, trunk_along=True)
-        self.joints = sorted({0, *model.part_joints})  # others turn with these
+        self.joints = free_joints(model)
         self.turns = shape.new_zeros(1, len(self.joints), 3).requires_grad_()
         self.shape = shape.clone().requires_grad_()
         self.log_scale, self.shift = (each.clone().requires_grad_() for each in (start.log_scale, start.shift))
 
     def rotations(self) -> torch.Tensor:
         """Of all joints, shape (1, J, 3, 3)."""
-        turned = self._rotations.clone()
-        turned[:, self.joints] = self._rotations[:, self.joints] @ rotation_from_axis_angle(self.turns)
-        return turned
+        return turn_joints(self._rotations, self.joints, self.turns)
 
     def parameters(self) -> BodyParameters:
-        """Where the camera sees it."""
+        """Numbers by which the camera sees it."""
         return replace(self._start, log_scale=self.log_scale, shift=self.shift)
 
 
@@ -234,10 +231,9 @@ class _MeshEnergy:
         }
         if self._target is not None:
             size = options.size
-            camera, pelvis = find_camera(body.parameters(), lens, size)
-            vertices = posed.vertices + (0.0 if pelvis is None else pelvis[:, None])
+            camera, _ = find_camera(body.parameters(), lens, size)
             rule = {"max_distance": options.max_distance, "depth_weight": self._depth_weight}
-            loss, _ = mesh_label_loss(vertices, self._mesh, camera, self._target, validate=False, **rule)
+            loss, _ = mesh_label_loss(posed.vertices + away, self._mesh, camera, self._target, validate=False, **rule)
             terms["seg"] = options.seg * (REFERENCE_SIZE / size) ** 2 * loss
         return terms
 
@@ -266,9 +262,3 @@ def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, Par
     with torch.inference_mode(False):  # kept for calls outside of it, too
         drawn = model if model.num_vertices <= vertices else reduce_model(model, vertices).model
         return drawn, detailed_mesh(drawn)
-
-
-@lru_cache(maxsize=4)
-def _whole_mesh(model: DetailedModel) -> PartMesh:
-    with torch.inference_mode(False):
-        return detailed_mesh(model)

@@ -61,7 +61,7 @@ def mean_bodies(first: Predicted, second: Predicted) -> Predicted:
 
 @lru_cache(maxsize=8)
 def _orders(device: torch.device) -> dict[str, torch.Tensor]:
-    """Where the mirror images of channels, landmarks, parts, joints and rotations stand."""
+    """Places of the mirror images of channels, landmarks, parts, joints and rotations."""
     parts, free = mirror_order(PART_NAMES), mirror_order([PART_NAMES[part] for part in FREE_PARTS])
     orders = {
         "channels": np.append(parts, np.arange(len(parts), NUM_CHANNELS)),

@@ -88,7 +88,6 @@ def _rest_bones(device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor,
     return torch.from_numpy(template().rest_directions).to(device, dtype), torch.tensor(BONE_STARTS, device=device)
 
 
-@lru_cache(maxsize=8)
 def anny_mesh(device: torch.device | str = "cpu") -> PartMesh:
     """Anny's mesh with labels 1 to 20."""
     return detailed_mesh(anny(device))
