@@ -95,7 +95,7 @@ def test_a_fit_says_what_was_tried(device):
     assert report["flipped"] == result.depth_order.flipped
     assert report["spread_m"].keys() == set(JOINT_NAMES[1:])
     assert 0 < report["spread_m"]["left_hip"] < report["spread_m"]["left_fingertip"] < 0.5
-    assert 1 < report["network_distance_m"] < 1000
+    assert 1 < report["network_distance_m"] <= 1000
     alone = fit_body(keypoints, parts, options=FitOptions(stages=(), search=()), device=device)
     without = fit_body(keypoints, None, quality="fast", device=device)
     assert alone.depth_order is None  # without stages the network's body stays as it is
