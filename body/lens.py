@@ -39,6 +39,24 @@ def find_camera(parameters: BodyParameters, lens: torch.Tensor | None, size: int
     return camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
 
 
+def move_pelvises(parameters: BodyParameters, lens: torch.Tensor | None, moves: torch.Tensor) -> BodyParameters:
+    """Bodies whose pelvises are seen where they are after these moves, (B, 3) [m]; their sizes [m] stay.
+
+    With weak perspective, which knows no distance, moves along the view change nothing.
+    """
+    scale = parameters.log_scale.exp()
+    if lens is None:
+        return replace(parameters, shift=parameters.shift + scale[:, None] * moves[:, :2])
+    lens = lens.to(scale)
+    before = torch.cat([parameters.shift - lens[1:], lens[:1].expand(len(scale), 1)], dim=1) / scale[:, None]
+    place = before + moves
+    return replace(
+        parameters,
+        log_scale=(lens[0] / place[:, 2]).log(),
+        shift=lens[1:] + lens[0] * place[:, :2] / place[:, 2:],
+    )
+
+
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:
     """Bodies that a camera along its axis would see so, turned to the ray through their pelvis, shortest way."""
     turned = ray_rotations(parameters, lens) @ parameters.global_orient()

@@ -122,7 +122,7 @@ def _normalise_or(vector: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
 
 
 def rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The smallest rotation that takes one unit vector to another, (..., 3) each, shape (..., 3, 3).
+    """The smallest rotation that takes one direction to another, of any length, (..., 3) each, shape (..., 3, 3).
 
     Of opposite ones, where there is no smallest, it is a half turn at most, and finite.
     """

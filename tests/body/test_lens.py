@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from scenes.bodies import random_bodies
 
-from warp_partdr.body.lens import place_bodies, ray_rotations, turn_to_rays
+from warp_partdr.body.lens import find_camera, move_pelvises, place_bodies, ray_rotations, turn_to_rays
 
 LENS = torch.tensor([2.5, 0.8, -1.2])
 
@@ -33,3 +34,21 @@ def test_rays_turn_the_axis_to_the_pelvis_the_shortest_way(device):
     torch.testing.assert_close((turns.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2, ray[:, 2], rtol=0, atol=1e-5)
     turned = turn_to_rays(bodies, LENS.to(device)).global_orient()
     torch.testing.assert_close(turned, turns @ bodies.global_orient(), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("lens", [None, LENS])
+def test_a_moved_pelvis_is_seen_where_it_is(lens: torch.Tensor | None, device: str) -> None:
+    bodies = random_bodies(4, device)
+    given = None if lens is None else lens.to(device)
+    moves = torch.tensor([0.05, -0.1, 0.2], device=device).expand(4, 3)
+    moved = move_pelvises(bodies, given, moves)
+    (before, places), (after, new_places) = (find_camera(each, given, 100) for each in (bodies, moved))
+    assert (places is None) == (lens is None)
+    places, new_places = (torch.zeros_like(moves) if each is None else each for each in (places, new_places))
+    if lens is None:  # the origin is the pelvis, before and after
+        seen, again = before.project(moves[:, None]), after.project(new_places[:, None])
+        torch.testing.assert_close(moved.log_scale, bodies.log_scale)
+    else:
+        torch.testing.assert_close(new_places, places + moves, rtol=1e-4, atol=1e-5)
+        seen, again = before.project((places + moves)[:, None]), after.project(new_places[:, None])
+    torch.testing.assert_close(again[..., :2], seen[..., :2], rtol=1e-4, atol=1e-3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,11 +21,13 @@ if TYPE_CHECKING:
     from ..cameras import Perspective
     from ..clothing.model import DetailedModel
     from ..fit.options import FitOptions
+    from ..fit.mesh_stage import MeshFit
     from ..fit.result import FitResult
     from ..inputs.person import PersonInputs
     from .progress import FitProgress
 
 NO_MODEL = "none"
+_FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
 
 # Keys of ``fit.stages.STAGES``, which is not loaded for --help.
 StartName = StrEnum("StartName", ["network", "search"])
@@ -93,10 +94,17 @@ def fit(
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if explain:
         _explain(person, options, camera, detailed_model)
+    mesh, failure = None, None
     with FitProgress() as progress:
         _load_kernels(where, options, with_labels=person.parts is not None)
         how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
         result = fit_body(person.keypoints, person.parts, others=person.others, **how)
+        if detailed_model is not None and person.parts is not None:
+            try:
+                mesh = _refine_mesh(result, detailed_model, progress)
+                result = mesh.ellipbody
+            except _FAULTS as error:
+                failure = error
         progress("writing results", 1, 1)
         report = save_fit(result, out, photo=person.photo)
     for warning in result.warnings:
@@ -105,39 +113,38 @@ def fit(
     if detailed_model is None:
         return
     try:
+        if failure is not None:
+            raise failure
         with FitProgress() as progress:
-            if person.parts is None:
-                seen = result.camera, size, person.photo, result.evidence
+            seen = result.camera, size, person.photo, result.evidence
+            if mesh is None:
                 told = clothe(result.posed, detailed_model, out, *seen, progress=progress)
             else:
-                told = _refine_mesh(result, detailed_model, out, size, person.photo, progress)
-    except (ValueError, RuntimeError) as error:  # also those of torch and Warp: no memory left, for example
+                told = _save_mesh(mesh, out, size, person.photo)
+    except _FAULTS as error:
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
     typer.echo(told)
 
 
-def _refine_mesh(
-    result: FitResult,
-    model: DetailedModel,
-    out: Path,
-    size: tuple[int, int],
-    photo: np.ndarray | None,
-    progress: FitProgress,
-) -> str:
-    """The mesh stage, its files, and a line about them."""
+def _refine_mesh(result: FitResult, model: DetailedModel, progress: FitProgress) -> MeshFit:
+    """The mesh stage."""
     import warp as wp
 
     from ..fit.mesh_stage import refine_mesh
     from ..kernels.mesh import push_xy, push_z, rasterize, resolve
-    from ..results.save import save_registered
 
     for module in (rasterize, resolve, push_xy, push_z):
         wp.load_module(module, device=str(result.parameters.shift.device))
-    started = time.perf_counter()
-    mesh = refine_mesh(result, model, progress=progress)
-    seconds, seen = round(time.perf_counter() - started, 3), result.evidence
-    progress("writing results", 1, 1)
-    report = save_registered(mesh.body, out, mesh.camera, size, photo=photo, evidence=seen, seconds=seconds)
+    return refine_mesh(result, model, progress=progress)
+
+
+def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarray | None) -> str:
+    """Files of the mesh stage, and a line about them."""
+    from ..results.save import save_registered
+
+    fit = mesh.ellipbody
+    seconds = round(fit.stage_seconds["mesh"], 3)
+    report = save_registered(mesh.body, out, fit.camera, size, photo=photo, evidence=fit.evidence, seconds=seconds)
     return say_detailed(report, out)
 
 

@@ -6,7 +6,13 @@ import torch
 
 from ..body.landmarks import without_side
 from ..body.posing import Posed
-from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle, skew
+from ..body.rotations import (
+    rotation_between,
+    rotation_from_6d,
+    rotation_from_axis_angle,
+    rotation_to_6d,
+    rotation_to_axis_angle,
+)
 from ..body.template import JOINT_NAMES, PARENTS, PART_NAMES, template
 from .model import Detailed, DetailedModel
 
@@ -81,6 +87,17 @@ def free_joints(model: DetailedModel) -> list[int]:
     return sorted({0, *model.part_joints})
 
 
+def end_joints(model: DetailedModel) -> list[int]:
+    """Joint of each of the 20 parts that turns as the part's far end does, where several share its turn."""
+    carried = dict(zip(model.part_joints, PART_NAMES, strict=True))
+    carried.pop(0, None)
+    ends: list[int] = []
+    for part, joint in zip(PART_NAMES, model.part_joints, strict=True):
+        between = _joint_between(model, joint, carried)
+        ends.append(joint if between is None or without_side(part) in _TWISTING_LAST else between)
+    return ends
+
+
 def turn_joints(rotations: torch.Tensor, joints: list[int], turns: torch.Tensor) -> torch.Tensor:
     """Local rotations (B, J, 3, 3), these of ``joints`` turned by rotation vectors (B, N, 3), shape (B, J, 3, 3)."""
     turned = rotations.clone()
@@ -109,7 +126,7 @@ def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = Fals
             turns.append(_frame(directions[:, part], forward) @ _frame(bone, across).mT)
         else:
             inherited = turns[parent]
-            turns.append(_rotation_between((inherited @ bone[..., None])[..., 0], directions[:, part]) @ inherited)
+            turns.append(rotation_between((inherited @ bone[..., None])[..., 0], directions[:, part]) @ inherited)
     return torch.stack(turns, dim=1)
 
 
@@ -126,14 +143,6 @@ def _joint_between(model: DetailedModel, joint: int, carried: dict[int, str]) ->
 def _frame(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     """Right-handed orthonormal axes as columns, along ``first``, then toward ``second``, shape (B, 3, 3)."""
     return rotation_from_6d(torch.cat([first, second], dim=-1))
-
-
-def _rotation_between(source: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The smallest rotation that takes one direction to another (not its opposite), shape (B, 3, 3)."""
-    source, target = (torch.nn.functional.normalize(vector, dim=-1) for vector in (source, target))
-    cross = skew(torch.linalg.cross(source, target))
-    cosine = (source * target).sum(-1)[:, None, None]
-    return torch.eye(3, dtype=source.dtype, device=source.device) + cross + cross @ cross / (1 + cosine)
 
 
 def _half_twist(rotation: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:

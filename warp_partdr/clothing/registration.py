@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import torch
 
 from ..body.posing import Posed
-from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES
+from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, NUM_PARTS
 from ..errors import check_type
 from ..interop.adam import Adam
 from ..interop.checks import check_numbers, check_steps, check_tensor
@@ -203,21 +203,19 @@ def register(
 
 def ungrown(
     model: DetailedModel,
-    posed: Posed,
     shape: torch.Tensor,
     rotations: torch.Tensor,
     translation: torch.Tensor,
-    detailed: Detailed,
     losses: dict[str, torch.Tensor],
 ) -> Registered:
-    """Detailed bodies found otherwise, with no part grown, as ``Registered`` to EllipBodies of the same people."""
-    parts, areas = vertex_parts(model)
-    body = Growth(model, parts, areas, shape)
-    unexplained = body.demanded(posed.semi_axes) - body.measured(shape)
-    growth = torch.ones_like(unexplained)
+    """Detailed bodies found otherwise, with no part grown, as ``Registered`` to the EllipBodies measured from them."""
+    growth = shape.new_ones(len(shape), len(MEASURES))
+    stretches = torch.eye(3, dtype=shape.dtype, device=shape.device).expand(len(shape), NUM_PARTS, 3, 3)
+    detailed = model.pose(shape, rotations, translation)
     losses = {name: loss.detach() for name, loss in losses.items()}
-    found = shape, rotations, translation, body.stretches(growth), growth, unexplained
-    return Registered(model, *found, detailed, losses)
+    return Registered(
+        model, shape, rotations, translation, stretches, growth, torch.zeros_like(growth), detailed, losses
+    )
 
 
 def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:

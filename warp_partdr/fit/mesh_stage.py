@@ -1,12 +1,14 @@
 """Mesh stage: the detailed body itself is drawn and refined until it shows what the labels do ("PartDR + SMPL").
 
 Ellipsoids can't have a person's outline: the better they follow labels, the farther joints drift. A detailed body can.
-It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them.
+It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. In the end
+EllipBody is measured from it, so that both are one body.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,12 +16,14 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from ..body.lens import find_camera
+from ..body.lens import find_camera, move_pelvises
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import FREE_PARTS
+from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.anny import anny
+from ..clothing.measuring import measure_ellipbody
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
 from ..clothing.reduction import reduce_model
@@ -91,12 +95,17 @@ class MeshFit(Movable):
         first: The fit that it went on from.
         body: The detailed body in the camera frame, as ``register`` gives one; with weak perspective near the origin.
             Its losses are the energy's terms before the last step.
-        camera: In pixels of the full picture.
+        ellipbody: The same body as EllipBody, measured from it.
     """
 
     first: FitResult
     body: Registered
-    camera: Camera
+    ellipbody: FitResult
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, in pixels of the full picture."""
+        return self.ellipbody.camera
 
     @property
     def vertices(self) -> np.ndarray:
@@ -136,7 +145,7 @@ def refine_mesh(
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     check_type("options", options, MeshOptions | None, "such as MeshOptions()")
     options = options or MeshOptions()
-    iterations = options.iterations
+    iterations, started = options.iterations, time.perf_counter()
     start = result.before_outline or result.parameters
     posed = start.posed()
     model = model or anny(posed.joints.device)
@@ -156,12 +165,33 @@ def refine_mesh(
         if progress is not None:
             progress("mesh", iteration + 1, iterations)
     with torch.no_grad():
-        camera, pelvis = find_camera(body.parameters(), result.observation.lens, result.crop.size[0])
-        shape, rotations = body.shape.detach(), body.rotations()
-        translation = body.translation + (0.0 if pelvis is None else pelvis)
-        detailed = model.pose(shape, rotations, translation)
-        registered = ungrown(model, result.posed, shape, rotations, translation, detailed, terms)
-        return MeshFit(result, registered, camera.in_full(result.crop))
+        return _finish(body, result, terms, time.perf_counter() - started)
+
+
+def _finish(body: _Body, result: FitResult, terms: dict[str, torch.Tensor], seconds: float) -> MeshFit:
+    """The detailed body where the camera sees it, and EllipBody measured from it."""
+    shape, rotations, translation = body.shape.detach(), body.rotations(), body.translation
+    about_start = ungrown(body.model, shape, rotations, translation, terms)
+    orientation, pelvis, turns, lengths, thicknesses = measure_ellipbody(about_start)
+    found = BodyParameters(
+        rotation_to_6d(orientation),
+        rotation_to_axis_angle(turns),
+        lengths,
+        thicknesses,
+        body.log_scale.detach(),
+        body.shift.detach(),
+    )
+    seen = move_pelvises(found, result.observation.lens, pelvis)
+    ellipbody = replace(
+        result,
+        parameters=seen,
+        before_outline=None,
+        energy={name: float(term.detach()) for name, term in terms.items()} or result.energy,
+        stage_seconds=result.stage_seconds | {"mesh": seconds},
+    )
+    moved = ellipbody.posed.joints[:, 0] - pelvis
+    registered = ungrown(body.model, shape, rotations, translation + moved, terms)
+    return MeshFit(result, registered, ellipbody)
 
 
 class _Body:
