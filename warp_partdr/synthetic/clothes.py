@@ -99,7 +99,7 @@ def dress(body: Detailed, shape: torch.Tensor, outfit: tuple[Worn, ...]) -> tupl
     hem = max((worn.hem for worn in tubes), default=0.0)
     room = np.zeros(len(LEVELS))
     for worn in tubes:
-        room = np.maximum(room, (worn.thickness + worn.flare * np.minimum(LEVELS, hem)) * (LEVELS <= worn.hem))
+        room = np.maximum(room, (worn.thickness + worn.flare * np.minimum(LEVELS, hem)) * (worn.hem >= LEVELS))
     around, labels = tube(body, shape, hem, room)
     mesh = _faces()
     kept = mesh.face_labels[: -len(labels)]

@@ -13,8 +13,12 @@ from ..body.template import PART_NAMES
 from ..clothing.anny import anny
 from ..clothing.model import Detailed
 
+Limb = tuple[str, str]  # its two parts
 ARM, LEG = ("upper_arm", "forearm"), ("upper_leg", "lower_leg")
-JOINTS = {ARM: ("upperarm01.L", "lowerarm01.L", "wrist.L"), LEG: ("upperleg01.L", "lowerleg01.L", "foot.L")}
+JOINTS: dict[Limb, tuple[str, str, str]] = {
+    ARM: ("upperarm01.L", "lowerarm01.L", "wrist.L"),
+    LEG: ("upperleg01.L", "lowerleg01.L", "foot.L"),
+}
 _ROUNDS = 12  # rows of vertices, about, over which fields and normals are averaged
 
 
@@ -30,7 +34,7 @@ class Skin:
 
     points: np.ndarray
     shares: dict[str, np.ndarray]
-    places: dict[tuple[str, ...], np.ndarray]
+    places: dict[Limb, np.ndarray]
 
 
 @lru_cache(maxsize=1)
@@ -49,14 +53,14 @@ def anny_skin() -> Skin:
     return Skin(points, shares, {limb: along(points, *joints(rest, limb))[0] for limb in JOINTS})
 
 
-def joints(body: Detailed, limb: tuple[str, ...], side: str = "L") -> np.ndarray:
+def joints(body: Detailed, limb: Limb, side: str = "L") -> np.ndarray:
     """Three joints of a limb of the first body, shape (3, 3) [m]; ``side`` is "L" or "R"."""
     names = anny().joint_names
     return body.joints[0, [names.index(name[:-1] + side) for name in JOINTS[limb]]].numpy()
 
 
 def along(points: np.ndarray, start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of points (N, 3) along a limb of three joints, 0 to 2, and distances from its axis [m], shape (N,) each."""
+    """Places of points (N, 3) along a limb of three joints, 0 to 2, and distances from its axis [m], each (N,)."""
     first, second = (
         np.clip((points - base) @ bone / (bone @ bone), 0.0, 1.0)
         for base, bone in ((start, middle - start), (middle, end - middle))
