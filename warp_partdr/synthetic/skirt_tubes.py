@@ -51,7 +51,7 @@ def tube(body: Detailed, shape: torch.Tensor, hem: float, room: np.ndarray) -> t
     left = legs[0][:1] - legs[1][:1]
     left = left - (left * down).sum(1, keepdims=True) * down
     left /= np.linalg.norm(left, axis=1, keepdims=True).clip(1e-6)
-    angles = 2.0 * np.pi * (np.arange(CORNERS) + 0.5) / CORNERS
+    angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
     outward = np.cos(angles)[:, None] * left[:, None] + np.sin(angles)[:, None] * np.cross(down, left)[:, None]
     # In a direction, the hull reaches as far as the disc that is farther there; where both do, it lies between them.
     apart = (legs[0] - legs[1])[:, None]
