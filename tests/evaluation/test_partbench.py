@@ -17,7 +17,7 @@ from warp_partdr.evaluation.evaluate import Report
 from warp_partdr.evaluation.partbench.anny_fit import fit_anny
 from warp_partdr.evaluation.partbench.methods import KNOWN_CAMERA, METHODS, registered_vertices
 from warp_partdr.evaluation.partbench.report import compare_methods, worst, write_report
-from warp_partdr.evaluation.partbench.samples import LABELS, NEAR, make_sample, partbench_samples, source_name
+from warp_partdr.evaluation.partbench.samples import CLOTHED, LABELS, NEAR, make_sample, partbench_samples, source_name
 from warp_partdr.evaluation.scoring import Pixels, Score, score_fit
 from warp_partdr.synthetic.noise import LEVELS
 from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
@@ -50,6 +50,17 @@ def test_near_people_come_with_their_camera() -> None:
     assert not weak.camera.perspective
     errors = [score_fit(near, "", result, 0.0).mpjpe for result in (known, weak)]
     assert errors[0] < errors[1]
+
+
+def test_clothed_people_are_the_realistic_ones_with_other_labels() -> None:
+    for index in (0, 1):
+        clothed, nude = make_sample(index, CLOTHED), make_sample(index, "realistic")
+        assert (clothed.source, clothed.name) == (source_name(CLOTHED), nude.name)
+        for name in ("points", "confidence"):
+            np.testing.assert_array_equal(getattr(clothed.keypoints, name), getattr(nude.keypoints, name))
+        np.testing.assert_array_equal(clothed.vertices, nude.vertices)
+        np.testing.assert_array_equal(clothed.target, LABELS.from_parts(make_person(index, "clothed").parts))
+        assert (clothed.parts.groups != clothed.target).mean() < (clothed.parts.groups != nude.target).mean()
 
 
 def test_samples_come_by_level_and_depend_on_their_seed_alone() -> None:

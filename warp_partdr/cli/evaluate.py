@@ -120,7 +120,7 @@ def partbench(
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic, hard (default: these), near or tilted; may be given again.",
+            help="clean, mild, realistic, hard (default: these), near, tilted or clothed; may be given again.",
             metavar="NAME",
         ),
     ] = None,

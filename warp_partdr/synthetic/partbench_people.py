@@ -16,7 +16,10 @@ from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Camera, Perspective, WeakPerspective, zoomed
 from ..clothing.anny import anny, anny_shape
 from ..interop.torch_threads import one_torch_thread
+from ..render.mesh import draw_mesh
+from ..render.part_mesh import PartMesh
 from . import people
+from .clothes import draw_outfit, dress
 from .pose_recipes import POSES, TILTED_POSES, draw_pose
 from .poses import mean_body
 
@@ -35,9 +38,10 @@ _TILT = (45.0, 20.0)  # [degrees], how far a tilted camera looks up or down, and
 _OFFSET = 0.03  # of the picture's size: how far the person is off its middle, at most
 _CUT = 0.15  # share of people of whom the border cuts off
 _CUT_SHARE = (0.05, 0.2)  # of their height or width
+_CLOTHES = 18  # of the seed of a person's clothes, whose draws leave all others as they are
 
 COCO = skeleton("coco17")
-Setting = Literal["usual", "near", "tilted"]
+Setting = Literal["usual", "near", "tilted", "clothed"]
 _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
 
 
@@ -78,7 +82,8 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     """Person 0 to 199; each has a seed of its own.
 
     "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture;
-    "tilted": the same bodies upright, lying, reclining and seated, before a camera that looks up, down and askew.
+    "tilted": the same bodies upright, lying, reclining and seated, before a camera that looks up, down and askew;
+    "clothed": as "usual" but for the labels, which show clothes. All else is of the body beneath.
     """
     near, tilted = setting == "near", setting == "tilted"
     phenotypes, rng = draw_phenotypes(index)
@@ -103,7 +108,10 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
             aside = np.radians(_ASIDE)
             offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
     camera, size = _place_camera(vertices + offset, weak, rng)
-    parts, depth = _draw(vertices + offset, camera, size)
+    parts, depth = _draw(vertices + offset, people.anny_mesh(), camera, size)
+    if setting == "clothed":
+        clothes, mesh = dress(body, shape, draw_outfit(np.random.default_rng([SEED, index, _CLOTHES])))
+        parts, _ = _draw(clothes + offset, mesh, camera, size)
 
     def landmarks(names: tuple[str, ...]) -> torch.Tensor:
         return model.landmarks(body, names) + torch.from_numpy(offset)
@@ -142,12 +150,14 @@ def _place_camera(vertices: np.ndarray, weak: bool, rng: np.random.Generator) ->
     return camera, (int(size[1]), int(size[0]))
 
 
-def _draw(vertices: np.ndarray, camera: Camera, size: tuple[int, int]) -> tuple[np.ndarray, torch.Tensor]:
+def _draw(
+    vertices: np.ndarray, mesh: PartMesh, camera: Camera, size: tuple[int, int]
+) -> tuple[np.ndarray, torch.Tensor]:
     """Part labels, each pixel's the majority of its samples, shape (H, W), and depth [m], shape (1, H, W)."""
     height, width = size
     fine_size = (height * _SAMPLES, width * _SAMPLES)
     fine = zoomed(camera, _SAMPLES, fine_size)
-    labels, depth = people.draw_anny(torch.from_numpy(vertices)[None], fine, fine_size)
-    blocks = labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
+    picture = draw_mesh(torch.from_numpy(vertices)[None], mesh, fine, fine_size)
+    blocks = picture.labels[0].numpy().reshape(height, _SAMPLES, width, _SAMPLES)
     votes = np.stack([(blocks == label).sum((1, 3), dtype=np.uint8) for label in range(NUM_PARTS + 1)])
-    return votes.argmax(0).astype(np.uint8), depth[:, ::_SAMPLES, ::_SAMPLES]
+    return votes.argmax(0).astype(np.uint8), picture.depth[:, ::_SAMPLES, ::_SAMPLES]

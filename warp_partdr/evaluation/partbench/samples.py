@@ -19,7 +19,7 @@ from . import VERSION
 
 LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
-NEAR, TILTED = SETTINGS = ("near", "tilted")
+NEAR, TILTED, CLOTHED = SETTINGS = ("near", "tilted", "clothed")
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
@@ -42,10 +42,15 @@ def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEV
 
 
 def make_sample(index: int, name: str) -> Sample:
-    """Person ``index`` at a level: seen with its noise, and the truth without."""
+    """Person ``index`` at a level: seen with its noise, and the truth without.
+
+    At "clothed", keypoints and noise are those of "realistic", so that only labels tell of clothes. The true labels
+    show clothes, as annotators' do; joints and vertices are those of the body beneath.
+    """
     setting: Setting = name if name in SETTINGS else "usual"  # type: ignore[assignment]
     person, level = make_person(index, setting), LEVELS["realistic" if name in SETTINGS else name]
-    rng = np.random.default_rng([SEED, index, zlib.crc32(name.encode())])
+    noise = "realistic" if name == CLOTHED else name
+    rng = np.random.default_rng([SEED, index, zlib.crc32(noise.encode())])
     truth = LABELS.from_parts(person.parts)
     groups, hidden, others = truth, person.hidden, np.zeros((len(COCO), 3))
     if rng.random() < level.stranger:
@@ -57,7 +62,8 @@ def make_sample(index: int, name: str) -> Sample:
     return Sample(
         source=source_name(name),
         name=f"{person.name}, {person.kind}",
-        keypoints=_keypoints(keypoints),
+        # Labels of another outline may take more or fewer draws, after which the keypoints' would differ.
+        keypoints=make_sample(index, noise).keypoints if name == CLOTHED else _keypoints(keypoints),
         parts=PartLabels(LABELS, groups),
         others=(_keypoints(others),) if np.count_nonzero(others[:, 2]) > 1 else (),
         target=truth,
