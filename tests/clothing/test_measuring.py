@@ -44,7 +44,7 @@ def test_bones_and_joints_are_the_detailed_bodys(device: str) -> None:
 
 
 def test_ellipbodys_turns_come_back(device: str) -> None:
-    model, vectors, body = dressed(device, 0.3)
+    _, vectors, body = dressed(device, 0.3)
     orientation, _, rotations, lengths, thicknesses = measure_ellipbody(body)
     off = rotation_to_axis_angle(rotation_from_axis_angle(vectors).mT @ rotations).norm(dim=-1)
     assert off.median() < 0.06

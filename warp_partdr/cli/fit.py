@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from ..cameras import Perspective
     from ..clothing.model import DetailedModel
-    from ..fit.options import FitOptions
     from ..fit.mesh_stage import MeshFit
+    from ..fit.options import FitOptions
     from ..fit.result import FitResult
     from ..inputs.person import PersonInputs
     from .progress import FitProgress

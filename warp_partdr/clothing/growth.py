@@ -77,7 +77,8 @@ class Growth:
         rest = self.model.rest(shape, stretches=stretches)
         joints = self.joint_weights @ torch.cat([rest.vertices, rest.joints], dim=1)
         lengths = (joints[:, 1:] - joints[:, BONE_STARTS]).norm(dim=-1, keepdim=True)
-        points = (rest.vertices - self.middles).mT.contiguous()  # vertices last: products of three numbers side by side are slow
+        # Vertices last: products of three numbers side by side are slow.
+        points = (rest.vertices - self.middles).mT.contiguous()
         means = (points @ self.shares.mT).mT
         products = (points[:, :, None] * points[:, None]).flatten(1, 2)
         squares = (products @ self.shares.mT).mT.unflatten(2, (3, 3))

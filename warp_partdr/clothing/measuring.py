@@ -19,8 +19,8 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
     """Arguments of ``pose`` for the EllipBodies of detailed bodies, in their frame.
 
     Lengths and thicknesses are measured at rest, sides averaged. Each bone has the direction that it has in the
-    detailed body, and turns about it as that part of the body does; the pelvis' two are locked, and the line through the
-    hips says where they point. The middle of all joints coincides.
+    detailed body, and turns about it as that part of the body does; the pelvis' two are locked, and the line through
+    the hips says where they point. The middle of all joints coincides.
 
     Returns:
         Orientation (B, 3, 3), position of the pelvis [m] (B, 3), local rotations (B, 20, 3, 3), ``LENGTH_NAMES`` [m]

@@ -1,8 +1,8 @@
 """Mesh stage: the detailed body itself is drawn and refined until it shows what the labels do ("PartDR + SMPL").
 
 Ellipsoids can't have a person's outline: the better they follow labels, the farther joints drift. A detailed body can.
-It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. In the end
-EllipBody is measured from it, so that both are one body.
+It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. In the
+end EllipBody is measured from it, so that both are one body.
 """
 
 from __future__ import annotations
