@@ -20,6 +20,7 @@ from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.sample import Sample
 
+HIPS = ("left_hip", "right_hip")
 QUICK = MeshOptions(iterations=20, size=96, vertices=800)
 
 
@@ -51,7 +52,7 @@ def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
     assert mesh.vertices.shape == sample.vertices.shape
     names = ("left_knee", "right_wrist", "neck")
     assert np.abs(mesh.landmarks(names) - first.landmarks(names)).max() < 0.15
-    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "seg"}
+    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "clothes", "seg"}
 
 
 def test_no_steps_leave_ellipbodys_pose(first):
@@ -143,6 +144,24 @@ def test_ellipbody_is_measured_from_it(first):
     torch.testing.assert_close(growth.demanded(fit.posed.semi_axes), growth.measured(body.shape), atol=1e-5, rtol=0)
 
 
+def test_clothes_are_thickness_not_the_body(device):
+    """A coat's outline does not fatten the person who wears it."""
+    coated = make_sample(9, "clothed")
+    first = fitted(coated, device)
+    nude, clothed = (refine_mesh(first, options=MeshOptions(clothes=each)) for each in (None, 1.0))
+    assert not nude.clothes.any()
+    assert "clothes" not in nude.body.losses
+    assert clothed.clothes.max() > 0.005
+    assert clothed.clothes.min() >= 0
+    errors = [
+        1000 * metrics.pve(each.vertices, coated.vertices, pelvis=each.landmarks(HIPS).mean(0), target_pelvis=middle)
+        for each, middle in (
+            (each, coated.joints[[coated.joint_names.index(name) for name in HIPS]].mean(0)) for each in (nude, clothed)
+        )
+    ]
+    assert errors[1] < errors[0] + 2
+
+
 def test_progress_is_told(first):
     told: list[tuple[str, int, int]] = []
     refine_mesh(first, options=QUICK, progress=lambda *news: told.append(news))
@@ -162,6 +181,10 @@ def test_wrong_arguments_are_named(first):
         MeshOptions(size=0)
     with pytest.raises(ValueError, match="seg: -1"):
         MeshOptions(seg=-1.0)
+    with pytest.raises(ValueError, match="seg: None"):
+        MeshOptions(seg=None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="clothes: -1"):
+        MeshOptions(clothes=-1.0)
     with pytest.raises(ValueError, match="vertices"):
         refine_mesh(first, options=replace(QUICK, vertices=10))
 

@@ -124,7 +124,7 @@ class DetailedModel(Movable):
             bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
             stretched = self._chain(_homogeneous(turns, torch.cat([joints[:, :1], bones], dim=1)))[..., :3, 3]
             carrying = list(self.part_joints)
-            vertices = _blend(self._stretch_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            vertices = _blend(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
             joints = stretched
         return Detailed(vertices, joints, _homogeneous(turns, joints))
 
@@ -193,8 +193,8 @@ class DetailedModel(Movable):
         return torch.tensor(parts, device=self.faces.device)
 
     @cached_property
-    def _stretch_weights(self) -> torch.Tensor:
-        """Weights with which vertices follow the parts' stretches, shape (V, 20): skin weights, spread over the mesh.
+    def spread_weights(self) -> torch.Tensor:
+        """Share of each part in each vertex' stretch or clothes, shape (V, 20): skin weights, spread over the mesh.
 
         Skin weights change within two or three rows of vertices, where a thicker part would end in a step.
         """

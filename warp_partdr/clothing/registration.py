@@ -20,6 +20,7 @@ from ..interop.adam import Adam
 from ..interop.checks import check_numbers, check_steps, check_tensor
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
+from .clothes import clothes_basis, clothes_offsets
 from .growth import MEASURES, UNGROWN, Growth
 from .model import Detailed, DetailedModel
 from .pose import free_joints, pose_from_ellipbody, turn_joints
@@ -121,6 +122,12 @@ class Registered(Movable):
     def rest(self) -> Detailed:
         """Bodies at rest, where the model has its origin."""
         return self.model.rest(self.shape, stretches=self.stretches)
+
+    def clothed(self, thicknesses: torch.Tensor) -> Detailed:
+        """The posed bodies in clothes so thick on parts ``CLOTHED``, shape (B, 8) [m]."""
+        offsets = clothes_offsets(clothes_basis(self.model), thicknesses)
+        where = self.shape, self.rotations, self.translation
+        return self.model.pose(*where, offsets=offsets, stretches=self.stretches)
 
 
 @one_torch_thread()

@@ -1,8 +1,8 @@
 """Mesh stage: the detailed body itself is drawn and refined until it shows what the labels do ("PartDR + SMPL").
 
 Ellipsoids can't have a person's outline: the better they follow labels, the farther joints drift. A detailed body can.
-It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. In the
-end EllipBody is measured from it, so that both are one body.
+It starts where a fit's ellipsoids are, and its pose and depth are held as hard as the network was sure of them. Clothes
+and hair are thicknesses over it. In the end EllipBody is measured from it, so that both are one body.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.anny import anny
+from ..clothing.clothes import CLOTHED, SPREAD, bounded, clothes_basis, clothes_offsets
 from ..clothing.measuring import measure_ellipbody
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
@@ -43,7 +44,8 @@ from ..render.part_mesh import PartMesh
 from .fitting import Progress
 from .result import FitResult
 
-_SHAPE_RATE = 5.0  # of shape values, whose variance is 1, against radians and half-sides of the crop
+# Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
+_SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
 
@@ -62,6 +64,8 @@ class MeshOptions:
         depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
         turns: Weight of the squares of joints' turns, in such spreads.
         shape: Weight of half the squares of changes of the shape values.
+        clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
+            wears none.
         max_distance: Greatest distance from an edge of a pixel that moves it [px].
         depth_weight: The paper's lambda of the z gradient (eq. 12).
     """
@@ -75,6 +79,7 @@ class MeshOptions:
     depth: float = 2.0
     turns: float = 8.0
     shape: float = 1.0
+    clothes: float | None = 1.0
     max_distance: float = 3.0
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
 
@@ -82,9 +87,10 @@ class MeshOptions:
         check_steps(self.iterations, self.learning_rate)
         check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
         check_partdr_options(self.max_distance, self.depth_weight)
-        for name in ("proj", "seg", "depth", "turns", "shape"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
+        for name in ("proj", "seg", "depth", "turns", "shape", "clothes"):
+            weight = getattr(self, name)
+            if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
+                raise ValueError(f"{name}: {weight}; expected 0 or a positive number")
 
 
 @dataclass(frozen=True)
@@ -96,11 +102,13 @@ class MeshFit(Movable):
         body: The detailed body in the camera frame, as ``register`` gives one; with weak perspective near the origin.
             Its losses are the energy's terms before the last step.
         ellipbody: The same body as EllipBody, measured from it.
+        clothes: Thicknesses of clothes and hair on its parts ``CLOTHED`` [m], shape (1, 8), which the body is without.
     """
 
     first: FitResult
     body: Registered
     ellipbody: FitResult
+    clothes: torch.Tensor
 
     @property
     def camera(self) -> Camera:
@@ -117,8 +125,9 @@ class MeshFit(Movable):
         return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()
 
     def draw(self, image_size: tuple[int, int]) -> PartImage:
-        """The body's 20 parts in the full picture of (H, W) pixels."""
-        return draw_mesh(self.body.detailed.vertices, detailed_mesh(self.body.model), self.camera, image_size)
+        """Its 20 parts, clothed, in the full picture of (H, W) pixels."""
+        clothed = self.body.clothed(self.clothes)
+        return draw_mesh(clothed.vertices, detailed_mesh(self.body.model), self.camera, image_size)
 
 
 @one_torch_thread()
@@ -156,7 +165,13 @@ def refine_mesh(
     body = _Body(model, start, shape_from_lengths(model, posed))
     energy = _MeshEnergy(body, result.observation, result.uncertainty, options)
     pose = [body.turns, body.log_scale, body.shift]
-    adam = Adam([(pose, options.learning_rate), ([body.shape], _SHAPE_RATE * options.learning_rate)])
+    adam = Adam(
+        [
+            (pose, options.learning_rate),
+            ([body.shape], _SHAPE_RATE * options.learning_rate),
+            ([body.clothes], _CLOTHES_RATE * options.learning_rate),
+        ]
+    )
     terms: dict[str, torch.Tensor] = {}
     for iteration in range(iterations):
         terms = energy()
@@ -191,7 +206,7 @@ def _finish(body: _Body, result: FitResult, terms: dict[str, torch.Tensor], seco
     )
     moved = ellipbody.posed.joints[:, 0] - pelvis
     registered = ungrown(body.model, shape, rotations, translation + moved, terms)
-    return MeshFit(result, registered, ellipbody)
+    return MeshFit(result, registered, ellipbody, bounded(body.clothes.detach()))
 
 
 class _Body:
@@ -203,6 +218,7 @@ class _Body:
         self.joints = free_joints(model)
         self.turns = shape.new_zeros(1, len(self.joints), 3).requires_grad_()
         self.shape = shape.clone().requires_grad_()
+        self.clothes = shape.new_zeros(1, len(CLOTHED)).requires_grad_()
         self.log_scale, self.shift = (each.clone().requires_grad_() for each in (start.log_scale, start.shift))
 
     def rotations(self) -> torch.Tensor:
@@ -220,7 +236,7 @@ class _MeshEnergy:
     def __init__(self, body: _Body, seen: Observation, said: Uncertainty | None, options: MeshOptions) -> None:
         self._body, self._seen, self._options = body, seen, options
         whole = body.model
-        self._drawn, mesh = _drawn_mesh(whole, options.vertices)
+        self._drawn, mesh, self._dress = _drawn_mesh(whole, options.vertices)
         known = {place: name for place, name in enumerate(_points_of(whole, seen)) if name is not None}
         places = torch.tensor(list(known), dtype=torch.int64, device=body.shape.device)
         self._points, self._votes = seen.points[places], landmark_votes(seen)[places]
@@ -259,6 +275,8 @@ class _MeshEnergy:
             "turns": options.turns * (body.turns.square().sum(-1) / self._turn_spreads.square()).sum(1),
             "shape": options.shape / 2 * (body.shape - self._first_shape).square().sum(1),
         }
+        if options.clothes is not None:
+            terms["clothes"] = options.clothes / 2 * (body.clothes / SPREAD).square().sum(1)
         if self._target is not None:
             size = options.size
             camera, _ = find_camera(body.parameters(), lens, size)
@@ -270,7 +288,10 @@ class _MeshEnergy:
     def _pose(self) -> tuple[Detailed, torch.Tensor]:
         """The mesh that is drawn, and landmarks, the pelvis about the origin."""
         body = self._body
-        posed = self._drawn.pose(body.shape, body.rotations(), body.translation)
+        dress = None
+        if self._options.clothes is not None:
+            dress = clothes_offsets(self._dress, body.clothes)
+        posed = self._drawn.pose(body.shape, body.rotations(), body.translation, offsets=dress)
         return posed, self._weights @ torch.cat([posed.vertices, posed.joints], dim=1)
 
     @staticmethod
@@ -288,7 +309,13 @@ def _points_of(model: DetailedModel, seen: Observation) -> list[str | None]:
 
 
 @lru_cache(maxsize=4)
-def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, PartMesh]:
+def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, PartMesh, torch.Tensor]:
     with torch.inference_mode(False):  # kept for calls outside of it, too
-        drawn = model if model.num_vertices <= vertices else reduce_model(model, vertices).model
-        return drawn, detailed_mesh(drawn)
+        basis = clothes_basis(model)
+        if model.num_vertices <= vertices:
+            return model, detailed_mesh(model), basis
+        reduced = reduce_model(model, vertices)
+        # Vertices that carry landmarks alone stay at the body.
+        others = reduced.model.num_vertices - reduced.drawn
+        basis = torch.nn.functional.pad(basis[:, reduced.kept], (0, 0, 0, others))
+        return reduced.model, detailed_mesh(reduced.model), basis

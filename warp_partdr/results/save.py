@@ -21,6 +21,7 @@ from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
+from ..clothing.clothes import CLOTHED
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
 from ..errors import check_type
@@ -106,6 +107,7 @@ def save_registered(
     *,
     photo: np.ndarray | None = None,
     evidence: Evidence | None = None,
+    clothes: torch.Tensor | None = None,
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``; returns the report.
@@ -117,18 +119,25 @@ def save_registered(
         size: (H, W) of the picture [px].
         photo: The picture, shape (H, W, 3), uint8, if there was one.
         evidence: Of the person in that picture, for the report's scores where it has labels.
+        clothes: Thicknesses on parts ``CLOTHED`` [m], shape (1, 8), that picture and scores show; meshes are without.
         **about: More for the report.
     """
     model = registered.model
-    picture = draw_detailed(registered, camera, size, photo)
+    shown = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
+    picture = draw_detailed(shown, camera, size, photo)
     numbers: dict[str, Any] = {
         name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
     }
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
     report: dict[str, Any] = {"model": model.name, "losses": losses, **about}
+    if clothes is not None:
+        numbers["clothes"] = clothes[0].cpu().numpy()
+        report["clothes_cm"] = {
+            name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
+        }
     if evidence is not None and evidence.picture is not None:
         label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
-        vertices = registered.detailed.vertices[:1].detach()
+        vertices = shown.detailed.vertices[:1].detach()
         seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
         image = draw_mesh(vertices, detailed_mesh(model), seen, scored)
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)

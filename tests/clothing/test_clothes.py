@@ -1,0 +1,52 @@
+"""Clothes: skin moved outward, the same left and right, nowhere inward, nothing on hands and feet."""
+
+from __future__ import annotations
+
+import torch
+
+from warp_partdr.body.template import PART_NAMES
+from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.clothes import CLOTHED, THICKEST, bounded, clothes_basis, clothes_offsets
+from warp_partdr.clothing.registration import ungrown
+from warp_partdr.clothing.surfaces import vertex_parts
+
+
+def moved(kind: str, thickness: float, device: str) -> torch.Tensor:
+    """How far each of Anny's vertices moves, shape (V,) [m]."""
+    thick = torch.tensor([[thickness * (name == kind) for name in CLOTHED]], device=device)
+    return clothes_offsets(clothes_basis(anny(torch.device(device))), thick)[0].norm(dim=-1)
+
+
+def test_each_kind_of_part_has_its_own_on_both_sides(device: str) -> None:
+    part, _ = vertex_parts(anny(torch.device(device)))
+    far = moved("upper_leg", 0.03, device)
+    means = {name: float(far[part == place].mean()) for place, name in enumerate(PART_NAMES)}
+    assert means["left_upper_leg"] > 0.02
+    assert abs(means["left_upper_leg"] - means["right_upper_leg"]) < 5e-4
+    assert max(means[name] for name in ("left_hand", "right_foot", "head", "left_forearm")) < 1e-4
+
+
+def test_hands_and_feet_are_bare(device: str) -> None:
+    part, _ = vertex_parts(anny(torch.device(device)))
+    everywhere = clothes_offsets(
+        clothes_basis(anny(torch.device(device))), torch.full((1, len(CLOTHED)), 0.03, device=device)
+    )[0].norm(dim=-1)
+    assert everywhere.max() < 0.03 + 1e-5
+    for name in ("left_hand", "right_hand", "left_foot", "right_foot"):
+        assert everywhere[part == PART_NAMES.index(name)].mean() < 0.006  # but for the borders
+
+
+def test_they_are_never_inward_nor_thicker_than_coats(device: str) -> None:
+    thick = torch.tensor([-0.1, 0.02, 1.0], device=device)
+    assert bounded(thick).tolist() == [0.0, thick[1].item(), torch.tensor(THICKEST).item()]
+
+
+def test_the_body_beneath_stays(device: str) -> None:
+    model = anny(torch.device(device))
+    shape = torch.zeros(1, model.num_shapes, device=device)
+    eye = torch.eye(3, device=device).expand(1, model.num_joints, 3, 3)
+    body = ungrown(model, shape, eye, torch.zeros(1, 3, device=device), {})
+    clothed = body.clothed(torch.full((1, len(CLOTHED)), 0.02, device=device))
+    assert (clothed.joints - body.detailed.joints).abs().max() < 1e-6
+    middle = body.detailed.vertices.mean(1, keepdim=True)
+    assert (clothed.vertices - middle).norm(dim=-1).mean() > (body.detailed.vertices - middle).norm(dim=-1).mean()

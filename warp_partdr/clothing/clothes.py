@@ -1,0 +1,52 @@
+"""Clothes and hair over a detailed body: skin moved outward, so far for each kind of part, smooth at borders."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+
+from ..body.landmarks import without_side
+from ..body.template import PART_NAMES
+from .model import DetailedModel
+
+# Kinds of parts that have a thickness of clothes each, the same left and right: hands, feet, hips and shoulders have
+# none, for there labels draw thickness wherever joints are off.
+CLOTHED: tuple[str, ...] = ("head", "neck", "chest", "abdomen", "upper_arm", "forearm", "upper_leg", "lower_leg")
+THICKEST = 0.05  # [m]; and no less than 0, for labels drawn too small would eat the body
+SPREAD = 0.02  # [m], standard deviation of a thickness
+
+
+def clothes_offsets(basis: torch.Tensor, thicknesses: torch.Tensor) -> torch.Tensor:
+    """Offsets of vertices at rest, for ``model.pose``, shape (B, V, 3) [m].
+
+    Args:
+        basis: Of ``clothes_basis``, or rows of it, shape (8, V, 3).
+        thicknesses: Of ``CLOTHED`` [m], shape (B, 8), within ``THICKEST``; differentiable.
+    """
+    return (bounded(thicknesses) @ basis.flatten(1)).unflatten(1, (-1, 3))
+
+
+def bounded(thicknesses: torch.Tensor) -> torch.Tensor:
+    """Thicknesses [m] that clothes can have."""
+    return thicknesses.clamp(0.0, THICKEST)
+
+
+@lru_cache(maxsize=4)
+def clothes_basis(model: DetailedModel) -> torch.Tensor:
+    """Move of each vertex at rest by a metre of each thickness, shape (8, V, 3)."""
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        kinds = [without_side(name) for name in PART_NAMES]
+        sums = torch.tensor([[float(kind == name) for name in CLOTHED] for kind in kinds], device=model.faces.device)
+        shares = model.spread_weights @ sums.to(model.rest_vertices)
+        return shares.T[..., None] * _normals(model)
+
+
+def _normals(model: DetailedModel) -> torch.Tensor:
+    """Unit normals of the mean body's vertices, 0 where there is no face, shape (V, 3)."""
+    corners = model.rest_vertices[model.faces.long()]
+    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sums = torch.zeros_like(model.rest_vertices)
+    for place in range(3):
+        sums.index_add_(0, model.faces[:, place].long(), across)
+    return torch.nn.functional.normalize(sums, dim=-1)
