@@ -143,9 +143,16 @@ def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarra
     from ..results.save import save_registered
 
     fit = mesh.ellipbody
-    seen = {"photo": photo, "evidence": fit.evidence, "clothes": mesh.clothes}
-    seconds = round(fit.stage_seconds["mesh"], 3)
-    report = save_registered(mesh.body, out, fit.camera, size, **seen, seconds=seconds)
+    report = save_registered(
+        mesh.body,
+        out,
+        fit.camera,
+        size,
+        photo=photo,
+        evidence=fit.evidence,
+        clothes=mesh.clothes,
+        seconds=round(fit.stage_seconds["mesh"], 3),
+    )
     return say_detailed(report, out)
 
 
