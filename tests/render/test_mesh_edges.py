@@ -20,6 +20,7 @@ from scenes.pictures import (
 
 from warp_partdr.reference.coverage import dense_costs, target_costs
 from warp_partdr.reference.mesh_edges import mesh_edges_gradient
+from warp_partdr.render.mesh_passes import MeshPasses, mesh_passes
 
 SIZES = [(21, 34), (40, 32)]  # pixel by pixel, and four a word
 EDGES = {"gradient": "edges"}
@@ -126,3 +127,11 @@ def test_other_gradients_are_refused(device):
     leaf, mesh = rectangle(device)
     with pytest.raises(ValueError, match="gradient: 'coverage'; expected one of edges, partdr, of a mesh"):
         draw_on_screen(leaf, mesh, (16, 16), gradient="coverage")
+
+
+@pytest.mark.parametrize("gradient", ["edges", "partdr"])
+def test_the_custom_operations_take_the_gradient_along(device, gradient):
+    _, mesh = rectangle(device)
+    constants = (mesh.faces, mesh.face_labels, mesh.edges)
+    passes = mesh_passes(*constants, mesh.num_labels, False, 0.0, 3.0, 1.0, gradient)
+    assert MeshPasses.of(constants, *passes.settings()) is passes
