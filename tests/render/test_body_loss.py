@@ -20,8 +20,11 @@ from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.render.renderers import Renderer, RendererEllipsoids, RendererMesh
 
 SIZE = (56, 48)
-RENDERERS = [RendererEllipsoids("edges"), RendererEllipsoids("coverage"), RendererEllipsoids("partdr"), RendererMesh(1)]
-renderers = pytest.mark.parametrize("renderer", RENDERERS, ids=["edges", "coverage", "partdr", "mesh"])
+RENDERERS = [
+    *(RendererEllipsoids("edges"), RendererEllipsoids("coverage"), RendererEllipsoids("partdr")),
+    *(RendererMesh(1), RendererMesh(1, gradient="edges")),
+]
+renderers = pytest.mark.parametrize("renderer", RENDERERS, ids=["edges", "coverage", "partdr", "mesh", "mesh-edges"])
 
 
 def bodies(seed: int, device: str, batch: int = 3) -> BodyParameters:

@@ -131,9 +131,9 @@ def _refine_mesh(result: FitResult, model: DetailedModel, progress: FitProgress)
     import warp as wp
 
     from ..fit.mesh_stage import refine_mesh
-    from ..kernels.mesh import push_xy, push_z, rasterize, resolve
+    from ..kernels.mesh import label_borders, rasterize, resolve
 
-    for module in (rasterize, resolve, push_xy, push_z):
+    for module in (rasterize, resolve, label_borders):
         wp.load_module(module, device=str(result.parameters.shift.device))
     return refine_mesh(result, model, progress=progress)
 
@@ -185,7 +185,7 @@ def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> Non
 
     from ..kernels import kinematics, labels
     from ..kernels.ellipsoids import picture, silhouette
-    from ..kernels.mesh import push_xy, push_z, rasterize, resolve
+    from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
     from ..kernels.refine import state
     from ..render.renderers import RendererEllipsoids, RendererMesh
 
@@ -193,7 +193,7 @@ def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> Non
     if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
         modules.append(state.MODULE)
     if with_labels and isinstance(options.renderer, RendererMesh):
-        modules += [push_xy, push_z]
+        modules += [label_borders] if options.renderer.gradient == "edges" else [push_xy, push_z]
     elif with_labels and device == "cpu":
         drawn = [stage.renderer for stage in options.stages if stage.size]
         gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})

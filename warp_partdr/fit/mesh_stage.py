@@ -39,7 +39,7 @@ from ..network.uncertainty import Uncertainty
 from ..refinement.energy import landmark_votes
 from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh, mesh_label_loss
-from ..render.options import DEFAULT_DEPTH_WEIGHT, check_partdr_options
+from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
 from ..render.part_mesh import PartMesh
 from .fitting import Progress
 from .result import FitResult
@@ -66,8 +66,9 @@ class MeshOptions:
         shape: Weight of half the squares of changes of the shape values.
         clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
             wears none.
-        max_distance: Greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: The paper's lambda of the z gradient (eq. 12).
+        gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
+        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
+        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12).
     """
 
     iterations: int = 60
@@ -75,18 +76,19 @@ class MeshOptions:
     size: int = 160
     vertices: int = 1500
     proj: float = 0.5
-    seg: float = 0.03
+    seg: float = 0.1
     depth: float = 2.0
     turns: float = 8.0
     shape: float = 1.0
     clothes: float | None = 1.0
+    gradient: MeshGradient = "edges"
     max_distance: float = 3.0
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
 
     def __post_init__(self) -> None:
         check_steps(self.iterations, self.learning_rate)
         check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
-        check_partdr_options(self.max_distance, self.depth_weight)
+        check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
         for name in ("proj", "seg", "depth", "turns", "shape", "clothes"):
             weight = getattr(self, name)
             if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
@@ -280,8 +282,16 @@ class _MeshEnergy:
         if self._target is not None:
             size = options.size
             camera, _ = find_camera(body.parameters(), lens, size)
-            rule = {"max_distance": options.max_distance, "depth_weight": self._depth_weight}
-            loss, _ = mesh_label_loss(posed.vertices + away, self._mesh, camera, self._target, validate=False, **rule)
+            loss, _ = mesh_label_loss(
+                posed.vertices + away,
+                self._mesh,
+                camera,
+                self._target,
+                gradient=options.gradient,
+                max_distance=options.max_distance,
+                depth_weight=self._depth_weight,
+                validate=False,
+            )
             terms["seg"] = options.seg * (REFERENCE_SIZE / size) ** 2 * loss
         return terms
 

@@ -13,7 +13,7 @@ from ..interop.checks import FLOATS, check_image_size, check_numbers, check_tens
 from ..interop.derivatives import refuse_transforms
 from . import compiled as compiled  # registers the operations for torch.compile
 from .mesh_passes import MeshPasses, mesh_passes
-from .options import DEFAULT_DEPTH_WEIGHT, IGNORE_LABEL, check_partdr_options, check_target
+from .options import DEFAULT_DEPTH_WEIGHT, IGNORE_LABEL, MeshGradient, check_mesh_rule, check_target
 from .part_mesh import MAX_LABEL, PartMesh
 from .pictures import DrawnLater, draw_picture, find_loss
 
@@ -42,6 +42,7 @@ def draw_mesh(
     image_size: tuple[int, int],
     *,
     num_maps: int = 0,
+    gradient: MeshGradient = "partdr",
     max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
@@ -58,20 +59,23 @@ def draw_mesh(
             picture already.
         image_size: (H, W) [px]; need not be square.
         num_maps: K; part maps of labels 1 to K are made. 0 makes none, and nothing has a gradient.
-        max_distance: Pixels farther than this from an edge do not move it [px]. The paper has no limit, which finds far
-            targets; near the target a few pixels come closer to the true derivative of the covered area.
-        depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
+        gradient: "partdr", or "edges": the derivative of the covered area, sampled between each two pixels that show
+            different labels, in the picture's plane alone.
+        max_distance: "partdr": pixels farther than this from an edge do not move it [px]. The paper has no limit, which
+            finds far targets; near the target a few pixels come closer to the true derivative of the covered area.
+        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves z without one.
         validate: Look for NaN and infinity; on CUDA that waits for the device.
 
     Returns:
-        The picture. The gradient of the maps is PartDR's estimate: linear in the incoming gradient, not the
-        derivative of the step function.
+        The picture. The gradient of the maps is an estimate: linear in the incoming gradient, not the derivative of
+        the step function.
 
     Raises:
         ValueError: If a shape, size, dtype or option is wrong, devices differ, or a number is NaN or infinite.
         NotImplementedError: Under ``torch.func``, and in a second derivative.
     """
-    passes, screen = _project("draw_mesh", vertices, mesh, camera, (max_distance, depth_weight), validate)
+    rule = check_mesh_rule(gradient, max_distance, depth_weight)
+    passes, screen = _project("draw_mesh", vertices, mesh, camera, rule, validate)
     size = check_image_size(image_size, vertices.shape[0])
     num_maps = check_whole("num_maps", num_maps, 0, MAX_LABEL)
     return draw_picture(PartImage, passes, (screen,), size, num_maps)
@@ -83,6 +87,7 @@ def mesh_label_loss(
     camera: Camera | ScreenCamera,
     target: torch.Tensor,
     *,
+    gradient: MeshGradient = "partdr",
     max_distance: float = math.inf,
     depth_weight: float = DEFAULT_DEPTH_WEIGHT,
     validate: bool = True,
@@ -96,8 +101,9 @@ def mesh_label_loss(
         mesh: Topology and labels, on the same device.
         camera: As in ``draw_mesh``, like all that is not named here.
         target: Target label of each pixel, shape (B, H, W) or (1, H, W) for all, uint8; 0 = background, 255 = ignore.
-        max_distance: Pixels farther than this from an edge do not move it [px].
-        depth_weight: The paper's lambda of the z gradient.
+        gradient: "partdr" or "edges".
+        max_distance: "partdr": pixels farther than this from an edge do not move it [px].
+        depth_weight: "partdr": the paper's lambda of the z gradient.
         validate: Look for NaN, infinity and labels that the mesh has not.
 
     Returns:
@@ -109,7 +115,8 @@ def mesh_label_loss(
     """
     refuse_transforms("mesh_label_loss", target)
     check_tensor("target", target, (None, None, None), dtypes=(torch.uint8,))
-    passes, screen = _project("mesh_label_loss", vertices, mesh, camera, (max_distance, depth_weight), validate)
+    rule = check_mesh_rule(gradient, max_distance, depth_weight)
+    passes, screen = _project("mesh_label_loss", vertices, mesh, camera, rule, validate)
     check_image_size(target.shape[1:], vertices.shape[0])
     check_target(target, ("vertices", vertices), vertices.shape[0])
     if validate and not torch.compiler.is_compiling():
@@ -130,7 +137,7 @@ def _project(
     vertices: torch.Tensor,
     mesh: PartMesh,
     camera: Camera | ScreenCamera,
-    rule: tuple[float, float],
+    rule: tuple[float, float, MeshGradient],
     validate: bool,
 ) -> tuple[MeshPasses, torch.Tensor]:
     """Check what both entry points share (``name`` is the one called); return passes and vertices on the screen."""
@@ -141,7 +148,6 @@ def _project(
     if not isinstance(camera, ScreenCamera):
         given["camera"] = check_camera(camera, vertices.shape[0], ("vertices", vertices))
         refuse_transforms(name, given["camera"])
-    check_partdr_options(*rule)
     if mesh.faces.device != vertices.device:
         raise ValueError(f"mesh: on {mesh.faces.device}; expected {vertices.device}, as vertices; use mesh.to(device)")
     if mesh.num_vertices > vertices.shape[1]:
@@ -149,5 +155,5 @@ def _project(
     screen = camera.project(vertices)
     if validate and not torch.compiler.is_compiling():
         check_numbers({**given, "projected vertices": screen})
-    options = camera.perspective, camera.near_plane, float(rule[0]), float(rule[1])
+    options = camera.perspective, camera.near_plane, *rule
     return mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options), screen.float()

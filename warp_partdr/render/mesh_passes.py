@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import chain
-from typing import Any
+from types import ModuleType
+from typing import Any, cast
 
 import torch
 import warp as wp
@@ -19,9 +20,9 @@ from ..interop.loss_graph import Buffers
 from ..interop.streams import launch_bodies_on
 from ..kernels.labels import NUM_EXTENTS, DenseGradient, LabelTarget
 from ..kernels.launch import launch_side_by_side
-from ..kernels.mesh import push_xy, push_z, rasterize, resolve
+from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
 from ..kernels.mesh.triangles import ImageArrays, MeshArrays
-from .options import cached
+from .options import MeshGradient, cached
 from .pictures import Picture, Settings, Size
 
 
@@ -37,16 +38,21 @@ class MeshPasses:
     near: float
     max_distance: float
     depth_weight: float
+    gradient: MeshGradient = "partdr"
 
     kind, drawing, name = "mesh", "draw_mesh", "mesh_label_loss"
-    modules = (rasterize, resolve, push_xy, push_z)
+
+    @property
+    def modules(self) -> Sequence[ModuleType]:
+        """Modules of the kernels that it launches."""
+        return rasterize, resolve, *((label_borders,) if self.gradient == "edges" else (push_xy, push_z))
 
     @classmethod
     def of(
         cls, constants: Sequence[torch.Tensor], integers: Sequence[int], gradient: str, numbers: Sequence[float]
     ) -> MeshPasses:
         """Inverse of ``constants`` and ``settings``."""
-        return mesh_passes(*constants, integers[0], bool(integers[1]), *numbers)
+        return mesh_passes(*constants, integers[0], bool(integers[1]), *numbers, cast("MeshGradient", gradient))
 
     @property
     def constants(self) -> Tensors:
@@ -56,7 +62,7 @@ class MeshPasses:
     def settings(self) -> Settings:
         """Options as custom operations take them."""
         numbers = [self.near, self.max_distance, self.depth_weight]
-        return [self.num_labels, int(self.perspective)], "partdr", numbers
+        return [self.num_labels, int(self.perspective)], self.gradient, numbers
 
     def draw(self, inputs: Tensors, size: Size) -> Picture:
         """Draw labels, depth and face-index map."""
@@ -154,6 +160,9 @@ class MeshPasses:
         """
         arrays = self._arrays(vertices), _image_arrays(images)
         found_gradient, (batch, num_edges) = warp_array(grad_vertices), (vertices.shape[0], self.edges.shape[0])
+        if self.gradient == "edges":
+            push_borders = partial(label_borders.launch_push_label_borders, *arrays, grad=found_gradient)
+            return _in_turn(found_gradient.zero_, lambda: push_borders(gradient=next(iter(gradients()))))
         push_edges = partial(
             push_xy.launch_push_edges,
             *arrays,

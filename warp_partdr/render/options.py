@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import torch
 
 Gradient = Literal["edges", "coverage", "partdr"]
+MeshGradient = Literal["edges", "partdr"]
 
 IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
 DEFAULT_DEPTH_WEIGHT = 1.0  # the paper's lambda in eq. 12, to which it gives no value
@@ -23,6 +24,16 @@ def check_partdr_options(max_distance: float, depth_weight: float) -> None:
         raise ValueError(f"max_distance: {max_distance}; expected a number of pixels from 0, or infinity")
     if not 0 <= depth_weight < math.inf:
         raise ValueError(f"depth_weight: {depth_weight}; expected a finite number from 0")
+
+
+def check_mesh_rule(
+    gradient: MeshGradient, max_distance: float, depth_weight: float
+) -> tuple[float, float, MeshGradient]:
+    """Options of a mesh's gradient, checked, as the last three of ``mesh_passes``."""
+    if gradient not in get_args(MeshGradient):
+        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(MeshGradient))}, of a mesh")
+    check_partdr_options(max_distance, depth_weight)
+    return float(max_distance), float(depth_weight), gradient
 
 
 def check_target(target: torch.Tensor, like: tuple[str, torch.Tensor], batch: int) -> None:

@@ -21,7 +21,7 @@ from .ellipsoid_passes import ellipsoid_passes
 from .ellipsoids import EllipsoidImage, check_part_labels, check_rule, draw_ellipsoids, ellipsoid_label_loss
 from .mesh import PartImage, draw_mesh, mesh_label_loss
 from .mesh_passes import mesh_passes
-from .options import DEFAULT_DEPTH_WEIGHT, Gradient, check_partdr_options
+from .options import DEFAULT_DEPTH_WEIGHT, Gradient, MeshGradient, check_mesh_rule
 from .part_mesh import PartMesh, ellipbody_mesh
 from .subdivisions import DEFAULT_TOLERANCE, Subdivisions, coarsest_subdivisions
 
@@ -91,19 +91,21 @@ class RendererEllipsoids(BodyLoss):
 
 @dataclass(frozen=True)
 class RendererMesh(BodyLoss):
-    """EllipBody's mesh, with PartDR's gradient: the paper's renderer.
+    """EllipBody's mesh; with PartDR's gradient, the paper's renderer.
 
     Attributes:
         subdivisions: Level of the mesh, 0 to 3; "auto": the coarsest that keeps ``tolerance``.
         tolerance: Of "auto": greatest distance of silhouettes from those of the ellipsoids [px].
-        max_distance: Greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: The paper's lambda of the z gradient (eq. 12); 0 leaves it out.
+        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
+        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12); 0 leaves it out.
+        gradient: "partdr" or "edges", see ``draw_mesh``.
     """
 
     subdivisions: Subdivisions = DEFAULT_SUBDIVISIONS
     tolerance: float = DEFAULT_TOLERANCE
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
+    gradient: MeshGradient = "partdr"
 
     def draw(
         self,
@@ -143,8 +145,8 @@ class RendererMesh(BodyLoss):
         return replace(self, subdivisions=coarsest_subdivisions(posed, camera, tolerance=self.tolerance))
 
     @property
-    def _rule(self) -> dict[str, float]:
-        return {"max_distance": self.max_distance, "depth_weight": self.depth_weight}
+    def _rule(self) -> dict[str, Any]:
+        return {"gradient": self.gradient, "max_distance": self.max_distance, "depth_weight": self.depth_weight}
 
     def _mesh(self, posed: Posed, camera: Camera, part_labels: Sequence[int]) -> tuple[torch.Tensor, PartMesh]:
         level = self.fixed(posed, camera).subdivisions
@@ -168,9 +170,9 @@ def _ellipsoid_body_passes(renderer: RendererEllipsoids, seeing: Seeing) -> Body
 @lru_cache(maxsize=64)
 def _mesh_body_passes(renderer: RendererMesh, seeing: Seeing, device: torch.device) -> BodyPasses:
     assert renderer.subdivisions != "auto"
-    check_partdr_options(**renderer._rule)
+    rule = check_mesh_rule(**renderer._rule)
     mesh = labelled_mesh(renderer.subdivisions, seeing.part_labels, device)
-    options = seeing.perspective, seeing.near_plane, float(renderer.max_distance), float(renderer.depth_weight)
+    options = seeing.perspective, seeing.near_plane, *rule
     passes = mesh_passes(mesh.faces, mesh.face_labels, mesh.edges, mesh.num_labels, *options)
     return BodyPasses(passes, renderer.subdivisions, seeing.locked, seeing.half_size)
 

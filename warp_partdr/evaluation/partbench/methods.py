@@ -35,6 +35,7 @@ _STARTS = {
     "search": Method(options=_SEARCH),
 }
 _MESH = Method(fit=fit_anny, vertices=attrgetter("vertices"))
+_MESH_BY_PARTDR = MeshOptions(gradient="partdr", seg=0.03)  # which pulls about thrice as hard as "edges"
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
     KNOWN_CAMERA: Method(camera=True, vertices=registered_vertices),
@@ -43,6 +44,6 @@ METHODS: dict[str, Method] = {
         options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices
     ),
     "parts, Anny's mesh": _MESH,
-    "parts, Anny's mesh, no z gradient": replace(_MESH, fit=partial(fit_anny, mesh=MeshOptions(depth_weight=0.0))),
+    "parts, Anny's mesh, PartDR's rule": replace(_MESH, fit=partial(fit_anny, mesh=_MESH_BY_PARTDR)),
 }
 QUICK = ("keypoints only", "full silhouette", "parts", *_STARTS)

@@ -37,7 +37,7 @@ ORDER = (
     (KNOWN_CAMERA, "parts"),
     ("network, 50 iterations", "network"),
     ("search", "search, no z gradient"),
-    ("parts, Anny's mesh", "parts, Anny's mesh, no z gradient"),
+    ("parts, Anny's mesh", "parts, Anny's mesh, PartDR's rule"),
 )
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"
