@@ -63,10 +63,9 @@ class Growth:
         ratios, spreads = zip(*(THICKNESS_RATIOS[name] for name in THICKNESS_NAMES), strict=True)
         self.ratios = like.new_tensor([1.0] * len(LENGTH_NAMES) + [*ratios])[self.indices]
         self.spreads = like.new_tensor([_LENGTH_SPREAD] * len(LENGTH_NAMES) + [*spreads])
-        rest = model.rest(shape)
-        # About the middle of each vertex' own part: about the body's, float32 leaves a foot's variance three digits.
-        self.middles = (self.shares @ rest.vertices[:1])[0][parts.long()]
-        self.axes = rest_turns(model, rest).mT @ torch.from_numpy(template().rest_axes).to(like)
+        # Of each vertex' own part: about the whole body's middle, float32 leaves a foot's variance three digits.
+        self.middles = (self.shares @ model.rest_vertices)[parts.long()]
+        self.axes = rest_turns(model, model.rest(shape)).mT @ torch.from_numpy(template().rest_axes).to(like)
 
     def demanded(self, semi_axes: torch.Tensor) -> torch.Tensor:
         """Logarithms of the 27 measures [log m] of ellipsoids, shape (B, 20, 3), shape (B, 27)."""
