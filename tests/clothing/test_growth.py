@@ -125,7 +125,7 @@ def test_stretches_of_one_are_none_and_of_all_scale_the_body(device: str) -> Non
     # The measures of a body follow: lengths and thicknesses by the factor.
     body = Growth(model, *vertex_parts(model), shape)
     grown = body.stretches(torch.full((1, len(MEASURES)), 1.3, device=device))
-    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 2e-5
+    assert (body.measured(shape, grown) - body.measured(shape)).sub(math.log(1.3)).abs().max() < 2e-4
 
 
 def test_inscribed_bodies_never_thin_the_person(device: str) -> None:
