@@ -12,7 +12,7 @@ from warp_partdr.clothing.surfaces import vertex_parts
 
 
 def moved(kind: str, thickness: float, device: str) -> torch.Tensor:
-    """How far each of Anny's vertices moves, shape (V,) [m]."""
+    """Distances that Anny's vertices move, shape (V,) [m]."""
     thick = torch.tensor([[thickness * (name == kind) for name in CLOTHED]], device=device)
     return clothes_offsets(clothes_basis(anny(torch.device(device))), thick)[0].norm(dim=-1)
 
