@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from ..cameras import Camera
+from ..cameras import Camera, WeakPerspective
 from .parameters import BodyParameters
 from .posing import Posed
 from .rotations import rotation_between, rotation_to_6d
@@ -32,28 +32,33 @@ def place_bodies(
 
 def find_camera(parameters: BodyParameters, lens: torch.Tensor | None, size: int) -> tuple[Camera, torch.Tensor | None]:
     """The camera of ``place_bodies``, and where the pelvises are before it, shape (B, 3) [m]; None: at the origin."""
-    camera = parameters.camera(size)
+    return through_lens(parameters.camera(size), lens, size)
+
+
+def through_lens(camera: WeakPerspective, lens: torch.Tensor | None, size: int) -> tuple[Camera, torch.Tensor | None]:
+    """As ``find_camera``, of a crop's weak-perspective cameras; ``lens`` may be one a body, shape (B, 3)."""
     if lens is None:
         return camera, None
-    lens = lens.to(camera.scale).expand(parameters.batch_size, 3)
+    lens = lens.to(camera.scale).expand(len(camera.scale), 3)
     return camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
 
 
 def move_pelvises(parameters: BodyParameters, lens: torch.Tensor | None, moves: torch.Tensor) -> BodyParameters:
     """Bodies whose pelvises are seen where they are after these moves, (B, 3) [m]; their sizes [m] stay.
 
-    With weak perspective, which knows no distance, moves along the view change nothing.
+    ``lens`` may be one a body, (B, 3). With weak perspective, which knows no distance, moves along the view change
+    nothing.
     """
     scale = parameters.log_scale.exp()
     if lens is None:
         return replace(parameters, shift=parameters.shift + scale[:, None] * moves[:, :2])
-    lens = lens.to(scale)
-    before = torch.cat([parameters.shift - lens[1:], lens[:1].expand(len(scale), 1)], dim=1) / scale[:, None]
-    place = before + moves
+    lens = lens.to(scale).expand(len(scale), 3)
+    focal, middle = lens[:, :1], lens[:, 1:]
+    place = torch.cat([parameters.shift - middle, focal], dim=1) / scale[:, None] + moves
     return replace(
         parameters,
-        log_scale=(lens[0] / place[:, 2]).log(),
-        shift=lens[1:] + lens[0] * place[:, :2] / place[:, 2:],
+        log_scale=(focal / place[:, 2:])[:, 0].log(),
+        shift=middle + focal * place[:, :2] / place[:, 2:],
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -107,6 +107,12 @@ class BodyParameters(Movable):
     def select(self, index: torch.Tensor) -> BodyParameters:
         """Select some of the bodies."""
         return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
+
+    @classmethod
+    def joined(cls, those: Sequence[BodyParameters]) -> BodyParameters:
+        """The bodies of several batches in one."""
+        rows = [each.tensors() for each in those]
+        return cls(**{name: torch.cat([row[name] for row in rows]) for name in ROW})
 
     def leaves(self, frozen: Collection[str] = ()) -> BodyParameters:
         """Detached copies that collect gradients, but for the frozen ones."""

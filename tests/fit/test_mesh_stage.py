@@ -15,7 +15,8 @@ from warp_partdr.clothing.growth import Growth
 from warp_partdr.clothing.surfaces import vertex_parts
 from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.fit.fitting import fit_body
-from warp_partdr.fit.mesh_stage import MeshFit, MeshOptions, refine_mesh
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh, refine_meshes
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.sample import Sample
@@ -162,6 +163,46 @@ def test_clothes_are_thickness_not_the_body(device):
     assert errors[1] < errors[0] + 2
 
 
+@pytest.fixture(scope="module")
+def crowd() -> dict[str, list[FitResult]]:
+    """Fits that don't go in one batch, by device: of two label sets' kinds, with and without labels and cameras."""
+    return {}
+
+
+def several(crowd: dict[str, list[FitResult]], device: str) -> list[FitResult]:
+    if device not in crowd:
+        near, other, third = make_sample(1, "near"), make_sample(5, "realistic"), make_sample(6, "hard")
+        seen = [fitted(other, device), fitted(near, device, camera=near.camera), fitted(third, device)]
+        alone = fit_body(other.keypoints, None, options=FitOptions.at("fast"), device=device)
+        crowd[device] = [*seen, alone, fitted(near, device)]
+    return crowd[device]
+
+
+def test_people_side_by_side_are_as_alone(crowd, device):
+    """Also the second time, when a graph takes other people than those it was captured for."""
+    firsts, names = several(crowd, device), (*HIPS, "left_wrist", "right_ankle", "head")
+    alone = [refine_mesh(each, options=QUICK) for each in firsts]
+    for order in ([0, 1, 2, 3, 4], [4, 3, 2, 1, 0]):
+        together = refine_meshes([firsts[place] for place in order], options=QUICK)
+        for place, mesh in zip(order, together, strict=True):
+            assert mesh.first is firsts[place]
+            np.testing.assert_allclose(mesh.landmarks(names), alone[place].landmarks(names), atol=2e-3)
+            assert mesh.body.losses.keys() == alone[place].body.losses.keys()
+            for name, loss in mesh.body.losses.items():
+                assert loss.shape == (1,)
+                assert float(loss) == pytest.approx(float(alone[place].body.losses[name]), rel=0.05, abs=0.1)
+            assert mesh.ellipbody.energy["proj"] == pytest.approx(float(mesh.body.losses["proj"]))
+            assert mesh.ellipbody.posed.joints.shape == (1, 21, 3)
+    assert refine_meshes([]) == []
+
+
+def test_progress_of_batches_is_one(crowd):
+    told: list[tuple[str, int, int]] = []
+    short = replace(QUICK, iterations=2)
+    refine_meshes(several(crowd, "cpu"), options=short, progress=lambda *news: told.append(news))
+    assert told == [("mesh", step, 6) for step in range(1, 7)]  # with labels, with a camera, without labels
+
+
 def test_progress_is_told(first):
     told: list[tuple[str, int, int]] = []
     refine_mesh(first, options=QUICK, progress=lambda *news: told.append(news))
@@ -171,6 +212,8 @@ def test_progress_is_told(first):
 def test_wrong_arguments_are_named(first):
     with pytest.raises(TypeError, match="result"):
         refine_mesh(first.posed)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="results"):
+        refine_meshes([first, None])  # type: ignore[list-item]
     with pytest.raises(TypeError, match="model"):
         refine_mesh(first, "anny")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"model: torch\.float64 on cpu; expected torch\.float32 on cpu"):

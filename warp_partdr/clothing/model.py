@@ -36,6 +36,16 @@ class Detailed(Movable):
     joints: torch.Tensor
     transforms: torch.Tensor
 
+    def moved(self, by: torch.Tensor) -> Detailed:
+        """The bodies elsewhere, by (B, 3) [m]."""
+        transforms = self.transforms.clone()
+        transforms[..., :3, 3] += by[:, None]
+        return Detailed(self.vertices + by[:, None], self.joints + by[:, None], transforms)
+
+    def select(self, index: torch.Tensor) -> Detailed:
+        """Some of the bodies."""
+        return Detailed(*(tensor[index] for tensor in vars(self).values()))
+
 
 @dataclass(frozen=True, eq=False)
 class DetailedModel(Movable):
@@ -247,7 +257,7 @@ def _blend(
 def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
     """Rigid motions as matrices, shape (..., 4, 4)."""
     top = torch.cat([rotations, positions[..., None]], dim=-1)
-    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=top.dtype, device=top.device).expand(*top.shape[:-2], 1, 4)
+    bottom = torch.eye(4, dtype=top.dtype, device=top.device)[3:].expand(*top.shape[:-2], 1, 4)
     return torch.cat([top, bottom], dim=-2)
 
 

@@ -98,8 +98,8 @@ def end_joints(model: DetailedModel) -> list[int]:
     return ends
 
 
-def turn_joints(rotations: torch.Tensor, joints: list[int], turns: torch.Tensor) -> torch.Tensor:
-    """Local rotations (B, J, 3, 3), these of ``joints`` turned by rotation vectors (B, N, 3), shape (B, J, 3, 3)."""
+def turn_joints(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    """Local rotations (B, J, 3, 3) of which those of ``joints``, (N,), are turned by rotation vectors (B, N, 3)."""
     turned = rotations.clone()
     turned[:, joints] = rotations[:, joints] @ rotation_from_axis_angle(turns)
     return turned

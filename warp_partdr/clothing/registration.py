@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
@@ -129,6 +129,24 @@ class Registered(Movable):
         where = self.shape, self.rotations, self.translation
         return self.model.pose(*where, offsets=offsets, stretches=self.stretches)
 
+    def moved(self, by: torch.Tensor) -> Registered:
+        """The bodies elsewhere, by (B, 3) [m]."""
+        return replace(self, translation=self.translation + by, detailed=self.detailed.moved(by))
+
+    def select(self, index: torch.Tensor) -> Registered:
+        """Some of the bodies."""
+        return Registered(
+            self.model,
+            self.shape[index],
+            self.rotations[index],
+            self.translation[index],
+            self.stretches[index],
+            self.growth[index],
+            self.unexplained[index],
+            self.detailed.select(index),
+            {name: loss[index] for name, loss in self.losses.items()},
+        )
+
 
 @one_torch_thread()
 def register(
@@ -173,7 +191,7 @@ def register(
     posed = Posed(*(tensor.detach().contiguous() for tensor in vars(posed).values()))
     shape = shape_from_lengths(model, posed) if start is None else start.shape.detach().clone()
     pose, translation = pose_from_ellipbody(model, posed, shape)
-    free = free_joints(model)
+    free = torch.tensor(free_joints(model), device=like.device)
     turns = like.new_zeros(len(shape), len(free), 3)
     loss = _Loss(model, posed, options.weights)
     measures = _MeasureLoss(model, posed, options, loss.parts, loss.areas, shape, start)

@@ -14,7 +14,7 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
 from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
-from .mesh_stage import MeshOptions
+from .mesh_options import MeshOptions
 from .options import FitOptions, stages_of
 from .stages import Stage
 

@@ -7,92 +7,37 @@ and hair are thicknesses over it. In the end EllipBody is measured from it, so t
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import torch
 
-from ..body.lens import find_camera, move_pelvises
+from ..body.lens import move_pelvises
 from ..body.parameters import BodyParameters
-from ..body.pose_prior import FREE_PARTS
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
-from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.anny import anny
-from ..clothing.clothes import CLOTHED, SPREAD, bounded, clothes_basis, clothes_offsets
+from ..clothing.clothes import bounded
 from ..clothing.measuring import measure_ellipbody
-from ..clothing.model import Detailed, DetailedModel, detailed_mesh
-from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
-from ..clothing.reduction import reduce_model
-from ..clothing.registration import Registered, shape_from_lengths, ungrown
-from ..errors import check_type, check_whole
-from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
+from ..clothing.model import DetailedModel, detailed_mesh
+from ..clothing.registration import Registered, ungrown
+from ..errors import check_type
 from ..interop.adam import Adam
-from ..interop.checks import MAX_PICTURE, check_steps
+from ..interop.captured_step import CapturedStep
+from ..interop.graph_cache import graphs
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
-from ..network.uncertainty import Uncertainty
-from ..refinement.energy import landmark_votes
 from ..refinement.stepper import rate_share
-from ..render.mesh import PartImage, draw_mesh, mesh_label_loss
-from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
-from ..render.part_mesh import PartMesh
+from ..render.mesh import PartImage, draw_mesh
 from .fitting import Progress
+from .mesh_energy import MeshEnergy, People, Unknowns, gather_people, mesh_energy
+from .mesh_options import MeshOptions
 from .result import FitResult
 
 # Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
 _SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
-# Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
-_DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
-
-
-@dataclass(frozen=True)
-class MeshOptions:
-    """Options of the mesh stage; weights are of terms in the units of ``Energy``'s.
-
-    Attributes:
-        iterations: Steps of Adam.
-        learning_rate: Of angles [rad] and camera [half-sides of the crop].
-        size: Side of the drawn crop [px].
-        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more.
-        proj: Weight of L_proj.
-        seg: Weight of L_seg.
-        depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
-        turns: Weight of the squares of joints' turns, in such spreads.
-        shape: Weight of half the squares of changes of the shape values.
-        clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
-            wears none.
-        gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
-        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
-        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12).
-    """
-
-    iterations: int = 60
-    learning_rate: float = 0.01
-    size: int = 160
-    vertices: int = 1500
-    proj: float = 0.5
-    seg: float = 0.1
-    depth: float = 2.0
-    turns: float = 8.0
-    shape: float = 1.0
-    clothes: float | None = 1.0
-    gradient: MeshGradient = "edges"
-    max_distance: float = 3.0
-    depth_weight: float = DEFAULT_DEPTH_WEIGHT
-
-    def __post_init__(self) -> None:
-        check_steps(self.iterations, self.learning_rate)
-        check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
-        check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
-        for name in ("proj", "seg", "depth", "turns", "shape", "clothes"):
-            weight = getattr(self, name)
-            if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
-                raise ValueError(f"{name}: {weight}; expected 0 or a positive number")
 
 
 @dataclass(frozen=True)
@@ -132,7 +77,6 @@ class MeshFit(Movable):
         return draw_mesh(clothed.vertices, detailed_mesh(self.body.model), self.camera, image_size)
 
 
-@one_torch_thread()
 def refine_mesh(
     result: FitResult,
     model: DetailedModel | None = None,
@@ -153,179 +97,168 @@ def refine_mesh(
         ValueError: If the mesh can't have so many vertices, or the model is elsewhere or not float32.
     """
     check_type("result", result, FitResult, "of fit_body")
+    return refine_meshes([result], model, options=options, progress=progress)[0]
+
+
+@one_torch_thread()
+def refine_meshes(
+    results: Sequence[FitResult],
+    model: DetailedModel | None = None,
+    *,
+    options: MeshOptions | None = None,
+    progress: Progress | None = None,
+) -> list[MeshFit]:
+    """Refine the detailed bodies of many people side by side, each as ``refine_mesh`` does.
+
+    Those with labels of one set make a batch; so do those with a known camera and those without. On CUDA a batch's
+    steps are one captured graph, kept for the next batch of as many people.
+
+    Args:
+        results: Of ``fit_body``, on one device.
+        model: As of ``refine_mesh``, as the other arguments and what is raised.
+        options: Of all.
+        progress: Told of all batches' iterations.
+    """
+    for result in results:
+        check_type("results", result, FitResult, "of fit_body")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     check_type("options", options, MeshOptions | None, "such as MeshOptions()")
     options = options or MeshOptions()
-    iterations, started = options.iterations, time.perf_counter()
-    start = result.before_outline or result.parameters
-    posed = start.posed()
-    model = model or anny(posed.joints.device)
-    like = model.rest_vertices
-    if (like.dtype, like.device) != (posed.joints.dtype, posed.joints.device):
-        expected = f"{posed.joints.dtype} on {posed.joints.device}, as the result"
-        raise ValueError(f"model: {like.dtype} on {like.device}; expected {expected}")
-    body = _Body(model, start, shape_from_lengths(model, posed))
-    energy = _MeshEnergy(body, result.observation, result.uncertainty, options)
-    pose = [body.turns, body.log_scale, body.shift]
-    adam = Adam(
-        [
-            (pose, options.learning_rate),
-            ([body.shape], _SHAPE_RATE * options.learning_rate),
-            ([body.clothes], _CLOTHES_RATE * options.learning_rate),
-        ]
-    )
-    terms: dict[str, torch.Tensor] = {}
-    for iteration in range(iterations):
-        terms = energy()
-        torch.stack(list(terms.values())).sum().backward()
-        adam.step(rate_share(iteration, iterations))
+    batches: dict[tuple[MeshEnergy, bool], list[int]] = {}
+    for place, result in enumerate(results):
+        model = _checked_model(model, result)
+        energy = mesh_energy(model, options, result.observation.label_set)
+        batches.setdefault((energy, result.observation.lens is None), []).append(place)
+    found: dict[int, MeshFit] = {}
+    done, total = 0, options.iterations * len(batches)
+
+    def step(iteration: int) -> None:
         if progress is not None:
-            progress("mesh", iteration + 1, iterations)
+            progress("mesh", done + iteration + 1, total)
+
+    for (energy, _), places in batches.items():
+        assert model is not None
+        found |= zip(places, _refine_batch(energy, model, [results[place] for place in places], step), strict=True)
+        done += options.iterations
+    return [found[place] for place in range(len(results))]
+
+
+def _checked_model(model: DetailedModel | None, result: FitResult) -> DetailedModel:
+    like = result.parameters.shift
+    model = model or anny(like.device)
+    given = model.rest_vertices
+    if (given.dtype, given.device) != (like.dtype, like.device):
+        expected = f"{like.dtype} on {like.device}, as the result"
+        raise ValueError(f"model: {given.dtype} on {given.device}; expected {expected}")
+    return model
+
+
+def _refine_batch(
+    energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult], told: Callable[[int], None]
+) -> list[MeshFit]:
+    started, iterations = time.perf_counter(), energy.options.iterations
     with torch.no_grad():
-        return _finish(body, result, terms, time.perf_counter() - started)
+        people = gather_people(energy, model, results)
+    steps = _find_steps(energy, people)
+    for iteration in range(iterations):
+        steps.step(rate_share(iteration, iterations))
+        told(iteration)
+    with torch.no_grad():
+        return _finish(energy, model, people, steps, results, started)
 
 
-def _finish(body: _Body, result: FitResult, terms: dict[str, torch.Tensor], seconds: float) -> MeshFit:
-    """The detailed body where the camera sees it, and EllipBody measured from it."""
-    shape, rotations, translation = body.shape.detach(), body.rotations(), body.translation
-    about_start = ungrown(body.model, shape, rotations, translation, terms)
-    orientation, pelvis, turns, lengths, thicknesses = measure_ellipbody(about_start)
-    found = BodyParameters(
+class _Steps:
+    """Adam on the unknowns of B people.
+
+    Attributes:
+        unknowns: As they are now.
+        terms: Of the energy before the last step, by name, shape (B,) each.
+    """
+
+    def __init__(self, energy: MeshEnergy, people: People) -> None:
+        self._energy, self._people = energy, people
+        self.unknowns, rate = Unknowns.start(people), energy.options.learning_rate
+        pose = [self.unknowns.turns, self.unknowns.log_scale, self.unknowns.shift]
+        groups = (pose, 1.0), ([self.unknowns.shape], _SHAPE_RATE), ([self.unknowns.clothes], _CLOTHES_RATE)
+        self._adam = Adam((tensors, share * rate) for tensors, share in groups)
+        self.terms: dict[str, torch.Tensor] = {}
+
+    def step(self, share: float | torch.Tensor) -> None:
+        """One, at this share of the learning rate."""
+        self.terms = self._energy(self._people, self.unknowns)
+        torch.stack(list(self.terms.values())).sum().backward()
+        self._adam.step(share)
+
+    def restart(self, people: People) -> None:
+        """Take other people, as many as before."""
+        with torch.no_grad():
+            torch._foreach_copy_(self._people.tensors(), people.tensors())
+            torch._foreach_copy_(self.unknowns.tensors(), Unknowns.start(people).tensors())
+        self._adam.restart()
+
+
+class _CapturedSteps(_Steps):
+    """The same on CUDA by one graph."""
+
+    def __init__(self, energy: MeshEnergy, people: People) -> None:
+        super().__init__(energy, people.copied())
+        self._share = torch.ones((), device=people.shape.device)
+        with torch.enable_grad():
+            self._captured = CapturedStep(lambda: super(_CapturedSteps, self).step(self._share), self._share.device)
+
+    def step(self, share: float | torch.Tensor) -> None:
+        self._share.fill_(share)
+        self._captured.replay()
+
+
+def _find_steps(energy: MeshEnergy, people: People) -> _Steps:
+    device = people.shape.device
+    if device.type == "cuda" and energy.options.iterations > 0:
+        shapes = tuple(tensor.shape for tensor in people.tensors())
+        key = _CapturedSteps, energy, shapes, people.lens is None
+        steps = graphs.find(key, device, 0, lambda: _CapturedSteps(energy, people), at_once=True)
+        if steps is not None:
+            steps.restart(people)
+            return steps
+    return _Steps(energy, people)
+
+
+def _finish(
+    energy: MeshEnergy,
+    model: DetailedModel,
+    people: People,
+    steps: _Steps,
+    results: Sequence[FitResult],
+    started: float,
+) -> list[MeshFit]:
+    """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
+    found = steps.unknowns
+    terms = {name: term.clone() for name, term in steps.terms.items()}
+    where = found.shape.clone(), energy.rotations(people, found.turns), people.translation
+    bodies = ungrown(model, *where, terms)
+    orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
+    measured = BodyParameters(
         rotation_to_6d(orientation),
         rotation_to_axis_angle(turns),
         lengths,
         thicknesses,
-        body.log_scale.detach(),
-        body.shift.detach(),
+        found.log_scale.detach().clone(),
+        found.shift.detach().clone(),
     )
-    seen = move_pelvises(found, result.observation.lens, pelvis)
-    ellipbody = replace(
-        result,
-        parameters=seen,
-        before_outline=None,
-        energy={name: float(term.detach()) for name, term in terms.items()} or result.energy,
-        stage_seconds=result.stage_seconds | {"mesh": seconds},
-    )
-    moved = ellipbody.posed.joints[:, 0] - pelvis
-    registered = ungrown(body.model, shape, rotations, translation + moved, terms)
-    return MeshFit(result, registered, ellipbody, bounded(body.clothes.detach()))
-
-
-class _Body:
-    """A detailed body's unknowns, from those of an EllipBody on."""
-
-    def __init__(self, model: DetailedModel, start: BodyParameters, shape: torch.Tensor) -> None:
-        self.model, self._start = model, start
-        self._rotations, self.translation = pose_from_ellipbody(model, start.posed(), shape, trunk_along=True)
-        self.joints = free_joints(model)
-        self.turns = shape.new_zeros(1, len(self.joints), 3).requires_grad_()
-        self.shape = shape.clone().requires_grad_()
-        self.clothes = shape.new_zeros(1, len(CLOTHED)).requires_grad_()
-        self.log_scale, self.shift = (each.clone().requires_grad_() for each in (start.log_scale, start.shift))
-
-    def rotations(self) -> torch.Tensor:
-        """Of all joints, shape (1, J, 3, 3)."""
-        return turn_joints(self._rotations, self.joints, self.turns)
-
-    def parameters(self) -> BodyParameters:
-        """Numbers by which the camera sees it."""
-        return replace(self._start, log_scale=self.log_scale, shift=self.shift)
-
-
-class _MeshEnergy:
-    """Terms of the mesh stage, of one body."""
-
-    def __init__(self, body: _Body, seen: Observation, said: Uncertainty | None, options: MeshOptions) -> None:
-        self._body, self._seen, self._options = body, seen, options
-        whole = body.model
-        self._drawn, mesh, self._dress = _drawn_mesh(whole, options.vertices)
-        known = {place: name for place, name in enumerate(_points_of(whole, seen)) if name is not None}
-        places = torch.tensor(list(known), dtype=torch.int64, device=body.shape.device)
-        self._points, self._votes = seen.points[places], landmark_votes(seen)[places]
-        self._weights = self._drawn.weights_of([*known.values(), *JOINT_NAMES])
-        self._first_shape = body.shape.detach().clone()
-        self._depths = self._depths_of(self._pose()[1]).detach()
-        if said is None:
-            self._depth_spreads = torch.full_like(self._depths, _DEPTH_SPREAD)
-            self._turn_spreads = torch.full_like(body.turns[..., 0], _TURN_SPREAD)
-        else:
-            stated = {0: said.turns[:, 0]} | {
-                whole.part_joints[part]: said.turns[:, 1 + place] for place, part in enumerate(FREE_PARTS)
-            }
-            locked = torch.full_like(said.turns[:, 0], _LOCKED_SPREAD)
-            self._depth_spreads = said.depths
-            self._turn_spreads = torch.stack([stated.get(joint, locked) for joint in body.joints], dim=1)
-        self._target: torch.Tensor | None = None
-        if seen.labels is not None and seen.label_set is not None and options.seg > 0:
-            self._mesh = mesh.relabel(seen.label_set.part_groups)
-            self._target = resize_nearest(seen.labels, options.size)[None]
-            # Of one group, nothing that shows hides something else.
-            self._depth_weight = options.depth_weight if seen.label_set.num_groups > 1 else 0.0
-
-    def __call__(self) -> dict[str, torch.Tensor]:
-        """Weighted terms by name, shape (1,) each."""
-        body, options, lens = self._body, self._options, self._seen.lens
-        posed, points = self._pose()
-        marks = points[:, : len(self._points)]
-        camera, pelvis = find_camera(body.parameters(), lens, REFERENCE_SIZE)
-        away = 0.0 if pelvis is None else pelvis[:, None]
-        apart = camera.project(marks + away)[..., :2] - (self._points + 1) * (REFERENCE_SIZE / 2)
-        moved = (self._depths_of(points) - self._depths) / self._depth_spreads
-        terms = {
-            "proj": options.proj * (apart.abs().sum(-1) * self._votes).sum(1),
-            "depth": options.depth * moved.square().sum(1),
-            "turns": options.turns * (body.turns.square().sum(-1) / self._turn_spreads.square()).sum(1),
-            "shape": options.shape / 2 * (body.shape - self._first_shape).square().sum(1),
-        }
-        if options.clothes is not None:
-            terms["clothes"] = options.clothes / 2 * (body.clothes / SPREAD).square().sum(1)
-        if self._target is not None:
-            size = options.size
-            camera, _ = find_camera(body.parameters(), lens, size)
-            loss, _ = mesh_label_loss(
-                posed.vertices + away,
-                self._mesh,
-                camera,
-                self._target,
-                gradient=options.gradient,
-                max_distance=options.max_distance,
-                depth_weight=self._depth_weight,
-                validate=False,
-            )
-            terms["seg"] = options.seg * (REFERENCE_SIZE / size) ** 2 * loss
-        return terms
-
-    def _pose(self) -> tuple[Detailed, torch.Tensor]:
-        """The mesh that is drawn, and landmarks, the pelvis about the origin."""
-        body = self._body
-        dress = None
-        if self._options.clothes is not None:
-            dress = clothes_offsets(self._dress, body.clothes)
-        posed = self._drawn.pose(body.shape, body.rotations(), body.translation, offsets=dress)
-        return posed, self._weights @ torch.cat([posed.vertices, posed.joints], dim=1)
-
-    @staticmethod
-    def _depths_of(points: torch.Tensor) -> torch.Tensor:
-        """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (1, 20)."""
-        depths = points[:, -len(JOINT_NAMES) :, 2]
-        return depths[:, 1:] - depths[:, :1]
-
-
-def _points_of(model: DetailedModel, seen: Observation) -> list[str | None]:
-    """The model's landmark for each keypoint; None where it has none."""
-    own = set(model.landmark_names)
-    choices = zip(seen.body_points, seen.landmarks, strict=True)
-    return [next((name for name in names if name in own), None) for names in choices]
-
-
-@lru_cache(maxsize=4)
-def _drawn_mesh(model: DetailedModel, vertices: int) -> tuple[DetailedModel, PartMesh, torch.Tensor]:
-    with torch.inference_mode(False):  # kept for calls outside of it, too
-        basis = clothes_basis(model)
-        if model.num_vertices <= vertices:
-            return model, detailed_mesh(model), basis
-        reduced = reduce_model(model, vertices)
-        # Vertices that carry landmarks alone stay at the body.
-        others = reduced.model.num_vertices - reduced.drawn
-        basis = torch.nn.functional.pad(basis[:, reduced.kept], (0, 0, 0, others))
-        return reduced.model, detailed_mesh(reduced.model), basis
+    seen = move_pelvises(measured, people.lens, pelvises)
+    clothes = bounded(found.clothes.detach())
+    numbers = {name: term.tolist() for name, term in terms.items()}
+    seconds = (time.perf_counter() - started) / len(results)
+    fits: list[MeshFit] = []
+    for place, result in enumerate(results):
+        row = torch.tensor([place], device=pelvises.device)
+        ellipbody = replace(
+            result,
+            parameters=seen.select(row),
+            before_outline=None,
+            energy={name: values[place] for name, values in numbers.items()} or result.energy,
+            stage_seconds=result.stage_seconds | {"mesh": seconds},
+        )
+        body = bodies.select(row).moved(ellipbody.posed.joints[:, 0] - pelvises[row])
+        fits.append(MeshFit(result, body, ellipbody, clothes[row]))
+    return fits

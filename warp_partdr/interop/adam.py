@@ -21,7 +21,8 @@ class Adam:
                 tensors,
                 [torch.zeros_like(tensor) for tensor in tensors],
                 [torch.zeros_like(tensor) for tensor in tensors],
-                [torch.zeros((), device="cpu") for _ in tensors],  # steps, which ``adam`` counts
+                # steps, which ``adam`` counts: on the device, where a captured graph may count them
+                [torch.zeros((), device=tensor.device) for tensor in tensors],
                 rate,
             )
             for tensors, rate in groups
@@ -29,13 +30,21 @@ class Adam:
         ]
 
     @torch.no_grad()
-    def step(self, share: float) -> None:
-        """Move the tensors by their gradients, at this share of their rates, and forget the gradients."""
+    def step(self, share: float | torch.Tensor) -> None:
+        """Move the tensors by their gradients, at this share of their rates, and forget the gradients.
+
+        In a captured graph the share is a tensor on the device, or it would be the same at each replay.
+        """
         for tensors, means, squares, counts, rate in self._groups:
             grads = [torch.zeros_like(tensor) if tensor.grad is None else tensor.grad for tensor in tensors]
             adam(
-                tensors, grads, means, squares, [], counts,
+                tensors, grads, means, squares, [], counts, capturable=counts[0].is_cuda,
                 lr=share * rate, amsgrad=False, beta1=0.9, beta2=0.999, weight_decay=0, eps=1e-8, maximize=False,
             )  # fmt: skip
             for tensor in tensors:
                 tensor.grad = None
+
+    @torch.no_grad()
+    def restart(self) -> None:
+        """Forget all steps."""
+        torch._foreach_zero_([state for _, *states, _ in self._groups for each in states for state in each])

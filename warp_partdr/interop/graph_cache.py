@@ -90,15 +90,22 @@ class GraphCache:
         self._kept: OrderedDict[Hashable, _Kept[object]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def find(self, key: Hashable, device: torch.device, num_bytes: int, make: Callable[[], _T]) -> _T | None:
+    def find(
+        self, key: Hashable, device: torch.device, num_bytes: int, make: Callable[[], _T], *, at_once: bool = False
+    ) -> _T | None:
         """Graph of a key, made if it is asked for the second time; None at first, and if the budget has no room for it.
+
+        None, too, while torch captures a graph of its own, which holds these launches then.
 
         Args:
             key: Of what is launched, its options and sizes.
             device: Where.
             num_bytes: Estimate of the memory that it takes, for the CPU; on CUDA torch counts it.
             make: Makes the graph with its buffers.
+            at_once: Make it the first time, for it will be replayed many times.
         """
+        if device.type == "cuda" and torch.cuda.is_current_stream_capturing():
+            return None
         where = get_num_threads() if device.type == "cpu" else torch._C._cuda_getCurrentRawStream(device.index)
         key = threading.get_ident(), where, device, key
         with self._lock:
@@ -109,7 +116,7 @@ class GraphCache:
                 self._kept.move_to_end(key)
                 if kept.tried:
                     return kept.graph  # type: ignore[return-value]
-        if kept is None:
+        if kept is None and not at_once:
             if len(self._kept) > _MOST_KEYS:
                 self.shrink(device)
             return None

@@ -65,7 +65,7 @@ class _Gate:
 
 
 _gate = _Gate()
-launching = _gate.launching
+launching, capturing = _gate.launching, _gate.capturing
 
 
 def capture_graph(launch: Callable[[], None], device: torch.device) -> wp.Graph:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...fit.fitting import fit_body
-from ...fit.mesh_stage import MeshFit, MeshOptions, refine_mesh
+from ...fit.mesh_options import MeshOptions
+from ...fit.mesh_stage import MeshFit, refine_mesh
 from ...fit.options import FitOptions
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import PartLabels

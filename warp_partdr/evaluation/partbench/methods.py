@@ -10,7 +10,7 @@ import numpy as np
 
 from ...clothing.anny import anny
 from ...clothing.registration import RegistrationOptions, RegistrationWeights, register
-from ...fit.mesh_stage import MeshOptions
+from ...fit.mesh_options import MeshOptions
 from ...fit.options import FitOptions
 from ...fit.result import FitResult
 from ..evaluate import METHODS as SUPERVISIONS

@@ -1,0 +1,302 @@
+"""Energy of the mesh stage: detailed bodies of B people against their labels and keypoints, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.lens import through_lens
+from ..body.parameters import BodyParameters, crop_camera
+from ..body.pose_prior import FREE_PARTS
+from ..body.template import JOINT_NAMES
+from ..cameras import Camera
+from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
+from ..clothing.model import Detailed, DetailedModel, detailed_mesh
+from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
+from ..clothing.reduction import reduce_model
+from ..clothing.registration import shape_from_lengths
+from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
+from ..interop.movable import Movable
+from ..refinement.energy import landmark_votes
+from ..render.mesh import mesh_label_loss
+from ..render.part_mesh import PartMesh
+from .mesh_options import MeshOptions
+from .result import FitResult
+
+# Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
+_DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
+_ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of captured graphs serve all
+
+
+@dataclass(frozen=True)
+class People(Movable):
+    """Starts and observations of B people.
+
+    Attributes:
+        rotations: Of all joints of the detailed model, where the stage starts, shape (B, J, 3, 3).
+        translation: Of its root [m], shape (B, 3).
+        shape: Shape values, shape (B, S).
+        log_scale: As of ``BodyParameters``, like ``shift``, shape (B,).
+        shift: Shape (B, 2).
+        places: Landmark of the model that each keypoint marks, shape (B, L), int64.
+        points: Keypoints in the crop, from -1 to 1, shape (B, L, 2).
+        votes: Their weights, 0 of those that a person has not, shape (B, L).
+        depths: Of ``JOINT_NAMES`` but the pelvis at the start, relative to it [m], shape (B, 20).
+        depth_spreads: How sure these are [m], shape (B, 20).
+        turn_spreads: How sure the turn of each free joint is [rad], shape (B, N).
+        target: Labels of the crop as it is drawn, shape (B, size, size), uint8; None: without labels.
+        lens: As of ``Observation``, shape (B, 3); None: weak perspective.
+    """
+
+    rotations: torch.Tensor
+    translation: torch.Tensor
+    shape: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+    places: torch.Tensor
+    points: torch.Tensor
+    votes: torch.Tensor
+    depths: torch.Tensor
+    depth_spreads: torch.Tensor
+    turn_spreads: torch.Tensor
+    target: torch.Tensor | None
+    lens: torch.Tensor | None
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All that are there."""
+        return [tensor for tensor in vars(self).values() if tensor is not None]
+
+    def copied(self) -> People:
+        """Copies of all tensors."""
+        return People(*(None if value is None else value.clone() for value in vars(self).values()))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns(Movable):
+    """Numbers that the stage looks for, of B people.
+
+    Attributes:
+        turns: Of the free joints, as rotation vectors [rad], shape (B, N, 3).
+        shape: Shape values, shape (B, S).
+        clothes: Thicknesses on parts ``CLOTHED``, before bounds [m], shape (B, 8).
+        log_scale: As of ``BodyParameters``, like ``shift``, shape (B,).
+        shift: Shape (B, 2).
+    """
+
+    turns: torch.Tensor
+    shape: torch.Tensor
+    clothes: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+
+    @classmethod
+    def start(cls, people: People) -> Unknowns:
+        """Copies that collect gradients."""
+        like = people.shape
+        turns = like.new_zeros(*people.turn_spreads.shape, 3)
+        copies = turns, people.shape, like.new_zeros(len(like), len(CLOTHED)), people.log_scale, people.shift
+        return cls(*(each.detach().clone().requires_grad_() for each in copies))
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All."""
+        return list(vars(self).values())
+
+
+@dataclass(frozen=True, eq=False)
+class MeshEnergy:
+    """Terms of the mesh stage, for people whose labels are of one set.
+
+    Attributes:
+        model: Detailed model that is drawn.
+        mesh: Its faces with the labels' groups; None: without labels.
+        hides: True if groups can hide one another.
+        basis: Of its clothes, shape (8, V, 3).
+        joints: Those that turn, shape (N,), int64.
+        first: Vertices before this one carry no landmark.
+        weights: Of all landmarks, over the other vertices and the joints.
+        ends: Of ``JOINT_NAMES`` among the landmarks, shape (21,), int64.
+        options: Weights and size.
+    """
+
+    model: DetailedModel
+    mesh: PartMesh | None
+    hides: bool
+    basis: torch.Tensor
+    joints: torch.Tensor
+    first: int
+    weights: torch.Tensor
+    ends: torch.Tensor
+    options: MeshOptions
+
+    def __call__(self, people: People, unknowns: Unknowns) -> dict[str, torch.Tensor]:
+        """Weighted terms by name, shape (B,) each."""
+        options = self.options
+        posed = self._pose(people, unknowns)
+        points = self._landmarks(posed)
+        camera, away = self._camera(people, unknowns, REFERENCE_SIZE)
+        marks = points.gather(1, people.places[..., None].expand(-1, -1, 3))
+        apart = camera.project(marks + away)[..., :2] - (people.points + 1) * (REFERENCE_SIZE / 2)
+        moved = (self._depths(points) - people.depths) / people.depth_spreads
+        terms = {
+            "proj": options.proj * (apart.abs().sum(-1) * people.votes).sum(1),
+            "depth": options.depth * moved.square().sum(1),
+            "turns": options.turns * (unknowns.turns.square().sum(-1) / people.turn_spreads.square()).sum(1),
+            "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(1),
+        }
+        if options.clothes is not None:
+            terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum(1)
+        if people.target is not None and self.mesh is not None:
+            camera, _ = self._camera(people, unknowns, options.size)
+            loss, _ = mesh_label_loss(
+                posed.vertices + away,
+                self.mesh,
+                camera,
+                people.target,
+                gradient=options.gradient,
+                max_distance=options.max_distance,
+                depth_weight=options.depth_weight if self.hides else 0.0,
+                validate=False,
+            )
+            terms["seg"] = options.seg * (REFERENCE_SIZE / options.size) ** 2 * loss
+        return terms
+
+    def rotations(self, people: People, turns: torch.Tensor) -> torch.Tensor:
+        """Local rotations of all joints, shape (B, J, 3, 3)."""
+        return turn_joints(people.rotations, self.joints, turns)
+
+    def start_depths(self, people: People) -> torch.Tensor:
+        """``People.depths`` of where the stage starts."""
+        return self._depths(self._landmarks(self._pose(people, Unknowns.start(people)))).detach()
+
+    def _pose(self, people: People, unknowns: Unknowns) -> Detailed:
+        """What is drawn, the pelvis about the origin."""
+        dress = None if self.options.clothes is None else clothes_offsets(self.basis, unknowns.clothes)
+        where = self.rotations(people, unknowns.turns), people.translation
+        return self.model.pose(unknowns.shape, *where, offsets=dress)
+
+    def _landmarks(self, posed: Detailed) -> torch.Tensor:
+        """All of the model's, shape (B, L, 3)."""
+        return self.weights @ torch.cat([posed.vertices[:, self.first :], posed.joints], dim=1)
+
+    def _depths(self, points: torch.Tensor) -> torch.Tensor:
+        """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (B, 20)."""
+        depths = points[:, self.ends, 2]
+        return depths[:, 1:] - depths[:, :1]
+
+    @staticmethod
+    def _camera(people: People, unknowns: Unknowns, size: int) -> tuple[Camera, torch.Tensor | float]:
+        """Cameras, and what is added to points before them."""
+        weak = crop_camera(unknowns.log_scale, unknowns.shift, size)
+        camera, pelvis = through_lens(weak, people.lens, size)
+        return camera, 0.0 if pelvis is None else pelvis[:, None]
+
+
+def mesh_energy(model: DetailedModel, options: MeshOptions, label_set: LabelSet | None) -> MeshEnergy:
+    """Energy of people with labels of this set; None: without any. Kept, for the model takes a while to be reduced."""
+    drawn = label_set is not None and options.seg > 0
+    groups = tuple(label_set.part_groups.tolist()) if label_set is not None and drawn else None
+    return _mesh_energy(model, options, groups)
+
+
+@lru_cache(maxsize=8)
+def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None) -> MeshEnergy:
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        reduced, first, basis = _reduced(model, options.vertices)
+        names = reduced.landmark_names
+        indices = free_joints(model), [names.index(name) for name in JOINT_NAMES]
+        joints, ends = (torch.tensor(each, device=basis.device) for each in indices)
+        mesh = None if groups is None else detailed_mesh(reduced).relabel(np.array(groups))
+        hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
+        weights = reduced.landmark_weights[:, first:].contiguous()
+        return MeshEnergy(reduced, mesh, hides, basis, joints, first, weights, ends, options)
+
+
+@lru_cache(maxsize=4)
+def _reduced(model: DetailedModel, vertices: int) -> tuple[DetailedModel, int, torch.Tensor]:
+    """The model that is drawn, its first vertex that carries a landmark, and its clothes' basis."""
+    basis = clothes_basis(model)
+    if model.num_vertices <= vertices:
+        return model, 0, basis
+    reduced = reduce_model(model, vertices)
+    # Vertices that carry landmarks alone stay at the body.
+    others = reduced.model.num_vertices - reduced.drawn
+    return reduced.model, reduced.drawn, torch.nn.functional.pad(basis[:, reduced.kept], (0, 0, 0, others))
+
+
+def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult]) -> People:
+    """People of fits whose labels are of the energy's set; all have a camera, or none.
+
+    Args:
+        energy: Of ``mesh_energy``.
+        model: The whole one.
+        results: Each goes on from where its outline stage began.
+    """
+    start = BodyParameters.joined([each.before_outline or each.parameters for each in results])
+    posed = start.posed()
+    shape = shape_from_lengths(model, posed)
+    rotations, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
+    seen = [each.observation for each in results]
+    spreads = [_spreads(model, energy, each) for each in results]
+    marked = [_marks(energy.model, each) for each in seen]
+    columns = -(-max(len(places) for places, _, _ in marked) // _ROW) * _ROW
+    places, points, votes = (_stacked(rows, columns) for rows in zip(*marked, strict=True))
+    target = lens = None
+    if energy.mesh is not None:
+        labels = torch.stack([each.labels for each in seen if each.labels is not None])
+        target = resize_nearest(labels, energy.options.size)
+    if seen[0].lens is not None:
+        lens = torch.stack([each.lens for each in seen if each.lens is not None])
+    people = People(
+        rotations=rotations,
+        translation=translation,
+        shape=shape,
+        log_scale=start.log_scale,
+        shift=start.shift,
+        places=places,
+        points=points,
+        votes=votes,
+        depths=shape.new_zeros(len(shape), len(JOINT_NAMES) - 1),
+        depth_spreads=torch.cat([depths for depths, _ in spreads]),
+        turn_spreads=torch.cat([turns for _, turns in spreads]),
+        target=target,
+        lens=lens,
+    )
+    return replace(people, depths=energy.start_depths(people))
+
+
+def _marks(model: DetailedModel, seen: Observation) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Landmarks of the model that keypoints mark, the keypoints, and their weights; those that it has not are left."""
+    index = {name: place for place, name in enumerate(model.landmark_names)}
+    choices = zip(seen.body_points, seen.landmarks, strict=True)
+    found = [next((index[name] for name in names if name in index), None) for names in choices]
+    device = seen.points.device
+    known = torch.tensor([place for place, mark in enumerate(found) if mark is not None], device=device).long()
+    marks = torch.tensor([mark for mark in found if mark is not None], device=device).long()
+    return marks, seen.points[known], landmark_votes(seen)[known]
+
+
+def _stacked(rows: Sequence[torch.Tensor], columns: int) -> torch.Tensor:
+    """Tensors (N, ...) of several lengths N, zeros up to ``columns`` behind them, shape (B, columns, ...)."""
+    filled = rows[0].new_zeros(len(rows), columns, *rows[0].shape[1:])
+    for place, row in enumerate(rows):
+        filled[place, : len(row)] = row
+    return filled
+
+
+def _spreads(model: DetailedModel, energy: MeshEnergy, result: FitResult) -> tuple[torch.Tensor, torch.Tensor]:
+    """``depth_spreads`` and ``turn_spreads`` of one person."""
+    like, said = result.parameters.log_scale, result.uncertainty
+    if said is None:
+        sizes = (len(JOINT_NAMES) - 1, _DEPTH_SPREAD), (len(energy.joints), _TURN_SPREAD)
+        depths, turns = (like.new_full((1, count), spread) for count, spread in sizes)
+        return depths, turns
+    stated = {0: said.turns[:, 0]} | {
+        model.part_joints[part]: said.turns[:, 1 + place] for place, part in enumerate(FREE_PARTS)
+    }
+    locked = torch.full_like(said.turns[:, 0], _LOCKED_SPREAD)
+    return said.depths, torch.stack([stated.get(joint, locked) for joint in free_joints(model)], dim=1)

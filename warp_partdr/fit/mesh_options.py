@@ -1,0 +1,55 @@
+"""Options of the mesh stage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..errors import check_whole
+from ..interop.checks import MAX_PICTURE, check_steps
+from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """Options of the mesh stage; weights are of terms in the units of ``Energy``'s.
+
+    Attributes:
+        iterations: Steps of Adam.
+        learning_rate: Of angles [rad] and camera [half-sides of the crop].
+        size: Side of the drawn crop [px].
+        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more.
+        proj: Weight of L_proj.
+        seg: Weight of L_seg.
+        depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
+        turns: Weight of the squares of joints' turns, in such spreads.
+        shape: Weight of half the squares of changes of the shape values.
+        clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
+            wears none.
+        gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
+        max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
+        depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12).
+    """
+
+    iterations: int = 60
+    learning_rate: float = 0.01
+    size: int = 160
+    vertices: int = 1500
+    proj: float = 0.5
+    seg: float = 0.1
+    depth: float = 2.0
+    turns: float = 8.0
+    shape: float = 1.0
+    clothes: float | None = 1.0
+    gradient: MeshGradient = "edges"
+    max_distance: float = 3.0
+    depth_weight: float = DEFAULT_DEPTH_WEIGHT
+
+    def __post_init__(self) -> None:
+        check_steps(self.iterations, self.learning_rate)
+        check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
+        check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
+        for name in ("proj", "seg", "depth", "turns", "shape", "clothes"):
+            weight = getattr(self, name)
+            if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
+                raise ValueError(f"{name}: {weight}; expected 0 or a positive number")
