@@ -52,8 +52,7 @@ def pose_from_ellipbody(
     # The two hips are the pelvis; the mean is exact where they haven't been turned against each other.
     pelvis = rotation_from_6d(rotation_to_6d(parts["left_hip"] + parts["right_hip"]))
 
-    carried = dict(zip(model.part_joints, PART_NAMES, strict=True))
-    carried.pop(0, None)
+    carried = _carried_parts(model)
     world: list[torch.Tensor] = []
     for joint, parent in enumerate(model.parents):
         world.append(pelvis if parent < 0 else parts[carried[joint]] if joint in carried else world[parent])
@@ -89,13 +88,17 @@ def free_joints(model: DetailedModel) -> list[int]:
 
 def end_joints(model: DetailedModel) -> list[int]:
     """Joint of each of the 20 parts that turns as the part's far end does, where several share its turn."""
-    carried = dict(zip(model.part_joints, PART_NAMES, strict=True))
-    carried.pop(0, None)
     ends: list[int] = []
     for part, joint in zip(PART_NAMES, model.part_joints, strict=True):
-        between = _joint_between(model, joint, carried)
+        between = _joint_between(model, joint, _carried_parts(model))
         ends.append(joint if between is None or without_side(part) in _TWISTING_LAST else between)
     return ends
+
+
+def turning_joints(model: DetailedModel) -> list[int]:
+    """Joints that ``pose_from_ellipbody`` or refinements turn against their parents, in order, the root first."""
+    between = {_joint_between(model, joint, _carried_parts(model)) for joint in model.part_joints}
+    return sorted({joint for joint in between if joint is not None}.union(free_joints(model)))
 
 
 def turn_joints(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
@@ -128,6 +131,11 @@ def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = Fals
             inherited = turns[parent]
             turns.append(rotation_between((inherited @ bone[..., None])[..., 0], directions[:, part]) @ inherited)
     return torch.stack(turns, dim=1)
+
+
+def _carried_parts(model: DetailedModel) -> dict[int, str]:
+    """Part that each joint carries, but for the root."""
+    return {joint: part for joint, part in zip(model.part_joints, PART_NAMES, strict=True) if joint != 0}
 
 
 def _joint_between(model: DetailedModel, joint: int, carried: dict[int, str]) -> int | None:

@@ -16,8 +16,9 @@ from ..body.pose_prior import FREE_PARTS
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
+from ..clothing.joint_merging import merge_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
-from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints
+from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints, turning_joints
 from ..clothing.reduction import reduce_model
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
@@ -38,7 +39,7 @@ class People(Movable):
     """Starts and observations of B people.
 
     Attributes:
-        rotations: Of all joints of the detailed model, where the stage starts, shape (B, J, 3, 3).
+        rotations: Of the drawn model's joints, where the stage starts, shape (B, J, 3, 3).
         translation: Of its root [m], shape (B, 3).
         shape: Shape values, shape (B, S).
         log_scale: As of ``BodyParameters``, like ``shift``, shape (B,).
@@ -112,11 +113,12 @@ class MeshEnergy:
     """Terms of the mesh stage, for people whose labels are of one set.
 
     Attributes:
-        model: Detailed model that is drawn.
+        model: Detailed model that is drawn, of few vertices and joints.
         mesh: Its faces with the labels' groups; None: without labels.
         hides: True if groups can hide one another.
         basis: Of its clothes, shape (8, V, 3).
-        joints: Those that turn, shape (N,), int64.
+        turning: Its joints in the whole model, shape (J,), int64.
+        free: Those of them that the stage turns, shape (N,), int64.
         first: Vertices before this one carry no landmark.
         weights: Of all landmarks, over the other vertices and the joints.
         ends: Of ``JOINT_NAMES`` among the landmarks, shape (21,), int64.
@@ -127,7 +129,8 @@ class MeshEnergy:
     mesh: PartMesh | None
     hides: bool
     basis: torch.Tensor
-    joints: torch.Tensor
+    turning: torch.Tensor
+    free: torch.Tensor
     first: int
     weights: torch.Tensor
     ends: torch.Tensor
@@ -166,8 +169,15 @@ class MeshEnergy:
         return terms
 
     def rotations(self, people: People, turns: torch.Tensor) -> torch.Tensor:
-        """Local rotations of all joints, shape (B, J, 3, 3)."""
-        return turn_joints(people.rotations, self.joints, turns)
+        """Local rotations of the drawn model's joints, shape (B, J, 3, 3)."""
+        return turn_joints(people.rotations, self.free, turns)
+
+    def whole_pose(self, model: DetailedModel, people: People, unknowns: Unknowns) -> tuple[torch.Tensor, ...]:
+        """Shape values, local rotations and translation for the whole model's ``pose``; copies."""
+        like = people.rotations
+        rotations = torch.eye(3, dtype=like.dtype, device=like.device).repeat(len(like), model.num_joints, 1, 1)
+        rotations[:, self.turning] = self.rotations(people, unknowns.turns)
+        return unknowns.shape.clone(), rotations, people.translation.clone()
 
     def start_depths(self, people: People) -> torch.Tensor:
         """``People.depths`` of where the stage starts."""
@@ -208,24 +218,26 @@ def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, 
     with torch.inference_mode(False):  # kept for calls outside of it, too
         reduced, first, basis = _reduced(model, options.vertices)
         names = reduced.landmark_names
-        indices = free_joints(model), [names.index(name) for name in JOINT_NAMES]
-        joints, ends = (torch.tensor(each, device=basis.device) for each in indices)
+        indices = turning_joints(model), free_joints(reduced), [names.index(name) for name in JOINT_NAMES]
+        turning, free, ends = (torch.tensor(each, device=basis.device) for each in indices)
         mesh = None if groups is None else detailed_mesh(reduced).relabel(np.array(groups))
         hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
         weights = reduced.landmark_weights[:, first:].contiguous()
-        return MeshEnergy(reduced, mesh, hides, basis, joints, first, weights, ends, options)
+        return MeshEnergy(reduced, mesh, hides, basis, turning, free, first, weights, ends, options)
 
 
 @lru_cache(maxsize=4)
 def _reduced(model: DetailedModel, vertices: int) -> tuple[DetailedModel, int, torch.Tensor]:
     """The model that is drawn, its first vertex that carries a landmark, and its clothes' basis."""
-    basis = clothes_basis(model)
+    basis, merged = clothes_basis(model), merge_joints(model, turning_joints(model))
     if model.num_vertices <= vertices:
-        return model, 0, basis
-    reduced = reduce_model(model, vertices)
+        drawn, kept, few = 0, slice(None), merged
+    else:
+        reduced = reduce_model(merged, vertices)
+        drawn, kept, few = reduced.drawn, reduced.kept, reduced.model
+    basis = basis[:, kept]
     # Vertices that carry landmarks alone stay at the body.
-    others = reduced.model.num_vertices - reduced.drawn
-    return reduced.model, reduced.drawn, torch.nn.functional.pad(basis[:, reduced.kept], (0, 0, 0, others))
+    return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))
 
 
 def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult]) -> People:
@@ -252,7 +264,7 @@ def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
     if seen[0].lens is not None:
         lens = torch.stack([each.lens for each in seen if each.lens is not None])
     people = People(
-        rotations=rotations,
+        rotations=rotations[:, energy.turning],
         translation=translation,
         shape=shape,
         log_scale=start.log_scale,
@@ -292,7 +304,7 @@ def _spreads(model: DetailedModel, energy: MeshEnergy, result: FitResult) -> tup
     """``depth_spreads`` and ``turn_spreads`` of one person."""
     like, said = result.parameters.log_scale, result.uncertainty
     if said is None:
-        sizes = (len(JOINT_NAMES) - 1, _DEPTH_SPREAD), (len(energy.joints), _TURN_SPREAD)
+        sizes = (len(JOINT_NAMES) - 1, _DEPTH_SPREAD), (len(energy.free), _TURN_SPREAD)
         depths, turns = (like.new_full((1, count), spread) for count, spread in sizes)
         return depths, turns
     stated = {0: said.turns[:, 0]} | {

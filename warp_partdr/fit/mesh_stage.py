@@ -234,8 +234,7 @@ def _finish(
     """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
     found = steps.unknowns
     terms = {name: term.clone() for name, term in steps.terms.items()}
-    where = found.shape.clone(), energy.rotations(people, found.turns), people.translation
-    bodies = ungrown(model, *where, terms)
+    bodies = ungrown(model, *energy.whole_pose(model, people, found), terms)
     orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
     measured = BodyParameters(
         rotation_to_6d(orientation),
