@@ -104,7 +104,7 @@ class BodyParameters(Movable):
         """Cameras for a crop of ``size`` pixels a side."""
         return crop_camera(self.log_scale, self.shift, size)
 
-    def select(self, index: torch.Tensor) -> BodyParameters:
+    def select(self, index: torch.Tensor | slice) -> BodyParameters:
         """Select some of the bodies."""
         return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
 

@@ -42,7 +42,7 @@ class Detailed(Movable):
         transforms[..., :3, 3] += by[:, None]
         return Detailed(self.vertices + by[:, None], self.joints + by[:, None], transforms)
 
-    def select(self, index: torch.Tensor) -> Detailed:
+    def select(self, index: torch.Tensor | slice) -> Detailed:
         """Some of the bodies."""
         return Detailed(*(tensor[index] for tensor in vars(self).values()))
 

@@ -133,7 +133,7 @@ class Registered(Movable):
         """The bodies elsewhere, by (B, 3) [m]."""
         return replace(self, translation=self.translation + by, detailed=self.detailed.moved(by))
 
-    def select(self, index: torch.Tensor) -> Registered:
+    def select(self, index: torch.Tensor | slice) -> Registered:
         """Some of the bodies."""
         return Registered(
             self.model,

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
+from ..body.landmarks import landmark_points
 from ..body.lens import through_lens
 from ..body.parameters import BodyParameters, crop_camera
 from ..body.pose_prior import FREE_PARTS
@@ -23,7 +24,7 @@ from ..clothing.reduction import reduce_model
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..interop.movable import Movable
-from ..refinement.energy import landmark_votes
+from ..refinement.energy import split_votes
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .mesh_options import MeshOptions
@@ -172,7 +173,9 @@ class MeshEnergy:
         """Local rotations of the drawn model's joints, shape (B, J, 3, 3)."""
         return turn_joints(people.rotations, self.free, turns)
 
-    def whole_pose(self, model: DetailedModel, people: People, unknowns: Unknowns) -> tuple[torch.Tensor, ...]:
+    def whole_pose(
+        self, model: DetailedModel, people: People, unknowns: Unknowns
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Shape values, local rotations and translation for the whole model's ``pose``; copies."""
         like = people.rotations
         rotations = torch.eye(3, dtype=like.dtype, device=like.device).repeat(len(like), model.num_joints, 1, 1)
@@ -230,12 +233,10 @@ def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, 
 def _reduced(model: DetailedModel, vertices: int) -> tuple[DetailedModel, int, torch.Tensor]:
     """The model that is drawn, its first vertex that carries a landmark, and its clothes' basis."""
     basis, merged = clothes_basis(model), merge_joints(model, turning_joints(model))
-    if model.num_vertices <= vertices:
-        drawn, kept, few = 0, slice(None), merged
-    else:
+    drawn, few = 0, merged
+    if model.num_vertices > vertices:
         reduced = reduce_model(merged, vertices)
-        drawn, kept, few = reduced.drawn, reduced.kept, reduced.model
-    basis = basis[:, kept]
+        drawn, few, basis = reduced.drawn, reduced.model, basis[:, reduced.kept]
     # Vertices that carry landmarks alone stay at the body.
     return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))
 
@@ -253,10 +254,8 @@ def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
     shape = shape_from_lengths(model, posed)
     rotations, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
     seen = [each.observation for each in results]
-    spreads = [_spreads(model, energy, each) for each in results]
-    marked = [_marks(energy.model, each) for each in seen]
-    columns = -(-max(len(places) for places, _, _ in marked) // _ROW) * _ROW
-    places, points, votes = (_stacked(rows, columns) for rows in zip(*marked, strict=True))
+    places, points, votes = _gather_keypoints(energy.model, seen)
+    depth_spreads, turn_spreads = _gather_spreads(energy, results)
     target = lens = None
     if energy.mesh is not None:
         labels = torch.stack([each.labels for each in seen if each.labels is not None])
@@ -273,42 +272,52 @@ def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
         points=points,
         votes=votes,
         depths=shape.new_zeros(len(shape), len(JOINT_NAMES) - 1),
-        depth_spreads=torch.cat([depths for depths, _ in spreads]),
-        turn_spreads=torch.cat([turns for _, turns in spreads]),
+        depth_spreads=depth_spreads,
+        turn_spreads=turn_spreads,
         target=target,
         lens=lens,
     )
     return replace(people, depths=energy.start_depths(people))
 
 
-def _marks(model: DetailedModel, seen: Observation) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Landmarks of the model that keypoints mark, the keypoints, and their weights; those that it has not are left."""
+def _gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple[torch.Tensor, ...]:
+    """``places``, ``points`` and ``votes`` of people."""
+    device, rows = seen[0].points.device, [_keypoint_table(model, each.landmarks, each.body_points) for each in seen]
+    columns = -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
+    table = np.stack([np.pad(row, ((0, 0), (0, columns - row.shape[1]))) for row in rows], axis=1)
+    places, parts, known = torch.from_numpy(table).to(device)
+
+    def padded(tensors: list[torch.Tensor]) -> torch.Tensor:
+        found = torch.nn.utils.rnn.pad_sequence(tensors, batch_first=True)
+        return torch.nn.functional.pad(found, (0, 0) * (found.dim() - 2) + (0, columns - found.shape[1]))
+
+    return (
+        places,
+        padded([each.points for each in seen]),
+        known * split_votes(padded([each.confidence for each in seen]), parts),
+    )
+
+
+@lru_cache(maxsize=1024)
+def _keypoint_table(model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...]) -> np.ndarray:
+    """Landmark of the model, part, and 1 of each keypoint, shape (3, L); 0 of one that the model has not."""
     index = {name: place for place, name in enumerate(model.landmark_names)}
-    choices = zip(seen.body_points, seen.landmarks, strict=True)
-    found = [next((index[name] for name in names if name in index), None) for names in choices]
-    device = seen.points.device
-    known = torch.tensor([place for place, mark in enumerate(found) if mark is not None], device=device).long()
-    marks = torch.tensor([mark for mark in found if mark is not None], device=device).long()
-    return marks, seen.points[known], landmark_votes(seen)[known]
+    found = [
+        next((index[name] for name in names if name in index), None) for names in zip(marks, landmarks, strict=True)
+    ]
+    known = [place is not None for place in found]
+    return np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
 
 
-def _stacked(rows: Sequence[torch.Tensor], columns: int) -> torch.Tensor:
-    """Tensors (N, ...) of several lengths N, zeros up to ``columns`` behind them, shape (B, columns, ...)."""
-    filled = rows[0].new_zeros(len(rows), columns, *rows[0].shape[1:])
-    for place, row in enumerate(rows):
-        filled[place, : len(row)] = row
-    return filled
-
-
-def _spreads(model: DetailedModel, energy: MeshEnergy, result: FitResult) -> tuple[torch.Tensor, torch.Tensor]:
-    """``depth_spreads`` and ``turn_spreads`` of one person."""
-    like, said = result.parameters.log_scale, result.uncertainty
-    if said is None:
-        sizes = (len(JOINT_NAMES) - 1, _DEPTH_SPREAD), (len(energy.free), _TURN_SPREAD)
-        depths, turns = (like.new_full((1, count), spread) for count, spread in sizes)
-        return depths, turns
-    stated = {0: said.turns[:, 0]} | {
-        model.part_joints[part]: said.turns[:, 1 + place] for place, part in enumerate(FREE_PARTS)
-    }
-    locked = torch.full_like(said.turns[:, 0], _LOCKED_SPREAD)
-    return said.depths, torch.stack([stated.get(joint, locked) for joint in free_joints(model)], dim=1)
+def _gather_spreads(energy: MeshEnergy, results: Sequence[FitResult]) -> tuple[torch.Tensor, torch.Tensor]:
+    """``depth_spreads`` and ``turn_spreads`` of people."""
+    like, count = results[0].parameters.log_scale, 1 + len(FREE_PARTS)
+    unsaid = like.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_SPREAD), like.new_full((1, count + 1), _TURN_SPREAD)
+    locked = like.new_full((1, 1), _LOCKED_SPREAD)
+    said = [each.uncertainty for each in results]
+    depths = torch.cat([unsaid[0] if each is None else each.depths for each in said])
+    turns = torch.cat([unsaid[1] if each is None else torch.cat([each.turns, locked], dim=1) for each in said])
+    # The orientation is the root's, then come free parts; of other joints nothing is said.
+    stated = {0: 0} | {energy.model.part_joints[part]: 1 + place for place, part in enumerate(FREE_PARTS)}
+    columns = [stated.get(joint, count) for joint in free_joints(energy.model)]
+    return depths, turns[:, columns]

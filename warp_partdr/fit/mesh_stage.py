@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..body.lens import move_pelvises
+from ..body.lens import move_pelvises, place_bodies
 from ..body.parameters import BodyParameters
 from ..body.rotations import rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Camera
@@ -24,6 +24,7 @@ from ..clothing.measuring import measure_ellipbody
 from ..clothing.model import DetailedModel, detailed_mesh
 from ..clothing.registration import Registered, ungrown
 from ..errors import check_type
+from ..inputs.observation import REFERENCE_SIZE
 from ..interop.adam import Adam
 from ..interop.captured_step import CapturedStep
 from ..interop.graph_cache import graphs
@@ -245,19 +246,19 @@ def _finish(
         found.shift.detach().clone(),
     )
     seen = move_pelvises(measured, people.lens, pelvises)
-    clothes = bounded(found.clothes.detach())
+    there, _ = place_bodies(seen, seen.posed(), people.lens, REFERENCE_SIZE)
+    bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes.detach())
     numbers = {name: term.tolist() for name, term in terms.items()}
     seconds = (time.perf_counter() - started) / len(results)
     fits: list[MeshFit] = []
     for place, result in enumerate(results):
-        row = torch.tensor([place], device=pelvises.device)
+        own = slice(place, place + 1)
         ellipbody = replace(
             result,
-            parameters=seen.select(row),
+            parameters=seen.select(own),
             before_outline=None,
             energy={name: values[place] for name, values in numbers.items()} or result.energy,
             stage_seconds=result.stage_seconds | {"mesh": seconds},
         )
-        body = bodies.select(row).moved(ellipbody.posed.joints[:, 0] - pelvises[row])
-        fits.append(MeshFit(result, body, ellipbody, clothes[row]))
+        fits.append(MeshFit(result, bodies.select(own), ellipbody, clothes[own]))
     return fits

@@ -108,8 +108,13 @@ class Weights:
 def landmark_votes(seen: Observation) -> torch.Tensor:
     """Weights of landmarks, shape (L,): those of a part share its vote, for ten of a face say little more than one."""
     parts = torch.from_numpy(landmark_points(seen.landmarks).parts[:, 0]).to(seen.confidence.device)
-    votes = torch.zeros(NUM_PARTS, device=parts.device).index_add(0, parts, seen.confidence)
-    return seen.confidence / votes.clamp_min(1.0)[parts]
+    return split_votes(seen.confidence[None], parts[None])[0]
+
+
+def split_votes(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
+    """``landmark_votes`` of B people, whose L landmarks lie on these parts, 0 to 19; all are of shape (B, L)."""
+    votes = confidence.new_zeros(len(confidence), NUM_PARTS).scatter_add(1, parts, confidence)
+    return confidence / votes.clamp_min(1.0).gather(1, parts)
 
 
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
