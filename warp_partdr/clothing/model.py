@@ -169,7 +169,9 @@ class DetailedModel(Movable):
         if self.pose_directions is not None:
             bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
             vertices = vertices + (bend.flatten(1) @ self.pose_directions).unflatten(1, (-1, 3))
-        bones = torch.cat([translation[:, None], rest.joints[:, 1:] - rest.joints[:, self._parents[1:]]], dim=1)
+        bones = torch.cat(
+            [translation[:, None], rest.joints[:, 1:] - rest.joints.index_select(1, self._parents[1:])], dim=1
+        )
         transforms = self._chain(_homogeneous(rotations, bones))
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
         return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
@@ -221,19 +223,23 @@ class DetailedModel(Movable):
 
     @cached_property
     def _jumps(self) -> list[torch.Tensor]:
-        """Joint 1, 2, 4, ... bones above each joint, J where there is none; as many as the longest chain takes."""
+        """Joint 1, 2, 4, ... bones above each joint, J where there is none; as many as the longest chain takes.
+
+        Shape (J + 1,) each: above none there is none.
+        """
         above, jumps = [*(self.num_joints if parent < 0 else parent for parent in self.parents), self.num_joints], []
         while any(joint < self.num_joints for joint in above):
-            jumps.append(torch.tensor(above[:-1], device=self.faces.device))
+            jumps.append(torch.tensor(above, device=self.faces.device))
             above = [above[joint] for joint in above]
         return jumps
 
     def _chain(self, local: torch.Tensor) -> torch.Tensor:
         """Products along the joints' tree, shape (B, J, 4, 4): of 1, 2, 4, ... bones, so that few steps do."""
-        world, nowhere = local, torch.eye(4, dtype=local.dtype, device=local.device).expand(len(local), 1, 4, 4)
+        nowhere = torch.eye(4, dtype=local.dtype, device=local.device).expand(len(local), 1, 4, 4)
+        world = torch.cat([local, nowhere], dim=1)
         for above in self._jumps:
-            world = torch.cat([world, nowhere], dim=1)[:, above] @ world
-        return world
+            world = world.index_select(1, above) @ world
+        return world[:, :-1]
 
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices

@@ -32,6 +32,8 @@ from .result import FitResult
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
+# Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
+_SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
 _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of captured graphs serve all
 
 
@@ -97,16 +99,25 @@ class Unknowns(Movable):
     shift: torch.Tensor
 
     @classmethod
-    def start(cls, people: People) -> Unknowns:
-        """Copies that collect gradients."""
-        like = people.shape
-        turns = like.new_zeros(*people.turn_spreads.shape, 3)
-        copies = turns, people.shape, like.new_zeros(len(like), len(CLOTHED)), people.log_scale, people.shift
-        return cls(*(each.detach().clone().requires_grad_() for each in copies))
+    def moved(cls, people: People, moves: torch.Tensor) -> Unknowns:
+        """Numbers of people who moved from where the stage starts, by rows of all numbers, shape (B, R)."""
+        batch, joints = people.turn_spreads.shape
+        sizes = [3 * joints, people.shape.shape[1], len(CLOTHED), 1, 2]
+        turns, shape, clothes, log_scale, shift = moves.split(sizes, dim=1)
+        return cls(
+            turns.view(batch, joints, 3),
+            people.shape + shape,
+            clothes,
+            people.log_scale + log_scale[:, 0],
+            people.shift + shift,
+        )
 
-    def tensors(self) -> list[torch.Tensor]:
-        """All."""
-        return list(vars(self).values())
+    @staticmethod
+    def rates(people: People) -> torch.Tensor:
+        """Learning rates of their moves, relative to that of angles [rad] and camera [half-sides], shape (R,)."""
+        like, joints = people.shape, people.turn_spreads.shape[1]
+        sizes = (3 * joints, 1.0), (like.shape[1], _SHAPE_RATE), (len(CLOTHED), _CLOTHES_RATE), (3, 1.0)
+        return torch.cat([like.new_full((count,), rate) for count, rate in sizes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +195,8 @@ class MeshEnergy:
 
     def start_depths(self, people: People) -> torch.Tensor:
         """``People.depths`` of where the stage starts."""
-        return self._depths(self._landmarks(self._pose(people, Unknowns.start(people)))).detach()
+        at_rest = Unknowns.moved(people, people.shape.new_zeros(len(people.shape), len(Unknowns.rates(people))))
+        return self._depths(self._landmarks(self._pose(people, at_rest))).detach()
 
     def _pose(self, people: People, unknowns: Unknowns) -> Detailed:
         """What is drawn, the pelvis about the origin."""

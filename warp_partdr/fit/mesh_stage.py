@@ -37,9 +37,6 @@ from .mesh_energy import MeshEnergy, People, Unknowns, gather_people, mesh_energ
 from .mesh_options import MeshOptions
 from .result import FitResult
 
-# Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
-_SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
-
 
 @dataclass(frozen=True)
 class MeshFit(Movable):
@@ -169,20 +166,23 @@ def _refine_batch(
 
 
 class _Steps:
-    """Adam on the unknowns of B people.
+    """Adam on what is unknown of B people.
 
     Attributes:
-        unknowns: As they are now.
         terms: Of the energy before the last step, by name, shape (B,) each.
     """
 
     def __init__(self, energy: MeshEnergy, people: People) -> None:
-        self._energy, self._people = energy, people
-        self.unknowns, rate = Unknowns.start(people), energy.options.learning_rate
-        pose = [self.unknowns.turns, self.unknowns.log_scale, self.unknowns.shift]
-        groups = (pose, 1.0), ([self.unknowns.shape], _SHAPE_RATE), ([self.unknowns.clothes], _CLOTHES_RATE)
-        self._adam = Adam((tensors, share * rate) for tensors, share in groups)
+        self._energy, self._people, self._rates = energy, people, Unknowns.rates(people)
+        # In units of their rates, so that Adam has one tensor.
+        self._moves = self._rates.new_zeros(len(people.shape), len(self._rates)).requires_grad_()
+        self._adam = Adam([([self._moves], energy.options.learning_rate)])
         self.terms: dict[str, torch.Tensor] = {}
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """As they are now."""
+        return Unknowns.moved(self._people, self._moves * self._rates)
 
     def step(self, share: float | torch.Tensor) -> None:
         """One, at this share of the learning rate."""
@@ -190,11 +190,11 @@ class _Steps:
         torch.stack(list(self.terms.values())).sum().backward()
         self._adam.step(share)
 
+    @torch.no_grad()
     def restart(self, people: People) -> None:
         """Take other people, as many as before."""
-        with torch.no_grad():
-            torch._foreach_copy_(self._people.tensors(), people.tensors())
-            torch._foreach_copy_(self.unknowns.tensors(), Unknowns.start(people).tensors())
+        torch._foreach_copy_(self._people.tensors(), people.tensors())
+        self._moves.zero_()
         self._adam.restart()
 
 
@@ -242,12 +242,12 @@ def _finish(
         rotation_to_axis_angle(turns),
         lengths,
         thicknesses,
-        found.log_scale.detach().clone(),
-        found.shift.detach().clone(),
+        found.log_scale,
+        found.shift,
     )
     seen = move_pelvises(measured, people.lens, pelvises)
     there, _ = place_bodies(seen, seen.posed(), people.lens, REFERENCE_SIZE)
-    bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes.detach())
+    bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes)
     numbers = {name: term.tolist() for name, term in terms.items()}
     seconds = (time.perf_counter() - started) / len(results)
     fits: list[MeshFit] = []
