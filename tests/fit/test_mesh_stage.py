@@ -15,8 +15,9 @@ from warp_partdr.clothing.growth import Growth
 from warp_partdr.clothing.surfaces import vertex_parts
 from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh, refine_meshes
+from warp_partdr.fit.mesh_stage import MeshFit, Steps, refine_mesh, refine_meshes
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
 from warp_partdr.inputs.sample import Sample
@@ -171,8 +172,10 @@ def crowd() -> dict[str, list[FitResult]]:
 
 def several(crowd: dict[str, list[FitResult]], device: str) -> list[FitResult]:
     if device not in crowd:
-        near, other, third = make_sample(1, "near"), make_sample(5, "realistic"), make_sample(6, "hard")
-        seen = [fitted(other, device), fitted(near, device, camera=near.camera), fitted(third, device)]
+        other, third = make_sample(5, "realistic"), make_sample(6, "hard")
+        near, close = make_sample(1, "near"), make_sample(2, "near")
+        seen = [fitted(other, device), fitted(third, device)]
+        seen += [fitted(each, device, camera=each.camera) for each in (near, close)]
         alone = fit_body(other.keypoints, None, options=FitOptions.at("fast"), device=device)
         crowd[device] = [*seen, alone, fitted(near, device)]
     return crowd[device]
@@ -182,7 +185,7 @@ def test_people_side_by_side_are_as_alone(crowd, device):
     """Also the second time, when a graph takes other people than those it was captured for."""
     firsts, names = several(crowd, device), (*HIPS, "left_wrist", "right_ankle", "head")
     alone = [refine_mesh(each, options=QUICK) for each in firsts]
-    for order in ([0, 1, 2, 3, 4], [4, 3, 2, 1, 0]):
+    for order in ([0, 1, 2, 3, 4, 5], [5, 4, 3, 2, 1, 0]):
         together = refine_meshes([firsts[place] for place in order], options=QUICK)
         for place, mesh in zip(order, together, strict=True):
             assert mesh.first is firsts[place]
@@ -194,6 +197,22 @@ def test_people_side_by_side_are_as_alone(crowd, device):
             assert mesh.ellipbody.energy["proj"] == pytest.approx(float(mesh.body.losses["proj"]))
             assert mesh.ellipbody.posed.joints.shape == (1, 21, 3)
     assert refine_meshes([]) == []
+
+
+def test_steps_start_again_with_other_people(crowd):
+    """As captured steps do, whose tensors stay where they are."""
+    seen = several(crowd, "cpu")[:2]
+    energy = mesh_energy(anny(), QUICK, seen[0].observation.label_set)
+    first, second = (gather_starts(energy, anny(), [each]) for each in seen)
+    used, fresh = Steps(energy, first.copied()), Steps(energy, second)
+    used.step(1.0)
+    used.restart(second)
+    for steps in (used, fresh):
+        for _ in range(2):
+            steps.step(1.0)
+    for one, other in zip(vars(used.unknowns).values(), vars(fresh.unknowns).values(), strict=True):
+        torch.testing.assert_close(one, other)
+    assert used.terms["proj"] == fresh.terms["proj"]
 
 
 def test_progress_of_batches_is_one(crowd):

@@ -14,7 +14,8 @@ def test_it_is_torch_s_to_the_bit(device):
     rates, shares = (0.1, 0.03), (1.0, 0.7, 0.2)
     ours, theirs = ([torch.linspace(-1, 2, n, device=device).requires_grad_() for n in (4, 7, 3)] for _ in range(2))
     adam = Adam([(ours[:2], rates[0]), (ours[2:], rates[1]), ([], 1.0)])
-    expected = torch.optim.Adam([{"params": theirs[:2], "lr": rates[0]}, {"params": theirs[2:], "lr": rates[1]}])
+    groups = [{"params": theirs[:2], "lr": rates[0]}, {"params": theirs[2:], "lr": rates[1]}]
+    expected = torch.optim.Adam(groups, capturable=device != "cpu")
     for share in shares:
         for tensors in (ours, theirs):
             sum((tensor**3).sum() for tensor in tensors).backward()
@@ -25,6 +26,23 @@ def test_it_is_torch_s_to_the_bit(device):
         expected.zero_grad()
         assert all(map(torch.equal, ours, theirs))
         assert all(tensor.grad is None for tensor in ours)
+
+
+def test_it_restarts(device):
+    """What it is told by a tensor, as in a captured graph, is the same."""
+    ends = []
+    moved = torch.ones(3, device=device).requires_grad_()
+    adam = Adam([([moved], 0.1)])
+    for share in (0.5, torch.tensor(0.5, device=device)) if device != "cpu" else (0.5, 0.5):
+        for _ in range(3):
+            (moved**3).sum().backward()
+            adam.step(share)
+        ends.append(moved.detach().clone())
+        with torch.no_grad():
+            moved.fill_(1.0)
+        adam.restart()
+    torch.testing.assert_close(*ends)
+    assert ends[0].max() < 0.9
 
 
 def test_a_refinement_loads_no_compiler():

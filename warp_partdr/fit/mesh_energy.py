@@ -38,7 +38,7 @@ _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of
 
 
 @dataclass(frozen=True)
-class People(Movable):
+class Starts(Movable):
     """Starts and observations of B people.
 
     Attributes:
@@ -75,9 +75,9 @@ class People(Movable):
         """All that are there."""
         return [tensor for tensor in vars(self).values() if tensor is not None]
 
-    def copied(self) -> People:
+    def copied(self) -> Starts:
         """Copies of all tensors."""
-        return People(*(None if value is None else value.clone() for value in vars(self).values()))  # type: ignore[arg-type]
+        return Starts(*(None if value is None else value.clone() for value in vars(self).values()))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Unknowns(Movable):
     shift: torch.Tensor
 
     @classmethod
-    def moved(cls, people: People, moves: torch.Tensor) -> Unknowns:
+    def moved(cls, people: Starts, moves: torch.Tensor) -> Unknowns:
         """Numbers of people who moved from where the stage starts, by rows of all numbers, shape (B, R)."""
         batch, joints = people.turn_spreads.shape
         sizes = [3 * joints, people.shape.shape[1], len(CLOTHED), 1, 2]
@@ -113,7 +113,7 @@ class Unknowns(Movable):
         )
 
     @staticmethod
-    def rates(people: People) -> torch.Tensor:
+    def rates(people: Starts) -> torch.Tensor:
         """Learning rates of their moves, relative to that of angles [rad] and camera [half-sides], shape (R,)."""
         like, joints = people.shape, people.turn_spreads.shape[1]
         sizes = (3 * joints, 1.0), (like.shape[1], _SHAPE_RATE), (len(CLOTHED), _CLOTHES_RATE), (3, 1.0)
@@ -148,7 +148,7 @@ class MeshEnergy:
     ends: torch.Tensor
     options: MeshOptions
 
-    def __call__(self, people: People, unknowns: Unknowns) -> dict[str, torch.Tensor]:
+    def __call__(self, people: Starts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,) each."""
         options = self.options
         posed = self._pose(people, unknowns)
@@ -180,12 +180,12 @@ class MeshEnergy:
             terms["seg"] = options.seg * (REFERENCE_SIZE / options.size) ** 2 * loss
         return terms
 
-    def rotations(self, people: People, turns: torch.Tensor) -> torch.Tensor:
+    def rotations(self, people: Starts, turns: torch.Tensor) -> torch.Tensor:
         """Local rotations of the drawn model's joints, shape (B, J, 3, 3)."""
         return turn_joints(people.rotations, self.free, turns)
 
     def whole_pose(
-        self, model: DetailedModel, people: People, unknowns: Unknowns
+        self, model: DetailedModel, people: Starts, unknowns: Unknowns
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Shape values, local rotations and translation for the whole model's ``pose``; copies."""
         like = people.rotations
@@ -193,12 +193,12 @@ class MeshEnergy:
         rotations[:, self.turning] = self.rotations(people, unknowns.turns)
         return unknowns.shape.clone(), rotations, people.translation.clone()
 
-    def start_depths(self, people: People) -> torch.Tensor:
-        """``People.depths`` of where the stage starts."""
+    def start_depths(self, people: Starts) -> torch.Tensor:
+        """``Starts.depths`` of where the stage starts."""
         at_rest = Unknowns.moved(people, people.shape.new_zeros(len(people.shape), len(Unknowns.rates(people))))
         return self._depths(self._landmarks(self._pose(people, at_rest))).detach()
 
-    def _pose(self, people: People, unknowns: Unknowns) -> Detailed:
+    def _pose(self, people: Starts, unknowns: Unknowns) -> Detailed:
         """What is drawn, the pelvis about the origin."""
         dress = None if self.options.clothes is None else clothes_offsets(self.basis, unknowns.clothes)
         where = self.rotations(people, unknowns.turns), people.translation
@@ -214,7 +214,7 @@ class MeshEnergy:
         return depths[:, 1:] - depths[:, :1]
 
     @staticmethod
-    def _camera(people: People, unknowns: Unknowns, size: int) -> tuple[Camera, torch.Tensor | float]:
+    def _camera(people: Starts, unknowns: Unknowns, size: int) -> tuple[Camera, torch.Tensor | float]:
         """Cameras, and what is added to points before them."""
         weak = crop_camera(unknowns.log_scale, unknowns.shift, size)
         camera, pelvis = through_lens(weak, people.lens, size)
@@ -253,8 +253,8 @@ def _reduced(model: DetailedModel, vertices: int) -> tuple[DetailedModel, int, t
     return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))
 
 
-def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult]) -> People:
-    """People of fits whose labels are of the energy's set; all have a camera, or none.
+def gather_starts(energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult]) -> Starts:
+    """Starts of people whose labels are of the energy's set; all have a camera, or none.
 
     Args:
         energy: Of ``mesh_energy``.
@@ -274,7 +274,7 @@ def gather_people(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
         target = resize_nearest(labels, energy.options.size)
     if seen[0].lens is not None:
         lens = torch.stack([each.lens for each in seen if each.lens is not None])
-    people = People(
+    people = Starts(
         rotations=rotations[:, energy.turning],
         translation=translation,
         shape=shape,

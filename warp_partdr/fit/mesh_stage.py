@@ -33,7 +33,7 @@ from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh
 from .fitting import Progress
-from .mesh_energy import MeshEnergy, People, Unknowns, gather_people, mesh_energy
+from .mesh_energy import MeshEnergy, Starts, Unknowns, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
 from .result import FitResult
 
@@ -156,7 +156,7 @@ def _refine_batch(
 ) -> list[MeshFit]:
     started, iterations = time.perf_counter(), energy.options.iterations
     with torch.no_grad():
-        people = gather_people(energy, model, results)
+        people = gather_starts(energy, model, results)
     steps = _find_steps(energy, people)
     for iteration in range(iterations):
         steps.step(rate_share(iteration, iterations))
@@ -165,14 +165,14 @@ def _refine_batch(
         return _finish(energy, model, people, steps, results, started)
 
 
-class _Steps:
+class Steps:
     """Adam on what is unknown of B people.
 
     Attributes:
         terms: Of the energy before the last step, by name, shape (B,) each.
     """
 
-    def __init__(self, energy: MeshEnergy, people: People) -> None:
+    def __init__(self, energy: MeshEnergy, people: Starts) -> None:
         self._energy, self._people, self._rates = energy, people, Unknowns.rates(people)
         # In units of their rates, so that Adam has one tensor.
         self._moves = self._rates.new_zeros(len(people.shape), len(self._rates)).requires_grad_()
@@ -191,17 +191,17 @@ class _Steps:
         self._adam.step(share)
 
     @torch.no_grad()
-    def restart(self, people: People) -> None:
+    def restart(self, people: Starts) -> None:
         """Take other people, as many as before."""
         torch._foreach_copy_(self._people.tensors(), people.tensors())
         self._moves.zero_()
         self._adam.restart()
 
 
-class _CapturedSteps(_Steps):
+class _CapturedSteps(Steps):
     """The same on CUDA by one graph."""
 
-    def __init__(self, energy: MeshEnergy, people: People) -> None:
+    def __init__(self, energy: MeshEnergy, people: Starts) -> None:
         super().__init__(energy, people.copied())
         self._share = torch.ones((), device=people.shape.device)
         with torch.enable_grad():
@@ -212,7 +212,7 @@ class _CapturedSteps(_Steps):
         self._captured.replay()
 
 
-def _find_steps(energy: MeshEnergy, people: People) -> _Steps:
+def _find_steps(energy: MeshEnergy, people: Starts) -> Steps:
     device = people.shape.device
     if device.type == "cuda" and energy.options.iterations > 0:
         shapes = tuple(tensor.shape for tensor in people.tensors())
@@ -221,14 +221,14 @@ def _find_steps(energy: MeshEnergy, people: People) -> _Steps:
         if steps is not None:
             steps.restart(people)
             return steps
-    return _Steps(energy, people)
+    return Steps(energy, people)
 
 
 def _finish(
     energy: MeshEnergy,
     model: DetailedModel,
-    people: People,
-    steps: _Steps,
+    people: Starts,
+    steps: Steps,
     results: Sequence[FitResult],
     started: float,
 ) -> list[MeshFit]:
