@@ -30,7 +30,7 @@ NETWORKS: dict[str, tuple[str, tuple[str | None, ...]]] = {
     "detector": ("mediapipe/modules/pose_detection/pose_detection.tflite", ("boxes", "scores")),
     "landmarks": (
         "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
-        ("landmarks", "presence", "mask", None, None),  # also heat maps and landmarks in metres
+        ("landmarks", "presence", "mask", "heat", None),  # and landmarks in metres
     ),
 }
 DTYPES = {
@@ -131,7 +131,7 @@ def integers(dimension: tflite.DimensionMetadata, name: str) -> np.ndarray:
 
 
 def read_graph(content: bytes, names: tuple[str | None, ...]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Graph and weights of a .tflite file; nodes name their inputs and output by numbers, which name the weights too."""
+    """Graph and weights of a .tflite file; numbers name values, and a node's output names its weights too."""
     source = TfliteGraph(content)
     nodes: list[Node] = []
     weights: dict[str, np.ndarray] = {}

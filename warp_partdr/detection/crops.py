@@ -17,6 +17,7 @@ import torch.nn.functional as F
 
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
+_SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
 _STRIP = 512  # rows that are halved at a time, even
 
 
@@ -106,7 +107,7 @@ class Pyramid:
         return torch.cat(strips, dim=2)
 
     def level(self, wanted: int) -> tuple[torch.Tensor, int]:
-        """Level ``wanted``, of which a pixel is 2**level wide in the picture, or the finest there is, and its number."""
+        """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number."""
         if not self._levels:
             self._levels.append(self._finest)
         wanted = max(wanted, self._first)
@@ -123,20 +124,29 @@ def _halved(values: torch.Tensor) -> torch.Tensor:
     return F.avg_pool2d(values, 2)
 
 
-def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int) -> torch.Tensor:
-    """Crops as pictures of ``size`` x ``size`` pixels, 0 to 1, black beyond the picture, shape (N, 3, size, size).
+def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int, *, beyond: str = "zeros") -> torch.Tensor:
+    """Crops as pictures.
 
-    Each is read bilinearly from the halved picture whose pixels are just smaller than the crop's.
+    Each is read bilinearly from a halved picture, of which a crop's pixel is at most 2.83 wide.
+
+    Args:
+        pyramids: The pictures.
+        crops: N crops of them.
+        size: Side [px] that the crops get.
+        beyond: "zeros": it is black beyond the picture; "border": the border goes on.
+
+    Returns:
+        0 to 1, shape (N, 3, size, size).
     """
     device = pyramids[0].device
     cut = torch.zeros(len(crops), 3, size, size, device=device)
-    levels = np.floor(np.log2(np.maximum(crops.sides / size, 1.0))).astype(int)
+    levels = np.floor(np.log2(np.maximum(crops.sides / size, 2**_SHARPER)) - _SHARPER).astype(int)
     for picture, level in sorted(set(zip(crops.pictures.tolist(), levels.tolist(), strict=True))):
         rows = np.flatnonzero((crops.pictures == picture) & (levels == level))
         values, level = pyramids[picture].level(level)
         grid = _grids(crops[rows], size, (values.shape[-1] << level, values.shape[-2] << level), device)
         cut[torch.from_numpy(rows).to(device)] = F.grid_sample(
-            values.expand(len(rows), -1, -1, -1), grid, align_corners=False
+            values.expand(len(rows), -1, -1, -1), grid, padding_mode=beyond, align_corners=False
         )
     return cut
 

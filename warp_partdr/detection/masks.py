@@ -74,8 +74,8 @@ def _drawn(person: Person, rows: slice, columns: slice) -> np.ndarray:
     shape = rows.stop - rows.start, columns.stop - columns.start
     if 0 in shape:
         return np.zeros(shape, dtype=np.float32)
-    corner = np.array([columns.start, rows.start]) + 0.5
-    places = person.crop.from_picture((corner + [[0, 0], [1, 0], [0, 1]])[None])[0].astype(np.float32)
+    corners = np.array([columns.start, rows.start]) + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
+    places = person.crop.from_picture(corners[None])[0].astype(np.float32)
     start, across, down = torch.from_numpy(places * 2 - 1)
     x, y = torch.arange(shape[1])[:, None], torch.arange(shape[0])[:, None, None]
     grid = start + (across - start) * x + (down - start) * y

@@ -11,11 +11,13 @@ import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
 from ..inputs.keypoints import Keypoints2D
+from ..interop.torch_threads import one_torch_thread
 from .asset import PeopleNetworks, packaged_people_networks
 from .boxes import average_boxes, decode
 from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops
+from .heat import refine_landmarks
 from .person import SKELETON, Person
-from .same_person import first_of_each
+from .same_person import distinct_crops, first_of_each
 
 _NUM_LANDMARKS = 33  # then the middle of the hips and the point above the head that the next crop takes, and four more
 _VALUES = 5  # of a landmark: x, y, depth, visibility, presence
@@ -53,6 +55,7 @@ def find_people(
     return find_people_in([picture], device=device, min_score=min_score, levels=levels, previous=[previous])[0]
 
 
+@one_torch_thread()
 @torch.inference_mode()
 def find_people_in(
     pictures: Sequence[np.ndarray],
@@ -91,8 +94,9 @@ def find_people_in(
     found = _look(networks, pyramids, join_crops([found.next_crops, *followed]), min_score)
     order = np.argsort(-found.next_crops.sides, kind="stable")
     people_of: list[list[Person]] = [[] for _ in pictures]
-    for row in order:
-        people_of[found.crops.pictures[row]].append(found.person(int(row)))
+    for row in order.tolist():
+        picture = int(found.crops.pictures[row])
+        people_of[picture].append(found.person(row, pyramids[picture].size))
     return people_of
 
 
@@ -141,7 +145,7 @@ def _middles(length: int, side: float) -> list[float]:
 def _detect(
     networks: PeopleNetworks, pyramids: Sequence[Pyramid], which: Sequence[int], min_score: float, levels: int
 ) -> TurnedCrops:
-    """Crops about the people that the detector finds in the pictures ``which``; people may be among them twice."""
+    """Crops about the people that the detector finds in the pictures ``which``."""
     size = networks.detector.size
     nothing = np.zeros((0, 2))
     views = join_crops(
@@ -156,7 +160,7 @@ def _detect(
             view = part[np.full(len(means), row)]
             points = view.to_picture(means[:, 2:4] / size)
             found.append(crops_of_people(points[:, 0], points[:, 1], view.pictures))
-    return join_crops(found)
+    return distinct_crops(join_crops(found))  # larger tiles, which show people whole, come first
 
 
 @dataclass(frozen=True)
@@ -175,44 +179,45 @@ class _Seen:
         arrays = (self.points[rows], self.confidence[rows], self.presence[rows])
         return _Seen(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
 
-    def person(self, row: int) -> Person:
-        """One of them."""
-        keypoints = Keypoints2D(
-            SKELETON, self.points[row].astype(np.float32), self.confidence[row].astype(np.float32)
-        )
-        one = slice(row, row + 1)
-        return Person(
-            keypoints,
-            float(self.presence[row]),
-            self.crops[one],
-            self.masks[row].sigmoid().cpu().numpy(),
-            self.next_crops[one],
-        )
+    def person(self, row: int, size: tuple[int, int]) -> Person:
+        """One of them, in a picture of size (H, W)."""
+        one, extent = slice(row, row + 1), np.array(size[::-1])
+        side = self.masks.shape[-1]
+        y, x = np.mgrid[:side, :side]
+        places = self.crops[one].to_picture((np.stack([x, y], axis=-1).reshape(1, -1, 2) + 0.5) / side)[0]
+        inside = ((places >= 0) & (places <= extent)).all(axis=1)
+        mask = self.masks[row].sigmoid().cpu().numpy() * inside.reshape(side, side).astype(np.float32)
+        shown = places[mask.reshape(-1) > 0.5]
+        corners = shown if len(shown) else np.clip(self.points[row], 0, extent)
+        (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        points, confidence = (values[row].astype(np.float32) for values in (self.points, self.confidence))
+        score = float(self.presence[row] * confidence.mean())
+        keypoints = Keypoints2D(SKELETON, points, confidence)
+        return Person(keypoints, score, (left, top, right, bottom), self.crops[one], mask, self.next_crops[one])
 
 
 def _look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops, min_score: float) -> _Seen:
     """Landmarks and masks in the crops that do show a person, each person once."""
     network = networks.landmarks
-    said = {name: [] for name in ("landmarks", "presence", "mask")}
+    said = []
     for part in _batches(crops, networks.device):
-        for name, values in network(cut_crops(pyramids, part, network.size)).items():
-            said[name].append(values)
-    if not said["mask"]:
+        values = network(cut_crops(pyramids, part, network.size, beyond="border"))
+        landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
+        landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / network.size, values["heat"])
+        said.append((landmarks, values["presence"][:, 0], values["mask"][:, 0]))
+    if not said:
         none = np.zeros((0, _NUM_LANDMARKS))
         masks = torch.zeros(0, network.size, network.size, device=networks.device)
         return _Seen(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
-    landmarks = torch.cat(said["landmarks"]).cpu().numpy().astype(np.float64).reshape(len(crops), -1, _VALUES)
-    presence = torch.cat(said["presence"]).cpu().numpy().astype(np.float64)[:, 0]
-    places = crops.to_picture(landmarks[..., :2] / network.size)
+    all_landmarks, all_presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
+    landmarks, presence = (values.cpu().numpy().astype(np.float64) for values in (all_landmarks, all_presence))
+    places = crops.to_picture(landmarks[..., :2])
     sure = 1 / (1 + np.exp(-np.clip(landmarks[:, :_NUM_LANDMARKS, 3:], -50, 50)))
     next_crops = crops_of_people(places[:, _NUM_LANDMARKS], places[:, _NUM_LANDMARKS + 1], crops.pictures)
-    masks = torch.cat(said["mask"])[:, 0]
     seen = _Seen(crops, places[:, :_NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)
     seen = seen.select(np.flatnonzero(presence >= min_score))
     quality = seen.presence * seen.confidence.mean(axis=1)
-    return seen.select(
-        first_of_each(seen.points, seen.confidence, seen.next_crops.sides, seen.crops.pictures, quality)
-    )
+    return seen.select(first_of_each(seen.points, seen.confidence, seen.next_crops.sides, seen.crops.pictures, quality))
 
 
 def _batches(crops: TurnedCrops, device: torch.device) -> list[TurnedCrops]:

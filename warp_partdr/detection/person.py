@@ -19,28 +19,17 @@ class Person:
 
     Attributes:
         keypoints: 33 landmarks, "blazepose33"; the confidence is that a landmark is in the picture and not hidden.
-        score: Confidence that there is a person, 0 to 1.
+        score: Confidence that there is a person, times the mean of the landmarks', 0 to 1.
+        box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
         crop: The one crop, turned upright, that the landmarks were found in.
-        mask: Probability that a pixel of the crop shows the person, shape (256, 256), float32; ``draw_mask`` and
-            ``instance_map`` bring it into the picture.
+        mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32;
+            ``draw_mask`` and ``instance_map`` bring it into the picture.
         next_crop: The crop that the landmarks place about the person, for the next picture of a film.
     """
 
     keypoints: Keypoints2D
     score: float
+    box: Box
     crop: TurnedCrops
     mask: np.ndarray
     next_crop: TurnedCrops
-
-    @property
-    def box(self) -> Box:
-        """Smallest box (left, top, right, bottom) about the mask, or else about the keypoints [px]."""
-        rows, columns = np.nonzero(self.mask > 0.5)
-        if len(rows):
-            places = (np.stack([columns, rows], axis=-1) + 0.5) / self.mask.shape[0]
-            points = self.crop.to_picture(places[None])[0]
-        else:
-            points = self.keypoints.points.astype(np.float64)
-        left, top = points.min(axis=0).tolist()
-        right, bottom = points.max(axis=0).tolist()
-        return left, top, right, bottom

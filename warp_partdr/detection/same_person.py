@@ -1,11 +1,16 @@
-"""People who were found twice: their landmarks coincide."""
+"""People who were found twice: their crops are about the same, or their landmarks coincide."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from .crops import TurnedCrops
+
 _SPREAD = 0.05  # of a landmark between two looks at one person, as a share of the crop's side
-SAME = 0.5  # Similarity above which two are one.
+_ALIKE = 0.5  # Similarity above which two are one.
+
+# Crops about one person: distance of centres as a share of the larger side, ratio of sides, angle between them [rad].
+_NEAR, _RATIO, _TURN = 0.15, 0.5, 0.8
 
 
 def similarity(
@@ -47,5 +52,19 @@ def first_of_each(
         best, left = left[0], left[1:]
         kept.append(best)
         alike = similarity(points[best], confidence[best], sides[best], (points[left], confidence[left], sides[left]))
-        left = left[(alike < SAME) | (pictures[left] != pictures[best])]
+        left = left[(alike < _ALIKE) | (pictures[left] != pictures[best])]
     return np.sort(np.array(kept, dtype=np.int64))
+
+
+def distinct_crops(crops: TurnedCrops) -> TurnedCrops:
+    """Crops without those that are about the same as one before them; two people arm in arm keep their own."""
+    kept: list[int] = []
+    for row in range(len(crops)):
+        ours, theirs = crops[np.array([row])], crops[np.array(kept, dtype=np.int64)]
+        larger, smaller = np.maximum(ours.sides, theirs.sides), np.minimum(ours.sides, theirs.sides)
+        near = np.linalg.norm(ours.centres - theirs.centres, axis=1) < _NEAR * larger
+        turned = np.abs(np.angle(np.exp(1j * (ours.angles - theirs.angles))))
+        alike = near & (smaller > _RATIO * larger) & (turned < _TURN) & (ours.pictures == theirs.pictures)
+        if not alike.any():
+            kept.append(row)
+    return crops[np.array(kept, dtype=np.int64)]
