@@ -18,6 +18,7 @@ import torch.nn.functional as F
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
+_BATCH = {"cpu": 8, "cuda": 256}  # crops at a time: on CPU, what caches hold
 _STRIP = 512  # rows that are halved at a time, even
 
 
@@ -76,6 +77,17 @@ def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
     """All of the crops in a row."""
     fields = ("centres", "sides", "angles", "pictures")
     return TurnedCrops(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+
+
+def no_crops() -> TurnedCrops:
+    """None at all."""
+    return TurnedCrops(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
+
+
+def split_crops(crops: TurnedCrops, device: torch.device) -> list[TurnedCrops]:
+    """Crops in numbers that a network takes at a time on the device."""
+    step = _BATCH["cpu" if device.type == "cpu" else "cuda"]
+    return [crops[start : start + step] for start in range(0, len(crops), step)]
 
 
 class Pyramid:

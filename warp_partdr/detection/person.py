@@ -19,7 +19,7 @@ class Person:
 
     Attributes:
         keypoints: 33 landmarks, "blazepose33"; the confidence is that a landmark is in the picture and not hidden.
-        score: Confidence that there is a person, times the mean of the landmarks', 0 to 1.
+        score: Confidence that there is a person, 0 to 1.
         box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
         crop: The one crop, turned upright, that the landmarks were found in.
         mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32;

@@ -13,24 +13,16 @@ _ALIKE = 0.5  # Similarity above which two are one.
 _NEAR, _RATIO, _TURN = 0.15, 0.5, 0.8
 
 
-def similarity(
-    points: np.ndarray, confidence: np.ndarray, sides: np.ndarray, others: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """Likeness of a person's landmarks to those of others, as COCO's object keypoint similarity, 0 to 1.
+Landmarks = tuple[
+    np.ndarray, np.ndarray, np.ndarray
+]  # (..., K, 2) [px], confidence (..., K), sides of crops (...) [px]
 
-    Args:
-        points: The person's [px], shape (K, 2).
-        confidence: Shape (K,).
-        sides: Side of the person's crop [px], shape ().
-        others: The same of N others.
 
-    Returns:
-        Shape (N,).
-    """
-    their_points, their_confidence, their_sides = others
-    squares = ((their_points - points) ** 2).sum(axis=-1)
-    spreads = (_SPREAD**2 * sides * their_sides)[:, None]
-    weights = np.minimum(confidence, their_confidence) + 1e-3  # where nothing is sure, all count alike
+def similarity(ours: Landmarks, theirs: Landmarks) -> np.ndarray:
+    """Likeness of people's landmarks to those of others, as COCO's object keypoint similarity, 0 to 1, shape (N,)."""
+    squares = ((theirs[0] - ours[0]) ** 2).sum(axis=-1)
+    spreads = (_SPREAD**2 * ours[2] * theirs[2])[:, None]
+    weights = np.minimum(ours[1], theirs[1]) + 1e-3  # where nothing is sure, all count alike
     return (weights * np.exp(-squares / (2 * spreads))).sum(axis=1) / weights.sum(axis=1)
 
 
@@ -51,20 +43,30 @@ def first_of_each(
     while len(left):
         best, left = left[0], left[1:]
         kept.append(best)
-        alike = similarity(points[best], confidence[best], sides[best], (points[left], confidence[left], sides[left]))
+        ours, theirs = ((points[rows], confidence[rows], sides[rows]) for rows in (best, left))
+        alike = similarity(ours, theirs)
         left = left[(alike < _ALIKE) | (pictures[left] != pictures[best])]
     return np.sort(np.array(kept, dtype=np.int64))
 
 
-def distinct_crops(crops: TurnedCrops) -> TurnedCrops:
-    """Crops without those that are about the same as one before them; two people arm in arm keep their own."""
+def distinct_crops(crops: TurnedCrops, scores: np.ndarray) -> tuple[TurnedCrops, np.ndarray]:
+    """Crops without those that are about the same as one before them; two people arm in arm keep their own.
+
+    Returns:
+        The crops, and of each the best score (N,) of those that it stands for.
+    """
     kept: list[int] = []
+    best = scores.copy()
     for row in range(len(crops)):
         ours, theirs = crops[np.array([row])], crops[np.array(kept, dtype=np.int64)]
         larger, smaller = np.maximum(ours.sides, theirs.sides), np.minimum(ours.sides, theirs.sides)
         near = np.linalg.norm(ours.centres - theirs.centres, axis=1) < _NEAR * larger
         turned = np.abs(np.angle(np.exp(1j * (ours.angles - theirs.angles))))
         alike = near & (smaller > _RATIO * larger) & (turned < _TURN) & (ours.pictures == theirs.pictures)
-        if not alike.any():
+        if alike.any():
+            first = kept[int(alike.argmax())]
+            best[first] = max(best[first], scores[row])
+        else:
             kept.append(row)
-    return crops[np.array(kept, dtype=np.int64)]
+    rows = np.array(kept, dtype=np.int64)
+    return crops[rows], best[rows]
