@@ -166,7 +166,7 @@ def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int, *, bey
 def _grids(crops: TurnedCrops, size: int, extent: tuple[int, int], device: torch.device) -> torch.Tensor:
     """Places of the crops' pixels, from -1 to 1 across ``extent`` [px], shape (N, size, size, 2)."""
     corners = crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(crops), 3, 2)))
-    corners = torch.from_numpy((corners / extent * 2 - 1).astype(np.float32)).to(device)
+    places = torch.from_numpy((corners / extent * 2 - 1).astype(np.float32)).to(device)
     steps = (torch.arange(size, device=device) + 0.5) / size
-    start, across, down = corners[:, None, None].unbind(-2)
+    start, across, down = places[:, None, None].unbind(-2)
     return start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]

@@ -40,7 +40,10 @@ class Node:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Node:
         """Node of an object of the packaged file; lists become tuples."""
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return cls(**fields)
 
 
 def _activate(values: torch.Tensor, name: str) -> torch.Tensor:

@@ -12,14 +12,14 @@ from ..inputs.keypoints import Keypoints2D
 from .asset import PeopleNetworks
 from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, split_crops
 from .heat import refine_landmarks
-from .person import SKELETON, Person
+from .person import SKELETON, FoundPerson
 
 NUM_LANDMARKS = 33  # then the middle of the hips and the point above the head that the next crop takes, and four more
 _VALUES = 5  # of a landmark: x, y, depth, visibility, presence
 
 
 @dataclass(frozen=True)
-class Seen:
+class FoundLandmarks:
     """People in their crops, as the landmark network says them.
 
     Attributes:
@@ -38,13 +38,13 @@ class Seen:
     next_crops: TurnedCrops
     masks: torch.Tensor
 
-    def select(self, rows: np.ndarray) -> Seen:
+    def select(self, rows: np.ndarray) -> FoundLandmarks:
         """Some of them."""
         kept = torch.from_numpy(rows).to(self.masks.device)
         arrays = (self.points[rows], self.confidence[rows], self.presence[rows])
-        return Seen(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
+        return FoundLandmarks(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
 
-    def person(self, row: int, score: float, size: tuple[int, int]) -> Person:
+    def person(self, row: int, score: float, size: tuple[int, int]) -> FoundPerson:
         """One of them, in a picture of size (H, W)."""
         one, extent = slice(row, row + 1), np.array(size[::-1])
         side = self.masks.shape[-1]
@@ -57,10 +57,10 @@ class Seen:
         (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
         points, confidence = (values[row].astype(np.float32) for values in (self.points, self.confidence))
         keypoints = Keypoints2D(SKELETON, points, confidence)
-        return Person(keypoints, score, (left, top, right, bottom), self.crops[one], mask, self.next_crops[one])
+        return FoundPerson(keypoints, score, (left, top, right, bottom), self.crops[one], mask, self.next_crops[one])
 
 
-def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> Seen:
+def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:
     """Landmarks and masks of the people in the crops."""
     network = networks.landmarks
     said = []
@@ -72,10 +72,10 @@ def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCro
     if not said:
         none = np.zeros((0, NUM_LANDMARKS))
         masks = torch.zeros(0, network.size, network.size, device=networks.device)
-        return Seen(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
+        return FoundLandmarks(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
     all_landmarks, all_presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
     landmarks, presence = (values.cpu().numpy().astype(np.float64) for values in (all_landmarks, all_presence))
     places = crops.to_picture(landmarks[..., :2])
     sure = 1 / (1 + np.exp(-np.clip(landmarks[:, :NUM_LANDMARKS, 3:], -50, 50)))
     next_crops = crops_of_people(places[:, NUM_LANDMARKS], places[:, NUM_LANDMARKS + 1], crops.pictures)
-    return Seen(crops, places[:, :NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)
+    return FoundLandmarks(crops, places[:, :NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)

@@ -11,12 +11,12 @@ import torch.nn.functional as F
 from ..errors import check_each
 from ..interop.checks import check_image_size
 from .crops import TurnedCrops
-from .person import Person
+from .person import FoundPerson
 
 NOBODY = 0
 
 
-def draw_mask(person: Person, size: tuple[int, int]) -> np.ndarray:
+def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
     """Probability that a pixel of the picture shows the person, 0 outside the crop.
 
     Args:
@@ -32,7 +32,7 @@ def draw_mask(person: Person, size: tuple[int, int]) -> np.ndarray:
     return full
 
 
-def instance_map(people: Sequence[Person], size: tuple[int, int], *, threshold: float = 0.5) -> np.ndarray:
+def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, threshold: float = 0.5) -> np.ndarray:
     """Whom each pixel shows: the person whose mask is strongest there.
 
     Args:
@@ -46,7 +46,7 @@ def instance_map(people: Sequence[Person], size: tuple[int, int], *, threshold: 
     Raises:
         TypeError: If these are no people.
     """
-    check_each("people", people, Person, "of find_people")
+    check_each("people", people, FoundPerson, "of find_people")
     owners = np.zeros(check_image_size(size), dtype=np.int32)
     strongest = np.full(owners.shape, threshold, dtype=np.float32)
     for number, person in enumerate(people, start=1):
@@ -69,7 +69,7 @@ def _window(crop: TurnedCrops, size: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def _drawn(person: Person, rows: slice, columns: slice) -> np.ndarray:
+def _drawn(person: FoundPerson, rows: slice, columns: slice) -> np.ndarray:
     """The mask at the centres of a window's pixels."""
     shape = rows.stop - rows.start, columns.stop - columns.start
     if 0 in shape:

@@ -12,8 +12,8 @@ from ..interop.torch_threads import one_torch_thread
 from .asset import packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
 from .detector import detect_people
-from .look import Seen, look
-from .person import Person
+from .look import FoundLandmarks, look
+from .person import FoundPerson
 from .same_person import first_of_each, similarity
 
 
@@ -23,8 +23,8 @@ def find_people(
     device: torch.device | str = "cpu",
     min_score: float = 0.5,
     levels: int = 2,
-    previous: Sequence[Person] = (),
-) -> list[Person]:
+    previous: Sequence[FoundPerson] = (),
+) -> list[FoundPerson]:
     """Find everyone in a picture.
 
     Args:
@@ -49,15 +49,15 @@ def find_people(
 
 
 @one_torch_thread()
-@torch.inference_mode()
+@torch.no_grad()
 def find_people_in(
     pictures: Sequence[np.ndarray],
     *,
     device: torch.device | str = "cpu",
     min_score: float = 0.5,
     levels: int = 2,
-    previous: Sequence[Sequence[Person]] | None = None,
-) -> list[list[Person]]:
+    previous: Sequence[Sequence[FoundPerson]] | None = None,
+) -> list[list[FoundPerson]]:
     """The same for several pictures of any sizes, in batches.
 
     Args:
@@ -78,7 +78,7 @@ def find_people_in(
     if len(before) != len(pictures):
         raise ValueError(f"previous: of {len(before)} pictures; expected {len(pictures)}, as pictures")
     for people in before:
-        check_each("previous", people, Person, "of find_people")
+        check_each("previous", people, FoundPerson, "of find_people")
     networks = packaged_people_networks(str(device))
     pyramids = [Pyramid(picture, networks.device) for picture in pictures]
     new = [index for index, people in enumerate(before) if not people]
@@ -91,14 +91,14 @@ def find_people_in(
     scores = found.presence.copy()
     scores[: len(rows)] = _scores(detected, first, found.select(np.arange(len(rows))))
     rows = _distinct(found, scores, min_score)
-    people_of: list[list[Person]] = [[] for _ in pictures]
+    people_of: list[list[FoundPerson]] = [[] for _ in pictures]
     for row in rows[np.argsort(-found.next_crops.sides[rows], kind="stable")].tolist():
         picture = int(found.crops.pictures[row])
         people_of[picture].append(found.person(row, float(scores[row]), pyramids[picture].size))
     return people_of
 
 
-def _scores(detected: np.ndarray, first: Seen, second: Seen) -> np.ndarray:
+def _scores(detected: np.ndarray, first: FoundLandmarks, second: FoundLandmarks) -> np.ndarray:
     """Confidence in people who were detected, (N,): where nobody is, the second look seldom says what the first did."""
     agreement = similarity(
         (first.points, first.confidence, first.next_crops.sides),
@@ -107,7 +107,7 @@ def _scores(detected: np.ndarray, first: Seen, second: Seen) -> np.ndarray:
     return np.sqrt(detected) * np.minimum(first.presence, second.presence) * agreement
 
 
-def _distinct(seen: Seen, scores: np.ndarray, min_score: float) -> np.ndarray:
+def _distinct(seen: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
     """Rows of people whose score is enough, each person once."""
     rows = np.flatnonzero(scores >= min_score)
     some = seen.select(rows)

@@ -14,7 +14,7 @@ SKELETON = "blazepose33"
 
 
 @dataclass(frozen=True)
-class Person:
+class FoundPerson:
     """One person of a picture.
 
     Attributes:

@@ -13,9 +13,8 @@ _ALIKE = 0.5  # Similarity above which two are one.
 _NEAR, _RATIO, _TURN = 0.15, 0.5, 0.8
 
 
-Landmarks = tuple[
-    np.ndarray, np.ndarray, np.ndarray
-]  # (..., K, 2) [px], confidence (..., K), sides of crops (...) [px]
+# Of people: landmarks (..., K, 2) [px], their confidence (..., K), and sides of their crops (...) [px].
+Landmarks = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def similarity(ours: Landmarks, theirs: Landmarks) -> np.ndarray:
