@@ -89,5 +89,5 @@ def test_landmarks_that_coincide_are_one_person(rng):
     np.testing.assert_array_equal(kept, [1, 2, 3])
     one = (people[:1], confidence[:1], sides[:1])
     np.testing.assert_allclose(similarity(one, one), 1)
-    moved = (people[:1] + [0, 0.05 * 250], confidence[:1], sides[:1])
+    moved = (people[:1] + np.array([0, 0.05 * 250]), confidence[:1], sides[:1])
     np.testing.assert_allclose(similarity(one, moved), np.exp(-0.5))
