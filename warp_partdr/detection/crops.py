@@ -18,7 +18,7 @@ import torch.nn.functional as F
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
-_BATCH = {"cpu": 8, "cuda": 256}  # crops at a time: on CPU, what caches hold
+_BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
 _STRIP = 512  # rows that are halved at a time, even
 
 

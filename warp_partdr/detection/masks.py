@@ -13,7 +13,7 @@ from ..interop.checks import check_image_size
 from .crops import TurnedCrops
 from .person import FoundPerson
 
-NOBODY = 0
+_STRIP = 256  # rows that are drawn at a time
 
 
 def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
@@ -71,14 +71,15 @@ def _window(crop: TurnedCrops, size: tuple[int, ...]) -> tuple[slice, slice]:
 
 def _drawn(person: FoundPerson, rows: slice, columns: slice) -> np.ndarray:
     """The mask at the centres of a window's pixels."""
-    shape = rows.stop - rows.start, columns.stop - columns.start
-    if 0 in shape:
-        return np.zeros(shape, dtype=np.float32)
-    corners = np.array([columns.start, rows.start]) + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
-    places = person.crop.from_picture(corners[None])[0].astype(np.float32)
-    start, across, down = torch.from_numpy(places * 2 - 1)
-    x, y = torch.arange(shape[1])[:, None], torch.arange(shape[0])[:, None, None]
-    grid = start + (across - start) * x + (down - start) * y
+    drawn = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
     mask = torch.from_numpy(person.mask)[None, None]
-    drawn = F.grid_sample(mask, grid[None], align_corners=False, padding_mode="border")[0, 0]
-    return torch.where((grid.abs() <= 1).all(dim=-1), drawn, 0.0).numpy()
+    for first in range(0, len(drawn) if drawn.size else 0, _STRIP):
+        strip = drawn[first : first + _STRIP]
+        corners = np.array([columns.start, rows.start + first]) + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
+        places = person.crop.from_picture(corners[None])[0].astype(np.float32)
+        start, across, down = torch.from_numpy(places * 2 - 1)
+        x, y = torch.arange(strip.shape[1])[:, None], torch.arange(strip.shape[0])[:, None, None]
+        grid = start + (across - start) * x + (down - start) * y
+        values = F.grid_sample(mask, grid[None], align_corners=False, padding_mode="border")[0, 0]
+        strip[:] = torch.where((grid.abs() <= 1).all(dim=-1), values, 0.0).numpy()
+    return drawn
