@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import tflite
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 ASSETS = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets"
 WHEEL = "mediapipe==0.10.21"
@@ -256,6 +256,14 @@ def stored(name: str, weights: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+def sort_header(content: bytes) -> bytes:
+    """A safetensors file with its header in order, which otherwise changes from run to run."""
+    start = 8 + int.from_bytes(content[:8], "little")
+    header = json.dumps(json.loads(content[8:start]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + content[start:]
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         if len(sys.argv) > 1:
@@ -273,7 +281,8 @@ def main() -> None:
                 print(name, dict(Counter(node["kind"] for node in graphs[name]["nodes"])))
     about = f"Weights of {WHEEL} (Apache-2.0, Google), repacked by scripts/pack_detector.py"
     target = ASSETS / "people_detector.safetensors"
-    save_file(tensors, target, {"format": FORMAT, "graphs": json.dumps(graphs), "about": about})
+    content = save(tensors, {"format": FORMAT, "graphs": json.dumps(graphs), "about": about})
+    target.write_bytes(sort_header(content))
     print(f"{target.name}: {target.stat().st_size / 1e6:.2f} MB, {len(tensors)} tensors")
 
 
