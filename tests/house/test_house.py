@@ -34,6 +34,7 @@ LEVELS = (
     "render",
     "clothing",
     "network",
+    "detection",
     "refinement",
     "fit",
     "synthetic",

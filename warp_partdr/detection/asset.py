@@ -1,0 +1,101 @@
+"""The packaged networks of the detection: a safetensors file of two graphs, whose sparse weights are unpacked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..errors import InputError, cause
+from ..files.json_files import parse_json
+from .graph import Node, OperatorGraph
+
+_FORMAT = "warp-partdr people detector 1"
+_EXPECTED = "a file of scripts/pack_detector.py (safetensors)"
+
+
+@dataclass(frozen=True)
+class PeopleNetworks:
+    """The two networks, on one device.
+
+    Attributes:
+        detector: Pictures from -1 to 1 to "boxes" (B, 2254, 12) [px] about anchors, and "scores" (B, 2254, 1), logits.
+        landmarks: Pictures from 0 to 1 to "landmarks" (B, 195), five numbers each of 39 [px], "presence" (B, 1), 0 to
+            1, and "mask" (B, 1, 256, 256), logits.
+    """
+
+    detector: OperatorGraph
+    landmarks: OperatorGraph
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the weights."""
+        return next(self.detector.buffers()).device
+
+
+def load_people_networks(path: Path | str | None = None, *, device: torch.device | str = "cpu") -> PeopleNetworks:
+    """Load the networks.
+
+    Args:
+        path: A file of ``scripts/pack_detector.py``; the packaged one if None.
+        device: Device to run on.
+
+    Raises:
+        InputError: If the file can't be read or is none of these.
+    """
+    packaged = resources.files("warp_partdr").joinpath("assets", "people_detector.safetensors")
+    with resources.as_file(packaged) as default:
+        return _read(Path(default if path is None else path), device)
+
+
+@lru_cache(maxsize=4)
+def packaged_people_networks(device: str) -> PeopleNetworks:
+    """The packaged networks, loaded once for each device; not to be changed."""
+    return load_people_networks(device=device)
+
+
+def _read(path: Path, device: torch.device | str) -> PeopleNetworks:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            if metadata.get("format") != _FORMAT:
+                raise InputError(f"{path}: format {metadata.get('format')!r}; expected {_EXPECTED}")
+            weights = _unpacked({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118  no mapping
+        graphs = parse_json(metadata["graphs"], f"{path}: graphs", _EXPECTED)
+        networks = {name: _graph(graphs[name], name, weights) for name in ("detector", "landmarks")}
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+        if isinstance(error, InputError) and str(error).startswith(str(path)):
+            raise
+        raise InputError(f"{path}: {cause(error)}; expected {_EXPECTED}") from None
+    return PeopleNetworks(**{name: network.eval().to(device) for name, network in networks.items()})
+
+
+def _graph(about: Mapping[str, Any], name: str, weights: Mapping[str, np.ndarray]) -> OperatorGraph:
+    own = {key.removeprefix(f"{name}/"): torch.from_numpy(value) for key, value in weights.items() if name + "/" in key}
+    nodes = [Node.from_json(node) for node in about["nodes"]]
+    return OperatorGraph(about["size"], about["input"], about["outputs"], nodes, own)
+
+
+def _unpacked(tensors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of the file, with the zeros that only a mask of bits tells of."""
+    arrays = {}
+    for name, values in tensors.items():
+        stem, _, role = name.rpartition(".")
+        if role in ("bits", "shape"):
+            continue
+        if role == "values":
+            shape = tensors[f"{stem}.shape"]
+            there = np.unpackbits(tensors[f"{stem}.bits"], count=int(shape.prod())).astype(bool)
+            full = np.zeros(there.size, dtype=values.dtype)
+            full[there] = values
+            name, values = stem, full.reshape(shape)
+        arrays[name] = values
+    return arrays

@@ -1,0 +1,74 @@
+"""Boxes of the detector: anchors, decoding, and one box for the many that mean the same person.
+
+A box is a row of four points, each (x, y): its centre and size, then four points of the person, of which the first two
+count: the middle of the hips, and a point on the circle about it that holds the whole body.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+STRIDES = ((8, 2), (16, 2), (32, 6))  # [px] between the cells of each grid, and anchors of each cell
+SAME = 0.3  # Intersection over union above which two boxes are of one person.
+NUM_POINTS = 6  # rows of a box: centre, size, four points
+
+
+@lru_cache
+def anchors(size: int) -> np.ndarray:
+    """Centres of the detector's anchors in a picture of side ``size`` [px], shape (A, 2), float64."""
+    rows = []
+    for stride, count in STRIDES:
+        cells = (np.arange(size // stride) + 0.5) * stride
+        y, x = np.meshgrid(cells, cells, indexing="ij")
+        rows.append(np.repeat(np.stack([x, y], axis=-1).reshape(-1, 2), count, axis=0))
+    return np.concatenate(rows)
+
+
+def decode(boxes: np.ndarray, scores: np.ndarray, size: int, min_score: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes of one picture with a score above ``min_score``.
+
+    Args:
+        boxes: The detector's, relative to the anchors [px], shape (A, 12).
+        scores: Logits, shape (A,).
+        size: Side of the picture [px].
+        min_score: 0 to 1.
+
+    Returns:
+        Boxes [px], shape (N, 6, 2), and scores from 0 to 1, shape (N,).
+    """
+    sure = 1.0 / (1.0 + np.exp(-np.clip(scores.astype(np.float64), -50.0, 50.0)))
+    kept = np.flatnonzero(sure > min_score)
+    found = boxes[kept].astype(np.float64).reshape(-1, NUM_POINTS, 2)
+    moved = np.arange(NUM_POINTS) != 1  # all but the size
+    return found + anchors(size)[kept, None] * moved[:, None], sure[kept]
+
+
+def overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Intersection over union of a box (6, 2) with others (N, 6, 2), shape (N,)."""
+    low = np.maximum(box[0] - box[1] / 2, boxes[:, 0] - boxes[:, 1] / 2)
+    high = np.minimum(box[0] + box[1] / 2, boxes[:, 0] + boxes[:, 1] / 2)
+    common = np.clip(high - low, 0.0, None).prod(axis=1)
+    return common / np.maximum(box[1].prod() + boxes[:, 1].prod(axis=1) - common, 1e-9)
+
+
+def average_boxes(boxes: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One box a person: the mean, by score, of those that overlap the best of them.
+
+    Args:
+        boxes: Shape (N, 6, 2).
+        scores: Shape (N,).
+
+    Returns:
+        Boxes, best first, shape (M, 6, 2), and the best score of each, shape (M,).
+    """
+    left = np.argsort(-scores, kind="stable")
+    means, best = [np.zeros((0, NUM_POINTS, 2))], []
+    while len(left):
+        same = overlap(boxes[left[0]], boxes[left]) > SAME
+        same[0] = True  # also a box without an area
+        means.append(np.average(boxes[left[same]], axis=0, weights=scores[left[same]])[None])
+        best.append(scores[left[0]])
+        left = left[~same]
+    return np.concatenate(means), np.array(best)

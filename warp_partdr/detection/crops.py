@@ -1,0 +1,172 @@
+"""Turned square crops of pictures: cut out for a network, and the way back into the picture.
+
+Within a crop, (0, 0) is its top left corner and (1, 1) its bottom right one, as the crop is turned. Places in a picture
+are in pixels, pixel (row v, column u) having its centre at (u + 0.5, v + 0.5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+_MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
+_LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
+_SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
+_BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
+_STRIP = 512  # rows that are halved at a time, even
+
+
+@dataclass(frozen=True)
+class TurnedCrops:
+    """N square crops of pictures.
+
+    Attributes:
+        centres: [px], shape (N, 2), float64.
+        sides: Lengths of the sides [px], shape (N,).
+        angles: Turn of the crop's x axis from the picture's, clockwise as seen [rad], shape (N,).
+        pictures: Index of the picture that each is of, shape (N,), int64.
+    """
+
+    centres: np.ndarray
+    sides: np.ndarray
+    angles: np.ndarray
+    pictures: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.sides)
+
+    def __getitem__(self, rows: slice | np.ndarray) -> TurnedCrops:
+        return TurnedCrops(self.centres[rows], self.sides[rows], self.angles[rows], self.pictures[rows])
+
+    def to_picture(self, places: np.ndarray) -> np.ndarray:
+        """Places in the crops, shape (N, K, 2), to places in the pictures [px]."""
+        offsets = self.sides[:, None, None] * (places - 0.5)
+        return self.centres[:, None] + np.einsum("nij,nkj->nki", self._turns, offsets)
+
+    def from_picture(self, places: np.ndarray) -> np.ndarray:
+        """Places in the pictures [px], shape (N, K, 2), to places in the crops."""
+        offsets = np.einsum("nji,nkj->nki", self._turns, places - self.centres[:, None])
+        return offsets / self.sides[:, None, None] + 0.5
+
+    @property
+    def _turns(self) -> np.ndarray:
+        cosines, sines = np.cos(self.angles), np.sin(self.angles)
+        return np.stack([cosines, -sines, sines, cosines], axis=-1).reshape(-1, 2, 2)
+
+
+def crops_of_people(centres: np.ndarray, tops: np.ndarray, pictures: np.ndarray) -> TurnedCrops:
+    """Crops that show whole people upright.
+
+    Args:
+        centres: Middles of the hips [px], shape (N, 2).
+        tops: Points on the circle about the whole body, above the head as the person stands, shape (N, 2).
+        pictures: Index of each one's picture, shape (N,).
+    """
+    up = tops - centres
+    sides = np.maximum(2 * _MARGIN * np.linalg.norm(up, axis=1), 1.0)
+    return TurnedCrops(centres, sides, np.arctan2(up[:, 0], -up[:, 1]), pictures)
+
+
+def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
+    """All of the crops in a row."""
+    fields = ("centres", "sides", "angles", "pictures")
+    return TurnedCrops(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+
+
+def no_crops() -> TurnedCrops:
+    """None at all."""
+    return TurnedCrops(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
+
+
+def split_crops(crops: TurnedCrops, device: torch.device) -> list[TurnedCrops]:
+    """Crops in numbers that a network takes at a time on the device."""
+    step = _BATCH["cpu" if device.type == "cpu" else "cuda"]
+    return [crops[start : start + step] for start in range(0, len(crops), step)]
+
+
+class Pyramid:
+    """A picture at its full size and at halves of it, from which crops are cut without aliasing.
+
+    Args:
+        picture: RGB, shape (H, W, 3), uint8.
+        device: Device to hold it on.
+    """
+
+    def __init__(self, picture: np.ndarray, device: torch.device | str) -> None:
+        self.size = picture.shape[0], picture.shape[1]
+        self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
+        self.device = torch.device(device)
+        self._bytes = torch.from_numpy(np.ascontiguousarray(picture)).to(device).permute(2, 0, 1)[None]
+        self._levels: list[torch.Tensor] = []
+
+    @cached_property
+    def _finest(self) -> torch.Tensor:
+        """The finest level, from 0 to 1, shape (1, 3, h, w)."""
+        if self._first == 0:
+            return self._bytes.float() / 255
+        strips = []
+        for strip in self._bytes.split(_STRIP << self._first, dim=2):
+            values = strip.float() / 255
+            for _ in range(self._first):
+                values = _halved(values)
+            strips.append(values)
+        return torch.cat(strips, dim=2)
+
+    def level(self, wanted: int) -> tuple[torch.Tensor, int]:
+        """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number."""
+        if not self._levels:
+            self._levels.append(self._finest)
+        wanted = max(wanted, self._first)
+        while len(self._levels) <= wanted - self._first:
+            self._levels.append(_halved(self._levels[-1]))
+        return self._levels[wanted - self._first], wanted
+
+
+def _halved(values: torch.Tensor) -> torch.Tensor:
+    """Means of blocks of 2 x 2; an odd last row or column counts twice."""
+    height, width = values.shape[-2:]
+    if height % 2 or width % 2:
+        values = F.pad(values, (0, width % 2, 0, height % 2), mode="replicate")
+    return F.avg_pool2d(values, 2)
+
+
+def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int, *, beyond: str = "zeros") -> torch.Tensor:
+    """Crops as pictures.
+
+    Each is read bilinearly from a halved picture, of which a crop's pixel is at most 2.83 wide.
+
+    Args:
+        pyramids: The pictures.
+        crops: N crops of them.
+        size: Side [px] that the crops get.
+        beyond: "zeros": it is black beyond the picture; "border": the border goes on.
+
+    Returns:
+        0 to 1, shape (N, 3, size, size).
+    """
+    device = pyramids[0].device
+    cut = torch.zeros(len(crops), 3, size, size, device=device)
+    levels = np.floor(np.log2(np.maximum(crops.sides / size, 2**_SHARPER)) - _SHARPER).astype(int)
+    for picture, level in sorted(set(zip(crops.pictures.tolist(), levels.tolist(), strict=True))):
+        rows = np.flatnonzero((crops.pictures == picture) & (levels == level))
+        values, level = pyramids[picture].level(level)
+        grid = _grids(crops[rows], size, (values.shape[-1] << level, values.shape[-2] << level), device)
+        cut[torch.from_numpy(rows).to(device)] = F.grid_sample(
+            values.expand(len(rows), -1, -1, -1), grid, padding_mode=beyond, align_corners=False
+        )
+    return cut
+
+
+def _grids(crops: TurnedCrops, size: int, extent: tuple[int, int], device: torch.device) -> torch.Tensor:
+    """Places of the crops' pixels, from -1 to 1 across ``extent`` [px], shape (N, size, size, 2)."""
+    corners = crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(crops), 3, 2)))
+    places = torch.from_numpy((corners / extent * 2 - 1).astype(np.float32)).to(device)
+    steps = (torch.arange(size, device=device) + 0.5) / size
+    start, across, down = places[:, None, None].unbind(-2)
+    return start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]

@@ -1,0 +1,73 @@
+"""The detector at work: at the whole picture and at tiles of it, from boxes to a crop about each person."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .asset import PeopleNetworks
+from .boxes import average_boxes, decode
+from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, no_crops, split_crops
+from .same_person import distinct_crops
+
+
+def tiles(size: tuple[int, int], levels: int, smallest: int, picture: int = 0) -> TurnedCrops:
+    """The squares that the detector looks at: one about the whole picture, then smaller ones that overlap by half.
+
+    Args:
+        size: (H, W) of the picture.
+        levels: Number of sizes, each half of the one before.
+        smallest: Least side of a tile [px], the first one's aside.
+        picture: Index of the picture.
+    """
+    height, width = size
+    centres, sides = [(width / 2, height / 2)], [float(max(size))]
+    for level in range(1, levels):
+        side = max(size) / 2**level
+        if side < smallest:
+            break
+        rows, columns = (_middles(length, side) for length in size)
+        centres += [(x, y) for y in rows for x in columns]
+        sides += [side] * (len(rows) * len(columns))
+    count = len(sides)
+    return TurnedCrops(np.array(centres), np.array(sides), np.zeros(count), np.full(count, picture))
+
+
+def _middles(length: int, side: float) -> list[float]:
+    """Middles of the tiles that cover a length, neighbours at most half a tile apart."""
+    if length <= side:
+        return [length / 2]
+    count = math.ceil((length - side) / (side / 2)) + 1
+    return np.linspace(side / 2, length - side / 2, count).tolist()
+
+
+def detect_people(
+    networks: PeopleNetworks, pyramids: Sequence[Pyramid], pictures: Sequence[int], min_score: float, levels: int
+) -> tuple[TurnedCrops, np.ndarray]:
+    """Find people in some of the pictures.
+
+    Args:
+        networks: The packaged ones.
+        pyramids: All pictures.
+        pictures: Indices of those to look at.
+        min_score: Least score of a box.
+        levels: Sizes of tiles.
+
+    Returns:
+        A crop about each person, and the best score of its boxes, shape (N,).
+    """
+    size = networks.detector.size
+    views = join_crops([no_crops(), *(tiles(pyramids[index].size, levels, size, index) for index in pictures)])
+    found, best = [no_crops()], [np.zeros(0)]
+    for part in split_crops(views, networks.device):
+        said = networks.detector(cut_crops(pyramids, part, size) * 2 - 1)
+        for row, (boxes, logits) in enumerate(zip(said["boxes"].cpu(), said["scores"].cpu(), strict=True)):
+            means, scores = average_boxes(*decode(boxes.numpy(), logits.numpy()[:, 0], size, min_score))
+            view = part[np.full(len(means), row)]
+            points = view.to_picture(means[:, 2:4] / size)
+            found.append(crops_of_people(points[:, 0], points[:, 1], view.pictures))
+            best.append(scores)
+    # Larger tiles, which show people whole, come first.
+    return distinct_crops(join_crops(found), np.concatenate(best))

@@ -1,0 +1,151 @@
+"""Graphs of a few operators, as the packaged networks of the detection are described, run by torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operator of a graph.
+
+    Attributes:
+        kind: Name of the operator, one of ``KINDS``.
+        inputs: Numbers of the values that it takes.
+        output: Number of the value that it makes, and of its weights.
+        stride: Of a convolution.
+        groups: Of a convolution; as many as channels if each goes by itself.
+        zeros: Around a convolution's input: left, right, above, below.
+        activation: "none", "relu" or "relu6", after a convolution or a sum.
+        size: Side of pooled squares or of the blocks that channels become, or (H, W) of a resized picture.
+        shape: Of the rows that a picture becomes, without the batch.
+    """
+
+    kind: str
+    inputs: tuple[int, ...]
+    output: int
+    stride: int = 1
+    groups: int = 1
+    zeros: tuple[int, int, int, int] = (0, 0, 0, 0)
+    activation: str = "none"
+    size: Any = 0
+    shape: tuple[int, ...] = field(default=())
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Node:
+        """Node of an object of the packaged file; lists become tuples."""
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return cls(**fields)
+
+
+def _activate(values: torch.Tensor, name: str) -> torch.Tensor:
+    if name == "none":
+        return values
+    return values.relu_() if name == "relu" else values.clamp_(0.0, 6.0)
+
+
+def _convolution(node: Node, values: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    left, right, above, below = node.zeros
+    if left == right and above == below:
+        padding = (above, left)
+    else:
+        values, padding = F.pad(values, node.zeros), (0, 0)
+    return _activate(F.conv2d(values, weight, bias, node.stride, padding, groups=node.groups), node.activation)
+
+
+def _add(node: Node, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    return _activate(first + second, node.activation)
+
+
+def _max_pool(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.max_pool2d(values, node.size)
+
+
+def _resize(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return F.interpolate(values, node.size, mode="bilinear", align_corners=False)
+
+
+def _sigmoid(node: Node, values: torch.Tensor) -> torch.Tensor:
+    return values.sigmoid()
+
+
+def _depth_to_space(node: Node, values: torch.Tensor) -> torch.Tensor:
+    """Blocks of pixels out of channels, whose order is (row in the block, column in it, channel)."""
+    batch, channels, height, width = values.shape
+    side = node.size
+    values = values.reshape(batch, side, side, channels // side**2, height, width)
+    return values.permute(0, 3, 4, 1, 5, 2).reshape(batch, channels // side**2, height * side, width * side)
+
+
+def _rows(node: Node, values: torch.Tensor) -> torch.Tensor:
+    """Rows out of pictures, whose numbers are read pixel by pixel, the channels of each together."""
+    return values.permute(0, 2, 3, 1).reshape(len(values), *node.shape)
+
+
+def _concatenate(node: Node, *values: torch.Tensor) -> torch.Tensor:
+    return torch.cat(values, dim=1)
+
+
+KINDS: dict[str, Callable[..., torch.Tensor]] = {
+    "convolution": _convolution,
+    "add": _add,
+    "max_pool": _max_pool,
+    "resize": _resize,
+    "sigmoid": _sigmoid,
+    "depth_to_space": _depth_to_space,
+    "rows": _rows,
+    "concatenate": _concatenate,
+}
+
+
+class OperatorGraph(nn.Module):
+    """A network given as nodes in the order of their computation.
+
+    Args:
+        size: Side of the square pictures that it takes [px].
+        start: Number of the value that is the input.
+        outputs: Name of each output, and number of its value.
+        nodes: The operators.
+        weights: "N.weight" (out, in / groups, H, W) and "N.bias" (out,) of the convolution with output N.
+    """
+
+    def __init__(
+        self,
+        size: int,
+        start: int,
+        outputs: Mapping[str, int],
+        nodes: Sequence[Node],
+        weights: Mapping[str, torch.Tensor],
+    ) -> None:
+        super().__init__()
+        self.size = size
+        self._start, self._outputs, self._nodes = start, dict(outputs), tuple(nodes)
+        for name, tensor in weights.items():
+            # Channels last: convolutions of 1 x 1, the most of them, are products of matrices then.
+            form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
+            self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
+        last = {number: place for place, node in enumerate(self._nodes) for number in node.inputs}
+        self._done = [
+            [number for number in set(node.inputs) if last[number] == place and number not in self._outputs.values()]
+            for place, node in enumerate(self._nodes)
+        ]
+
+    def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Outputs by name, for pictures of shape (B, 3, size, size)."""
+        values = {self._start: pictures.contiguous(memory_format=torch.channels_last)}
+        for node, done in zip(self._nodes, self._done, strict=True):
+            inputs = [values[number] for number in node.inputs]
+            if node.kind == "convolution":
+                inputs += [getattr(self, f"{node.output}_weight"), getattr(self, f"{node.output}_bias")]
+            values[node.output] = KINDS[node.kind](node, *inputs)
+            for number in done:  # or a batch would keep all of its activations
+                del values[number]
+        return {name: values[number] for name, number in self._outputs.items()}

@@ -1,0 +1,34 @@
+"""Landmarks moved to where the network's heat maps see them: its coordinates alone are coarser."""
+
+from __future__ import annotations
+
+import torch
+
+_REACH = 3  # cells around a landmark that count, each way
+_SURE = 0.5  # Where no cell near a landmark is that hot, it stays.
+
+
+def refine_landmarks(places: torch.Tensor, heat: torch.Tensor) -> torch.Tensor:
+    """Centres of the heat near the landmarks; the network takes a cell's corner for its place, not its centre.
+
+    Args:
+        places: 0 to 1 across the crop, shape (N, K, 2).
+        heat: Logits, shape (N, K, H, W).
+
+    Returns:
+        Shape (N, K, 2).
+    """
+    height, width = heat.shape[-2:]
+    extent = torch.tensor([width, height], device=places.device)
+    steps = torch.arange(-_REACH, _REACH + 1, device=places.device)
+    cells = (places * extent).floor()
+    inside = ((cells >= 0) & (cells < extent)).all(dim=-1)
+    columns = cells[..., None, :1] + steps[:, None]  # (N, K, 7, 1)
+    rows = cells[..., None, 1:] + steps[:, None]
+    near = torch.cat([columns.repeat(1, 1, len(steps), 1), rows.repeat_interleave(len(steps), dim=2)], dim=-1)
+    there = ((near >= 0) & (near < extent)).all(dim=-1)  # (N, K, 49)
+    index = near.nan_to_num().clamp(min=0).minimum(extent - 1).long()
+    shares = heat.flatten(2).gather(2, index[..., 1] * width + index[..., 0]).sigmoid() * there
+    centres = (shares[..., None] * near).sum(dim=2) / shares.sum(dim=2).clamp_min(1e-9)[..., None] / extent
+    sure = inside & (shares.amax(dim=2) >= _SURE)
+    return torch.where(sure[..., None], centres, places)

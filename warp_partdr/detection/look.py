@@ -1,0 +1,81 @@
+"""The landmark network at work: from crops to landmarks and masks in the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..inputs.keypoints import Keypoints2D
+from .asset import PeopleNetworks
+from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, split_crops
+from .heat import refine_landmarks
+from .person import SKELETON, FoundPerson
+
+NUM_LANDMARKS = 33  # then the middle of the hips and the point above the head that the next crop takes, and four more
+_VALUES = 5  # of a landmark: x, y, depth, visibility, presence
+
+
+@dataclass(frozen=True)
+class FoundLandmarks:
+    """People in their crops, as the landmark network says them.
+
+    Attributes:
+        crops: Where it looked.
+        points: Landmarks [px], shape (N, 33, 2).
+        confidence: That a landmark is in the picture and not hidden, shape (N, 33).
+        presence: Confidence that there is a person, shape (N,).
+        next_crops: The crops that the landmarks place about the people.
+        masks: Logits, shape (N, 256, 256), on the network's device.
+    """
+
+    crops: TurnedCrops
+    points: np.ndarray
+    confidence: np.ndarray
+    presence: np.ndarray
+    next_crops: TurnedCrops
+    masks: torch.Tensor
+
+    def select(self, rows: np.ndarray) -> FoundLandmarks:
+        """Some of them."""
+        kept = torch.from_numpy(rows).to(self.masks.device)
+        arrays = (self.points[rows], self.confidence[rows], self.presence[rows])
+        return FoundLandmarks(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
+
+    def person(self, row: int, score: float, size: tuple[int, int]) -> FoundPerson:
+        """One of them, in a picture of size (H, W)."""
+        one, extent = slice(row, row + 1), np.array(size[::-1])
+        side = self.masks.shape[-1]
+        y, x = np.mgrid[:side, :side]
+        places = self.crops[one].to_picture((np.stack([x, y], axis=-1).reshape(1, -1, 2) + 0.5) / side)[0]
+        inside = ((places >= 0) & (places <= extent)).all(axis=1)
+        mask = self.masks[row].sigmoid().cpu().numpy() * inside.reshape(side, side).astype(np.float32)
+        shown = places[mask.reshape(-1) > 0.5]
+        corners = shown if len(shown) else np.clip(self.points[row], 0, extent)
+        (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        points, confidence = (values[row].astype(np.float32) for values in (self.points, self.confidence))
+        keypoints = Keypoints2D(SKELETON, points, confidence)
+        return FoundPerson(keypoints, score, (left, top, right, bottom), self.crops[one], mask, self.next_crops[one])
+
+
+def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:
+    """Landmarks and masks of the people in the crops."""
+    network = networks.landmarks
+    said = []
+    for part in split_crops(crops, networks.device):
+        values = network(cut_crops(pyramids, part, network.size, beyond="border"))
+        landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
+        landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / network.size, values["heat"])
+        said.append((landmarks, values["presence"][:, 0], values["mask"][:, 0]))
+    if not said:
+        none = np.zeros((0, NUM_LANDMARKS))
+        masks = torch.zeros(0, network.size, network.size, device=networks.device)
+        return FoundLandmarks(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
+    all_landmarks, all_presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
+    landmarks, presence = (values.cpu().numpy().astype(np.float64) for values in (all_landmarks, all_presence))
+    places = crops.to_picture(landmarks[..., :2])
+    sure = 1 / (1 + np.exp(-np.clip(landmarks[:, :NUM_LANDMARKS, 3:], -50, 50)))
+    next_crops = crops_of_people(places[:, NUM_LANDMARKS], places[:, NUM_LANDMARKS + 1], crops.pictures)
+    return FoundLandmarks(crops, places[:, :NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)

@@ -1,0 +1,128 @@
+"""Everyone in a picture, or in several: from the detector's boxes to keypoints and masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..errors import InputError, check_each, check_type, check_whole, shown
+from ..interop.torch_threads import one_torch_thread
+from .asset import packaged_people_networks
+from .crops import Pyramid, TurnedCrops, join_crops
+from .detector import detect_people
+from .look import FoundLandmarks, look
+from .person import FoundPerson
+from .same_person import first_of_each, similarity
+
+
+def find_people(
+    picture: np.ndarray,
+    *,
+    device: torch.device | str = "cpu",
+    min_score: float = 0.5,
+    levels: int = 2,
+    previous: Sequence[FoundPerson] = (),
+) -> list[FoundPerson]:
+    """Find everyone in a picture.
+
+    Args:
+        picture: RGB, shape (H, W, 3), uint8.
+        device: Device to run on.
+        min_score: Least confidence that there is a person, of the detector and of the landmarks, 0 to 1.
+        levels: 1 looks at the whole picture alone, where people of a quarter of its longer side and more are found;
+            each further level, at overlapping tiles of half the size, finds people half as large. Tiles smaller than
+            the detector's 224 pixels are left out.
+        previous: The people of a film's last frame. Where they are given, only they are followed, and the detector
+            doesn't run; nobody new is found.
+
+    Returns:
+        People, largest first; none if nobody is there.
+
+    Raises:
+        TypeError: If ``picture`` is no array, or ``previous`` are no people.
+        InputError: If it is no picture.
+        ValueError: If a number is out of range.
+    """
+    return find_people_in([picture], device=device, min_score=min_score, levels=levels, previous=[previous])[0]
+
+
+@one_torch_thread()
+@torch.no_grad()
+def find_people_in(
+    pictures: Sequence[np.ndarray],
+    *,
+    device: torch.device | str = "cpu",
+    min_score: float = 0.5,
+    levels: int = 2,
+    previous: Sequence[Sequence[FoundPerson]] | None = None,
+) -> list[list[FoundPerson]]:
+    """The same for several pictures of any sizes, in batches.
+
+    Args:
+        pictures: RGB, each of shape (H, W, 3), uint8.
+        device: Device to run on.
+        min_score: As in ``find_people``.
+        levels: As in ``find_people``.
+        previous: People of the frame before each picture; None of all.
+
+    Returns:
+        The people of each picture.
+    """
+    _check_pictures(pictures)
+    levels = check_whole("levels", levels, 1)
+    if not 0 <= min_score < 1:
+        raise ValueError(f"min_score: {shown(min_score)}; expected a number from 0 to below 1")
+    before = [()] * len(pictures) if previous is None else previous
+    if len(before) != len(pictures):
+        raise ValueError(f"previous: of {len(before)} pictures; expected {len(pictures)}, as pictures")
+    for people in before:
+        check_each("previous", people, FoundPerson, "of find_people")
+    networks = packaged_people_networks(str(device))
+    pyramids = [Pyramid(picture, networks.device) for picture in pictures]
+    new = [index for index, people in enumerate(before) if not people]
+    crops, detected = detect_people(networks, pyramids, new, min_score, levels)
+    first = look(networks, pyramids, crops)
+    rows = _distinct(first, first.presence, min_score)
+    first, detected = first.select(rows), detected[rows]
+    followed = [_moved(person.next_crop, index) for index, people in enumerate(before) for person in people]
+    found = look(networks, pyramids, join_crops([first.next_crops, *followed]))
+    scores = found.presence.copy()
+    scores[: len(rows)] = _scores(detected, first, found.select(np.arange(len(rows))))
+    rows = _distinct(found, scores, min_score)
+    people_of: list[list[FoundPerson]] = [[] for _ in pictures]
+    for row in rows[np.argsort(-found.next_crops.sides[rows], kind="stable")].tolist():
+        picture = int(found.crops.pictures[row])
+        people_of[picture].append(found.person(row, float(scores[row]), pyramids[picture].size))
+    return people_of
+
+
+def _scores(detected: np.ndarray, first: FoundLandmarks, second: FoundLandmarks) -> np.ndarray:
+    """Confidence in people who were detected, (N,): where nobody is, the second look seldom says what the first did."""
+    agreement = similarity(
+        (first.points, first.confidence, first.next_crops.sides),
+        (second.points, second.confidence, second.next_crops.sides),
+    )
+    return np.sqrt(detected) * np.minimum(first.presence, second.presence) * agreement
+
+
+def _distinct(seen: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.ndarray:
+    """Rows of people whose score is enough, each person once."""
+    rows = np.flatnonzero(scores >= min_score)
+    some = seen.select(rows)
+    quality = scores[rows] * some.confidence.mean(axis=1)
+    kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality)
+    return rows[kept]
+
+
+def _check_pictures(pictures: Sequence[np.ndarray]) -> None:
+    for index, picture in enumerate(pictures):
+        name = "picture" if len(pictures) == 1 else f"pictures[{index}]"
+        check_type(name, picture, np.ndarray, "of read_photo")
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+            raise InputError(f"{name}: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3), RGB")
+
+
+def _moved(crop: TurnedCrops, picture: int) -> TurnedCrops:
+    return TurnedCrops(crop.centres, crop.sides, crop.angles, np.full(len(crop), picture))
