@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from ..clothing.model import DetailedModel
     from ..fit.mesh_stage import MeshFit
     from ..fit.options import FitOptions
-    from ..fit.result import FitResult
     from ..inputs.person import PersonInputs
-    from .progress import FitProgress
 
 NO_MODEL = "none"
 _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
@@ -73,9 +71,16 @@ def fit(
     """Fit a body to one person; see ``FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
     values = settings.read()
+    if files.keypoints is None:
+        from .fit_photo import fit_everyone
+
+        chosen = take_whole(values, "threads"), fit_options(quality, start, values)
+        fit_everyone(files, photo, out, device, model, view, chosen)
+        return
     person = files.read(photo)
 
     from ..fit.fitting import fit_body
+    from ..fit.mesh_stage import refine_mesh
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
@@ -84,7 +89,7 @@ def fit(
 
     where = choose_device(device)
     set_num_threads(take_whole(values, "threads"))
-    options = _options(quality, start, values)
+    options = fit_options(quality, start, values)
     check_folder(out)
     named = (options.network, files.labels, model)
     given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
@@ -96,12 +101,13 @@ def fit(
         _explain(person, options, camera, detailed_model)
     mesh, failure = None, None
     with FitProgress() as progress:
-        _load_kernels(where, options, with_labels=person.parts is not None)
+        load_kernels(where, options, with_labels=person.parts is not None)
         how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
         result = fit_body(person.keypoints, person.parts, others=person.others, **how)
         if detailed_model is not None and person.parts is not None:
             try:
-                mesh = _refine_mesh(result, detailed_model, progress)
+                load_mesh_kernels(where)
+                mesh = refine_mesh(result, detailed_model, progress=progress)
                 result = mesh.ellipbody
             except _FAULTS as error:
                 failure = error
@@ -126,16 +132,14 @@ def fit(
     typer.echo(told)
 
 
-def _refine_mesh(result: FitResult, model: DetailedModel, progress: FitProgress) -> MeshFit:
-    """The mesh stage."""
+def load_mesh_kernels(device: str) -> None:
+    """Compile the mesh stage's kernels, or load them."""
     import warp as wp
 
-    from ..fit.mesh_stage import refine_mesh
     from ..kernels.mesh import label_borders, rasterize, resolve
 
     for module in (rasterize, resolve, label_borders):
-        wp.load_module(module, device=str(result.parameters.shift.device))
-    return refine_mesh(result, model, progress=progress)
+        wp.load_module(module, device=device)
 
 
 def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarray | None) -> str:
@@ -156,7 +160,8 @@ def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarra
     return say_detailed(report, out)
 
 
-def _options(quality: QualityName, start: StartName, values: dict[str, Any]) -> FitOptions:
+def fit_options(quality: QualityName, start: StartName, values: dict[str, Any]) -> FitOptions:
+    """Options of a quality and a start, with settings."""
     from ..fit.options import FitOptions
     from ..fit.settings import change_options
 
@@ -179,7 +184,7 @@ def _explain(
     print_choices(choices, Console(highlight=False))
 
 
-def _load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
+def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
     """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
     import warp as wp
 

@@ -48,7 +48,7 @@ def _root(
     """Differentiable rendering of body parts, and reconstruction of human pose and shape."""
 
 
-app.command("fit", help=FIT_HELP)(grouped(fit, required=["keypoints"]))
+app.command("fit", help=FIT_HELP)(grouped(fit))
 app.command("register", help=REGISTER_HELP)(register_body)
 app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("demo", help=DEMO_HELP)(grouped(demo))

@@ -23,7 +23,8 @@ from typing import Any
 
 from ..errors import InputError
 
-FIT_REPORT, REGISTRATION_REPORT, PREDICTIONS_REPORT = REPORTS = "report.json", "registration.json", "predictions.json"
+REPORTS = "report.json", "registration.json", "predictions.json", "people.json"
+FIT_REPORT, REGISTRATION_REPORT, PREDICTIONS_REPORT, PEOPLE_REPORT = REPORTS
 FILES = "files"  # a report's key for the SHA-256 of each file
 _WRITING, _UNFINISHED = ".partdr-writing-", ".partdr-unfinished-"
 _OLD = "old-"  # a report that was taken away

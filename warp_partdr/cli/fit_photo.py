@@ -1,0 +1,75 @@
+"""``partdr fit PHOTO`` with nothing else: everyone in the photo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import InputError
+from ..inputs.part_labels import read_photo
+from .options import CameraOptions, PersonFiles
+from .register import read_model
+
+if TYPE_CHECKING:
+    from ..fit.options import FitOptions
+
+
+def fit_everyone(
+    files: PersonFiles,
+    photo: Path | None,
+    out: Path,
+    device: str,
+    model: str,
+    view: CameraOptions,
+    chosen: tuple[int, FitOptions],
+) -> None:
+    """Fit bodies to everyone in a photo, or to one of them.
+
+    Args:
+        files: Without keypoints.
+        photo: The photo.
+        out: Folder for the results.
+        device: As the option says.
+        model: Name or file of the detailed model.
+        view: The camera.
+        chosen: Number of threads, and the fit's options.
+    """
+    if photo is None:
+        raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
+    for name, given in (("--parts", files.parts), ("--format", files.keypoint_format), ("--labels", files.labels)):
+        if given is not None:
+            raise InputError(f"{name}: {given}, without --keypoints; expected them with it")
+    picture = read_photo(photo)
+
+    from ..fit.photo import fit_photo
+    from ..interop.devices import choose_device
+    from ..kernels.launch import set_num_threads
+    from ..results.result_sets import check_folder, check_inputs
+    from ..results.save_photo import PHOTO_FILES, save_photo_fit
+    from .fit import NO_MODEL, load_kernels, load_mesh_kernels
+    from .progress import FitProgress
+
+    if model == NO_MODEL:
+        raise InputError("--model: none, without keypoints; expected a detailed model")
+    where, (threads, options) = choose_device(device), chosen
+    set_num_threads(threads)
+    check_folder(out)
+    check_inputs(out, (photo,), PHOTO_FILES)
+    camera = view.read((picture.shape[0], picture.shape[1]), photo)
+    detailed = read_model(model, where)
+    with FitProgress() as progress:
+        load_kernels(where, options, with_labels=True)
+        load_mesh_kernels(where)
+        how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
+        fit = fit_photo(picture, person=files.person, progress=progress, **how)
+        progress("writing results", 0, 1)
+        report = save_photo_fit(fit, out, photo=picture)
+    for person in report["people"]:
+        for warning in person["warnings"]:
+            typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)
+        hidden = "".join(f", hidden by person{place}" for place in person["hidden_by"])
+        about = "" if camera is not None else "about "
+        typer.echo(f"{person['folder']}: score {person['score']:.2f}, {about}{person['distance_m']:.1f} m away{hidden}")
+    typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")

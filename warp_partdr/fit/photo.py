@@ -1,0 +1,110 @@
+"""Fit of everyone in a photo that comes with nothing else: people are found by the packaged networks.
+
+Their masks are not cut into parts: with a mask of the whole body, the label network and the mesh stage end nearer to
+the truth than with parts guessed by the nearest bones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE, label_set
+from ..cameras import Perspective
+from ..clothing.model import DetailedModel
+from ..detection.masks import instance_map
+from ..detection.people import find_people
+from ..detection.person import FoundPerson
+from ..errors import InputError, check_whole
+from ..inputs.part_labels import PartLabels
+from .fitting import Progress, fit_body
+from .mesh_stage import MeshFit, refine_meshes
+from .options import FitOptions
+from .result import FitResult
+from .stages import Quality
+
+MASK_LABELS = label_set("full1")
+_HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
+
+
+@dataclass(frozen=True)
+class PhotoFit:
+    """Everyone in a photo, largest person first.
+
+    Attributes:
+        people: As they were found.
+        fits: Bodies, by the place of their person in ``people``: of all, or of the one who was asked for.
+        owners: Whom each pixel shows: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
+    """
+
+    people: tuple[FoundPerson, ...]
+    fits: dict[int, MeshFit]
+    owners: np.ndarray
+
+    def hidden_by(self, place: int) -> list[int]:
+        """Places of those whose masks lie before a person's body."""
+        drawn = self.fits[place].draw(self.owners.shape).labels[0].cpu().numpy() > 0
+        counts = np.bincount(self.owners[drawn], minlength=len(self.people) + 1)[1:]
+        counts[place] = 0
+        return np.flatnonzero(counts > _HIDDEN * max(drawn.sum(), 1)).tolist()
+
+
+def fit_photo(
+    photo: np.ndarray,
+    *,
+    person: int | None = None,
+    min_score: float = 0.5,
+    quality: Quality = "balanced",
+    options: FitOptions | None = None,
+    model: DetailedModel | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+    camera: Perspective | None = None,
+) -> PhotoFit:
+    """Find everyone in a photo, and fit a body to each; the mesh stages run side by side.
+
+    Args:
+        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``.
+        person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
+        min_score: Least confidence that there is a person, 0 to 1.
+        quality: As of ``fit_body``; the outline stage, from before which the mesh stage goes on, is left out.
+        options: Stages and weights of your own, instead of those of ``quality``.
+        model: On the device, float32; default Anny.
+        device: "cpu" or a CUDA device.
+        progress: Called with (stage name, iterations done, iterations in all).
+        camera: The photo's, as of ``fit_body``.
+
+    Raises:
+        InputError: If nobody is found, or not so many people.
+    """
+    tell = progress or (lambda name, done, total: None)
+    tell("people", 0, 1)
+    found = find_people(photo, device=device, min_score=min_score)
+    if not found:
+        raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
+    owners = instance_map(found, photo.shape[:2])
+    chosen = range(len(found)) if person is None else [_checked(person, len(found))]
+    options = (options or FitOptions.at(quality)).without_outline()
+    results: list[FitResult] = []
+    for done, index in enumerate(chosen):
+        tell("bodies", done, len(chosen))
+        parts = mask_labels(owners, index)
+        results.append(fit_body(found[index].keypoints, parts, options=options, device=device, camera=camera))
+    fits = refine_meshes(results, model, progress=progress)
+    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
+
+
+def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
+    """Labels of the set "full1" of one of the owners, others' pixels ignored; None if no pixel shows the person."""
+    groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
+    groups[owners == index + 1] = 1
+    return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def _checked(person: int, count: int) -> int:
+    index = check_whole("person", person, 0)
+    if index >= count:
+        raise InputError(f"person: {index}; expected 0 to {count - 1}, of the people found")
+    return index

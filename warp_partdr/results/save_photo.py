@@ -1,0 +1,145 @@
+"""The files of everyone in a photo: a folder for each person, and what shows all of them together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from ..cameras import Camera, Perspective
+from ..errors import check_type
+from ..fit.mesh_stage import MeshFit
+from ..fit.photo import PhotoFit
+from ..interop.torch_threads import one_torch_thread
+from .ellipbody_files import GLTF_FROM_CAMERA
+from .palette import PART_COLOURS
+from .pictures import draw_keypoints
+from .result_sets import PEOPLE_REPORT, replacing
+from .save import DETAILED_FILES, RESULT_FILES, describe_body, draw_detailed, save_fit, save_registered
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL.Image import Image
+
+PHOTO_FILES = ("overlay.png", "people.png", "scene.glb", PEOPLE_REPORT)
+_TINT = 0.45  # of masks over the photo
+
+
+@one_torch_thread()
+def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> dict[str, Any]:
+    """Write person0, person1, ... (``RESULT_FILES`` and ``DETAILED_FILES`` each), and ``PHOTO_FILES``.
+
+    Args:
+        fit: Of ``fit_photo``.
+        folder: Made if it is not there. Files of people whom an older run left in it are removed.
+        photo: The picture, shape (H, W, 3), uint8.
+
+    Returns:
+        The report, which is ``people.json``.
+
+    Raises:
+        TypeError: If an argument is of another type.
+    """
+    check_type("fit", fit, PhotoFit, "of fit_photo")
+    check_type("photo", photo, np.ndarray, "of read_photo")
+    folder, size = Path(folder), (photo.shape[0], photo.shape[1])
+    placed = {place: _place(each, size) for place, each in fit.fits.items()}
+    report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
+    overlay = photo
+    for place in sorted(fit.fits, key=lambda place: -placed[place][1]):  # the farthest first
+        overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
+    with replacing(folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
+        _picture(overlay).save(temporary / "overlay.png")
+        draw_people(fit, photo).save(temporary / "people.png")
+        _scene({place: fit.fits[place].vertices + offset for place, (offset, _) in placed.items()}, fit).export(
+            temporary / "scene.glb"
+        )
+    for place, mesh in fit.fits.items():
+        own, found = folder / _name(place), mesh.ellipbody
+        save_fit(found, own, photo=photo)
+        save_registered(
+            mesh.body, own, found.camera, size, photo=photo, evidence=found.evidence, clothes=mesh.clothes,
+            seconds=round(found.stage_seconds["mesh"], 3),
+        )  # fmt: skip
+    _remove_others(folder, {_name(place) for place in fit.fits})
+    return report
+
+
+def draw_people(fit: PhotoFit, photo: np.ndarray) -> Image:
+    """The photo with the people as they were found: masks in colours, and keypoints."""
+    picture = photo.astype(np.float32)
+    for place in range(len(fit.people)):
+        mask = fit.owners == place + 1
+        picture[mask] = (1 - _TINT) * picture[mask] + _TINT * PART_COLOURS[1 + place % (len(PART_COLOURS) - 1)]
+    image = _picture(picture.astype(np.uint8))
+    for person in fit.people:
+        draw_keypoints(image, person.keypoints)
+    return image
+
+
+def _picture(pixels: np.ndarray) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(pixels)
+
+
+def _name(place: int) -> str:
+    """A person's folder."""
+    return f"person{place}"
+
+
+def _place(fit: MeshFit, size: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """What brings a body into a scene that all share (3,) [m], and its distance from the camera [m].
+
+    Without a known camera, one whose focal length is the picture's diagonal: a body is as far as its size says.
+    """
+    camera: Camera = fit.camera
+    if isinstance(camera, Perspective):
+        return np.zeros(3), float(fit.ellipbody.posed.joints[0, 0, 2])
+    focal = camera.scale.new_full((1,), float(np.hypot(*size)))
+    middle = torch.tensor([[size[1] / 2, size[0] / 2]]).to(camera.scale)
+    offset = camera.to_perspective(focal, middle)[1][0].detach().cpu().numpy()
+    return offset, float(offset[2])
+
+
+def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> dict[str, Any]:
+    person, mesh = fit.people[place], fit.fits[place]
+    keypoints = np.column_stack([person.keypoints.points.round(2), person.keypoints.confidence.round(3)])
+    return {
+        "person": place,
+        "folder": _name(place),
+        "score": round(person.score, 3),
+        "box": [round(float(edge), 1) for edge in person.box],
+        "distance_m": round(placed[1], 2),
+        "distance": "measured" if isinstance(mesh.camera, Perspective) else "for a focal length of the diagonal",
+        "hidden_by": fit.hidden_by(place),
+        "format": person.keypoints.skeleton,
+        "keypoints": keypoints.astype(float).tolist(),
+        **describe_body(mesh.ellipbody),
+        "warnings": list(mesh.ellipbody.warnings),
+    }
+
+
+def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
+    """All bodies as named meshes [m], y up, seen from the camera's side."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    for place, points in vertices.items():
+        faces = fit.fits[place].body.model.faces.cpu().numpy()
+        mesh = trimesh.Trimesh(points @ GLTF_FROM_CAMERA.T, faces, process=False)
+        scene.add_geometry(mesh, node_name=_name(place), geom_name=_name(place))
+    return scene
+
+
+def _remove_others(folder: Path, kept: set[str]) -> None:
+    """Remove the files of people whom this run has not, and their folders if nothing else is in them."""
+    for own in folder.glob("person[0-9]*"):
+        if own.name in kept or not own.is_dir() or not own.name[len("person") :].isdigit():
+            continue
+        for name in (*RESULT_FILES, *DETAILED_FILES):
+            (own / name).unlink(missing_ok=True)
+        if not any(own.iterdir()):
+            own.rmdir()
