@@ -243,7 +243,7 @@ def _named(form: Skeleton, joint: int) -> str:
 
 def _columns(lists: Mapping[str, Any], where: str) -> list[list[Any]]:
     """Rows from Ultralytics' lists x, y and, where there are confidences, visible; (0, 0) is missing."""
-    columns = [lists.get(name) for name in ("x", "y", "visible") if name != "visible" or name in lists]
+    columns: list[Any] = [lists.get(name) for name in ("x", "y", "visible") if name != "visible" or name in lists]
     if not all(isinstance(column, list) for column in columns) or len(set(map(len, columns))) > 1:
         raise InputError(f"{where}: keypoints: no lists x and y, and visible, of one length; expected such")
     rows = [list(row) for row in zip(*columns, strict=True)]
