@@ -1,4 +1,4 @@
-"""Skeletons: which landmarks the keypoint formats hold, in the formats' own order.
+"""Skeletons: landmarks of the keypoint formats, in the formats' own order.
 
 Left and right are the person's own. Where a format has no exact counterpart, the landmark nearest to what its
 annotators meant stands in:
@@ -7,21 +7,32 @@ annotators meant stands in:
   13); "head" is the base of the skull: MPII's upper neck, Human3.6M's Neck/Nose (its joint 14, where the head turns);
 * "mid_hip" is the middle of the hips: OpenPose's MidHip, MPII's pelvis, Human3.6M's Hip.
 
-COCO's annotators marked what they saw, and OpenPose's BODY_25 learned from them; these two have ``marks`` nearer the
-skin than joints. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is known here.
+COCO's annotators marked what they saw, OpenPose learned from them, and Halpe and COCO-WholeBody add to them; these have
+``marks`` nearer the skin than joints. Human3.6M's and BlazePose's joints are centres; of LSP's and MPII's nothing is
+known here.
+
+Points of a format that are no landmark, such as a cheek or a fingertip, which bends, are left out: ``places`` tells
+where in a file's rows the others are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from .landmarks import LANDMARKS, annotated, mirror_order
+from ..errors import InputError, shown
+from ..files.json_files import read_json
+from .landmarks import LANDMARKS, annotated, mirror_name, mirror_order
 
-_ANNOTATED_FORMATS = ("coco17", "body25")
+_ANNOTATED = "coco_"  # begins the names of landmarks where COCO's annotators mark them
+_ANNOTATED_FORMATS = ("coco17", "body25", "coco18", "halpe26", "wholebody133")
+_FEWEST = 2  # points that tell anything
 
 
 @dataclass(frozen=True)
@@ -31,17 +42,18 @@ class Skeleton:
     Attributes:
         name: Its name here, such as "coco17".
         landmarks: Landmark of each of its J joints, in the format's order.
+        marks: Point of the body (``LANDMARKS``) that each joint marks, in the same order.
         edges: Pairs of joint indices to draw.
+        places: Row of each joint among the points of a file.
+        count: Points that a file holds of a person, J or, with those that are no landmark, more.
     """
 
     name: str
     landmarks: tuple[str, ...]
+    marks: tuple[str, ...]
     edges: tuple[tuple[int, int], ...]
-
-    @cached_property
-    def marks(self) -> tuple[str, ...]:
-        """Point of the body (``LANDMARKS``) that each joint marks, in the same order."""
-        return annotated(self.landmarks) if self.name in _ANNOTATED_FORMATS else self.landmarks
+    places: tuple[int, ...]
+    count: int
 
     @cached_property
     def mirror(self) -> np.ndarray:
@@ -53,9 +65,13 @@ class Skeleton:
         return len(self.landmarks)
 
 
-def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
-    """Build a skeleton from words: landmarks, and chains ``a-b-c``, where ``*`` means left and, once more, right."""
-    order = tuple(landmarks.split())
+def _skeleton(name: str, landmarks: str, edges: str, rows: Mapping[int, str] | None = None, count: int = 0) -> Skeleton:
+    """Build a skeleton from words: landmarks, and chains ``a-b-c``, where ``*`` means left and, once more, right.
+
+    ``rows`` are landmarks further down in a file of ``count`` points.
+    """
+    first, rows = landmarks.split(), rows or {}
+    order = (*first, *rows.values())
     if unknown := set(order) - set(LANDMARKS):
         raise ValueError(f"{name}: no landmarks {sorted(unknown)}")
     pairs: dict[tuple[int, int], None] = {}
@@ -63,28 +79,65 @@ def _skeleton(name: str, landmarks: str, edges: str) -> Skeleton:
         for side in ("left", "right") if "*" in chain else ("",):
             joints = [order.index(word.replace("*", side)) for word in chain.split("-")]
             pairs.update(dict.fromkeys(pairwise(joints)))
-    return Skeleton(name, order, tuple(pairs))
+    marks = annotated(order) if name in _ANNOTATED_FORMATS else order
+    places = (*range(len(first)), *rows)
+    return Skeleton(name, order, marks, tuple(pairs), places, count or len(order))
 
 
 _ARMS_AND_LEGS = "*_shoulder-*_elbow-*_wrist *_hip-*_knee-*_ankle"
 _BOX = "left_shoulder-right_shoulder left_hip-right_hip *_shoulder-*_hip"
 _FEET = "*_ankle-*_heel *_ankle-*_big_toe-*_small_toe"
+_COCO = (
+    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+    "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
+)
+_FACE = "nose-*_eye-*_ear-*_shoulder"
+# Of COCO-WholeBody's 68 points of a face, from row 23 on, and its 21 of either hand, from rows 91 and 112 on.
+_FACE_AND_HANDS = {
+    59: "right_eye_outer",
+    62: "right_eye_inner",
+    65: "left_eye_inner",
+    68: "left_eye_outer",
+    71: "mouth_right",
+    77: "mouth_left",
+    94: "left_thumb",
+    96: "left_index",
+    108: "left_pinky",
+    115: "right_thumb",
+    117: "right_index",
+    129: "right_pinky",
+}
 
 SKELETONS: dict[str, Skeleton] = {
     skeleton.name: skeleton
     for skeleton in (
-        _skeleton(
-            "coco17",
-            "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
-            "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle",
-            f"nose-*_eye-*_ear-*_shoulder {_BOX} {_ARMS_AND_LEGS}",
-        ),
+        _skeleton("coco17", _COCO, f"{_FACE} {_BOX} {_ARMS_AND_LEGS}"),
         _skeleton(
             "body25",
             "nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist mid_hip right_hip "
             "right_knee right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear left_big_toe "
             "left_small_toe left_heel right_big_toe right_small_toe right_heel",
             f"mid_hip-neck-nose nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS} {_FEET}",
+        ),
+        _skeleton(
+            "coco18",
+            "nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee "
+            "right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear",
+            f"neck-nose-*_eye-*_ear neck-*_shoulder neck-*_hip {_ARMS_AND_LEGS}",
+        ),
+        _skeleton(
+            "halpe26",
+            f"{_COCO} head_top neck mid_hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel "
+            "right_heel",
+            f"mid_hip-neck-head_top neck-nose-*_eye-*_ear neck-*_shoulder mid_hip-*_hip {_ARMS_AND_LEGS} {_FEET}",
+        ),
+        _skeleton(
+            "wholebody133",
+            f"{_COCO} left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel",
+            f"{_FACE} {_BOX} {_ARMS_AND_LEGS} {_FEET} *_wrist-*_thumb *_wrist-*_index-*_pinky-*_wrist "
+            "mouth_left-mouth_right *_eye_inner-*_eye_outer",
+            rows=_FACE_AND_HANDS,
+            count=133,
         ),
         _skeleton(
             "blazepose33",
@@ -122,12 +175,48 @@ MPJPE_JOINTS = SKELETONS[MPJPE_SKELETON].landmarks
 MPJPE_HIPS = [MPJPE_JOINTS.index(name) for name in ("left_hip", "right_hip")]
 
 
-def skeleton(name: str) -> Skeleton:
-    """Keypoint format called ``name``.
+def skeleton(source: str | Path | Skeleton) -> Skeleton:
+    """Read a keypoint format by name, or one's own from a JSON file.
+
+    Such a file holds ``{"name": "mine", "landmarks": ["nose", null, "left_wrist", ...]}``: for each point, in the order
+    of the keypoints, the landmark (``LANDMARKS``) that it marks; null leaves a point out. ``name`` may be missing.
 
     Raises:
-        ValueError: If there is none.
+        InputError: If there is no such format or file, or its content does not fit.
     """
-    if name not in SKELETONS:
-        raise ValueError(f"skeleton: {name!r}; expected one of {', '.join(SKELETONS)}")
-    return SKELETONS[name]
+    if isinstance(source, Skeleton):
+        return source
+    if str(source) in SKELETONS:
+        return SKELETONS[str(source)]
+    path = Path(source)
+    if path.suffix != ".json":
+        raise InputError(f"skeleton: {str(source)!r}; expected one of {', '.join(SKELETONS)}, or a JSON file")
+    data = read_json(path, "a skeleton in JSON")
+    try:
+        return _from_json(data, path)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _from_json(data: Any, path: Path) -> Skeleton:
+    """One's own skeleton; its edges are those that the project's formats have between the same landmarks."""
+    points = data.get("landmarks") if isinstance(data, Mapping) else None
+    if not isinstance(points, list):
+        raise ValueError('no list of "landmarks"; expected {"landmarks": [name or null, ...]}')
+    for row, name in enumerate(points):
+        if name is not None and (not isinstance(name, str) or name not in LANDMARKS):
+            raise ValueError(f"point {row}: {shown(name)}; expected null or one of {', '.join(LANDMARKS)}")
+    places = tuple(row for row, name in enumerate(points) if name is not None)
+    marks = tuple(points[row] for row in places)
+    landmarks = tuple(name.removeprefix(_ANNOTATED) for name in marks)
+    if len(places) < _FEWEST:
+        raise ValueError(f"{len(places)} landmarks; expected {_FEWEST} at least")
+    for name in landmarks:
+        if landmarks.count(name) > 1:
+            raise ValueError(f"{name} twice; expected each landmark once, and null for other points")
+        if mirror_name(name) not in landmarks:
+            raise ValueError(f"{name} without {mirror_name(name)}; expected both sides")
+    known = {(form.landmarks[a], form.landmarks[b]) for form in SKELETONS.values() for a, b in form.edges}
+    pairs = [(landmarks.index(a), landmarks.index(b)) for a, b in known if {a, b} <= set(landmarks)]
+    edges = tuple(sorted({(min(pair), max(pair)) for pair in pairs}))
+    return Skeleton(str(data.get("name", path.stem)), landmarks, marks, edges, places, len(points))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
 from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.errors import InputError
 from warp_partdr.synthetic import people
 from warp_partdr.synthetic.pose_sampler import PoseBank
 from warp_partdr.synthetic.poses import mean_body
@@ -116,8 +119,9 @@ def test_landmark_points_gather(rest: dict[str, np.ndarray]) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_skeleton_tables(name: str) -> None:
     this = SKELETONS[name]
-    assert len(this) == int(name[-2:])
-    assert len(set(this.landmarks)) == len(this)
+    assert this.count == int("".join(filter(str.isdigit, name.replace("h36m", ""))))
+    assert len(set(this.landmarks)) == len(this) == len(this.marks) == len(set(this.places))
+    assert set(this.places) == set(range(this.count)) or name == "wholebody133"
     np.testing.assert_array_equal(this.mirror[this.mirror], np.arange(len(this)))
     edges = {frozenset(edge) for edge in this.edges}
     assert len(edges) == len(this.edges)
@@ -130,6 +134,17 @@ def test_skeleton_tables(name: str) -> None:
     [  # Spot checks against the formats' own documentation.
         ("coco17", {0: "nose", 5: "left_shoulder", 10: "right_wrist"}, "-" + "lr" * 8),
         ("body25", {1: "neck", 8: "mid_hip", 19: "left_big_toe", 24: "right_heel"}, "--rrrlll-rrrlllrlrllllrrr"),
+        ("coco18", {1: "neck", 4: "right_wrist", 11: "left_hip", 17: "left_ear"}, "--rrrlllrrrlllrlrl"),
+        (
+            "halpe26",
+            {17: "head_top", 19: "mid_hip", 22: "left_small_toe", 25: "right_heel"},
+            "-" + "lr" * 8 + "---lrlrlr",
+        ),
+        (
+            "wholebody133",
+            {17: "left_big_toe", 22: "right_heel", 59: "right_eye_outer", 77: "mouth_left", 96: "left_index"},
+            "-" + "lr" * 8 + "lllrrr" + "rrllrl" + "lllrrr",
+        ),
         ("blazepose33", {9: "mouth_left", 18: "right_pinky", 21: "left_thumb"}, "-lllrrr" + "lr" * 13),
         ("h36m17", {0: "mid_hip", 1: "right_hip", 7: "spine", 10: "head_top"}, "-rrrlll----lllrrr"),
         ("lsp14", {0: "right_ankle", 6: "right_wrist", 12: "neck", 13: "head_top"}, "rrrlllrrrlll--"),
@@ -137,17 +152,18 @@ def test_skeleton_tables(name: str) -> None:
     ],
 )
 def test_joint_order_and_sides(name: str, joints: dict[int, str], sides: str) -> None:
-    assert {joint: SKELETONS[name].landmarks[joint] for joint in joints} == joints
+    this = SKELETONS[name]
+    assert joints.items() <= dict(zip(this.places, this.landmarks, strict=True)).items()
     words = [set(landmark.split("_")) for landmark in SKELETONS[name].landmarks]
     assert "".join("l" if "left" in word else "r" if "right" in word else "-" for word in words) == sides
 
 
 def test_annotators_marks_are_points_of_their_own(at: dict[str, np.ndarray]) -> None:
     """COCO's, and those of OpenPose, which learned from it; inside the limb, up to 3 cm from the joint."""
-    for name in ("coco17", "body25"):
+    for name in ("coco17", "body25", "coco18", "halpe26", "wholebody133"):
         marks = dict(zip(SKELETONS[name].landmarks, SKELETONS[name].marks, strict=True))
         own = {mark.removeprefix("coco_") for mark in marks.values() if mark.startswith("coco_")}
-        assert own == marks.keys() & {*JOINT_NAMES, "mid_hip"}
+        assert own == marks.keys() & {*JOINT_NAMES, "mid_hip"} - {"head_top"}
         assert [mirror_name(mark) for mark in marks.values()] == [marks[mirror_name(joint)] for joint in marks]
     for name in ("blazepose33", "h36m17", "lsp14", "mpii16"):
         assert SKELETONS[name].marks == SKELETONS[name].landmarks
@@ -181,3 +197,45 @@ def test_body25_and_human36m_hold_the_mpjpe_joints() -> None:
     assert joints - set(skeleton("body25").landmarks) == {"head_top"}
     with pytest.raises(ValueError, match=r"skeleton: 'coco'; expected one of coco17, body25"):
         skeleton("coco")
+
+
+def own_skeleton(path: Path, data: Any) -> Path:
+    path.write_text(json.dumps(data))
+    return path
+
+
+def test_a_skeleton_of_ones_own(tmp_path: Path) -> None:
+    points = ["coco_left_hip", None, "coco_right_hip", "left_knee", "right_knee", None, "neck", "coco_mid_hip"]
+    form = skeleton(own_skeleton(tmp_path / "mine.json", {"landmarks": points}))
+    assert (form.name, form.count, len(form)) == ("mine", 8, 6)
+    assert form.landmarks == ("left_hip", "right_hip", "left_knee", "right_knee", "neck", "mid_hip")
+    assert form.marks == tuple(name for name in points if name)
+    assert form.places == (0, 2, 3, 4, 6, 7)
+    bones = {tuple(sorted(form.landmarks[joint] for joint in edge)) for edge in form.edges}
+    assert bones >= {("left_hip", "left_knee"), ("mid_hip", "neck"), ("left_hip", "mid_hip")}
+    assert ("left_knee", "right_knee") not in bones
+    assert skeleton(form) is form
+    assert skeleton(own_skeleton(tmp_path / "b.json", {"name": "x", "landmarks": points})).name == "x"
+    assert len({form, skeleton(tmp_path / "mine.json")}) == 1  # people of one format are looked at side by side
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], 'no list of "landmarks"; expected {"landmarks": '),
+        ({"landmarks": {"0": "nose"}}, 'no list of "landmarks"'),
+        ({"landmarks": ["nose", "tail"]}, "point 1: 'tail'; expected null or one of pelvis, mid_hip"),
+        ({"landmarks": ["nose", 3]}, "point 1: 3; expected null or one of"),
+        ({"landmarks": ["nose", None]}, "1 landmarks; expected 2 at least"),
+        ({"landmarks": ["nose", "neck", "nose"]}, "nose twice; expected each landmark once, and null"),
+        ({"landmarks": ["neck", "coco_neck"]}, "neck twice"),
+        ({"landmarks": ["neck", "left_hip"]}, "left_hip without right_hip; expected both sides"),
+    ],
+)
+def test_faulty_skeletons_of_ones_own(data: Any, message: str, tmp_path: Path) -> None:
+    path = own_skeleton(tmp_path / "mine.json", data)
+    with pytest.raises(InputError) as raised:
+        skeleton(path)
+    assert str(raised.value).startswith(f"{path}: {message}")
+    with pytest.raises(InputError, match=r"none\.json: No such file or directory; expected a skeleton in JSON"):
+        skeleton(tmp_path / "none.json")

@@ -29,7 +29,7 @@ from scenes.commands import (
 )
 from scenes.files import save_npz
 
-from warp_partdr import label_set, load_body
+from warp_partdr import label_set, load_body, skeleton
 from warp_partdr.cli import progress
 from warp_partdr.results import save
 
@@ -76,6 +76,44 @@ def two_people() -> None:
     write("k.json", {"format": "coco17", "keypoints": [other, me]})
 
 
+def masks() -> None:
+    person = ids() > 0
+    stranger = np.zeros_like(person)
+    stranger[:9, :9] = True
+    np.save("masks.npy", np.stack([stranger, person]))
+
+
+def by_name() -> dict[str, list[float]]:
+    rows = dict(zip(skeleton("coco17").landmarks, keypoints()["keypoints"], strict=True))
+    rows["neck"] = np.mean([rows["left_shoulder"], rows["right_shoulder"]], axis=0).tolist()
+    return rows
+
+
+def own_skeleton() -> None:
+    rows = by_name()
+    write("mine.json", {"name": "mine", "landmarks": [None, *(name for name in rows if "ear" not in name)]})
+    write("k.json", {"keypoints": [[7, 7, 1], *(row for name, row in rows.items() if "ear" not in name)]})
+
+
+def openpose_folder() -> None:
+    Path("poses").mkdir()
+    rows = by_name()
+    flat = [value for name in skeleton("coco18").landmarks for value in rows[name]]
+    write("poses/photo_keypoints.json", {"version": 1.1, "people": [{"pose_keypoints_2d": flat}]})
+    write("poses/other_keypoints.json", {"version": 1.1, "people": []})
+
+
+def whole_body() -> None:
+    rows = [*keypoints()["keypoints"], *[[5.0, 5.0, 0.0]] * 116]
+    instance = {"keypoints": [row[:2] for row in rows], "keypoint_scores": [row[2] for row in rows]}
+    write("k.json", {"meta_info": {"dataset_name": "coco_wholebody"}, "instance_info": [instance]})
+
+
+def ultralytics() -> None:
+    x, y, visible = zip(*keypoints()["keypoints"], strict=True)
+    write("k.json", [{"name": "person", "class": 0, "keypoints": {"x": x, "y": y, "visible": visible}}])
+
+
 def own_labels() -> None:
     groups = {"head": ["head", "neck"], "rest": ["chest", "abdomen", "left_upper_arm", "right_upper_arm"]}
     write("own.json", {"groups": groups, "ids": {"0": "background", "1": "head", "2": "rest", "9": "ignore"}})
@@ -97,6 +135,12 @@ TAKEN: dict[str, tuple[str, Callable[[], object]]] = {
     "no labels": ("photo.png --keypoints k.json --out out", lambda: None),
     "soft maps": (GOOD.replace("p.png", "maps.npy"), soft_maps),
     "silhouette": (GOOD.replace("cdcl14", "full1"), lambda: save_ids((ids() > 0) * np.uint8(255))),
+    "masks by instance": (GOOD.replace("p.png", "masks.npy").replace("cdcl14", "full1"), masks),
+    "float ids": (GOOD.replace("p.png", "p.npy"), lambda: np.save("p.npy", ids().astype(np.float32))),
+    "own skeleton": (GOOD + " --format mine.json", own_skeleton),
+    "OpenPose's folder": (GOOD.replace("k.json", "poses"), openpose_folder),
+    "MMPose, whole body": (GOOD, whole_body),
+    "Ultralytics": (GOOD, ultralytics),
     "own label set": (GOOD.replace("p.png", "p.npy").replace("cdcl14", "own.json"), own_labels),
     "labels.json beside the parts": (GOOD.replace(" --labels cdcl14", ""), describe_labels),
     "wide picture": (GOOD, lambda: crop(250, 128)),

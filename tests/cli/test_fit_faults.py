@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from conftest import HANG
 from scenes import commands
-from scenes.commands import GOOD, Run, change_keypoints, cut, ids, move, put_nan, save_ids, soft_maps
+from scenes.commands import GOOD, Run, change_keypoints, cut, ids, move, put_nan, save_ids, soft_maps, write
 from scenes.files import tree
 
-from warp_partdr import InputError, load_body
+from warp_partdr import InputError, load_body, skeleton
 from warp_partdr.clothing import registration
 from warp_partdr.clothing.registration import RegistrationOptions, RegistrationWeights
 from warp_partdr.fit import fitting, mesh_stage
@@ -29,7 +29,9 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "parts of no label set": (GOOD.replace(" --labels cdcl14", ""), ["--labels: missing", "p.png", "cdcl14"]),
     "a label set of no parts": (GOOD.replace(" --parts p.png", ""), ["--labels: cdcl14", "--parts"]),
     "label set": (GOOD.replace("cdcl14", "cdcl15"), ["cdcl15", "cdcl14, ", "JSON"]),
-    "keypoint format": (GOOD + " --format coco18", ["coco18", "coco17"]),
+    "keypoint format": (GOOD + " --format coco19", ["coco19", "coco17", "JSON"]),
+    "own skeleton": (GOOD + " --format k.json", ["k.json", '"landmarks"']),
+    "folder of no keypoints": (GOOD.replace("k.json", "."), ["no keypoints of photo.png", "photo_keypoints.json"]),
     "device": (GOOD + " --device tpu", ["--device", "tpu", "cpu"]),
     "CUDA device": (GOOD + " --device cuda:99", ["--device", "cuda:99", "cpu"]),
     "person": (GOOD + " --person 1", ["person", "1", "0 to 0"]),
@@ -66,6 +68,11 @@ BAD_FILES: dict[str, tuple[str, Callable[[], object], list[str]]] = {
     "truncated photo": (GOOD, lambda: cut("photo.png", 0.5), ["photo.png", "expected a picture"]),
     "number of keypoints": (GOOD, lambda: change_keypoints(lambda rows: rows.pop()), ["k.json", "16", "17"]),
     "label values": (GOOD, lambda: save_ids(ids() + 100), ["p.png", "100", "cdcl14", "0 to 14"]),
+    "result in place of an own skeleton": (
+        GOOD.replace("--out out", "--out . --format report.json"),
+        lambda: write("report.json", {"landmarks": skeleton("coco17").landmarks}),
+        ["--out", "report.json", "another folder"],
+    ),
     "sizes": (GOOD, lambda: save_ids(ids()[:-1]), ["photo", "parts", "96x128", "96x127"]),
     "NaN in maps": (GOOD.replace("p.png", "maps.npy"), lambda: soft_maps(put_nan), ["maps.npy", "nan", "0 to 1"]),
     "keypoints beside the picture": (GOOD, lambda: move(100, 0), ["keypoints", "96x128"]),

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_partdr.body.skeletons import SKELETONS
+from warp_partdr.body.skeletons import SKELETONS, skeleton
 from warp_partdr.errors import InputError
-from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
+from warp_partdr.inputs.keypoint_files import keypoint_file, parse_keypoints, read_keypoints
+from warp_partdr.inputs.keypoints import choose_person, person_height
 
 NAN, INF = math.nan, math.inf
 
@@ -37,7 +38,8 @@ def write(path: Path, data: Any) -> Path:
 @pytest.mark.parametrize("width", [2, 3])
 @pytest.mark.parametrize("shape", ["object", "flat", "list", "bare", "bare and flat"])
 def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Path) -> None:
-    values = rows(len(SKELETONS[name]), width)
+    form = SKELETONS[name]
+    values = rows(form.count, width)
     data: Any = flat(values) if "flat" in shape else values
     if "bare" not in shape:
         data = {"format": name, "keypoints": data}
@@ -46,7 +48,7 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
     (keypoints,) = read_keypoints(path, name if "bare" in shape and name == "h36m17" else None)
     assert keypoints.skeleton == name
     assert keypoints.points.dtype == keypoints.confidence.dtype == np.float32
-    np.testing.assert_allclose(keypoints.points, np.array(values)[:, :2])
+    np.testing.assert_allclose(keypoints.points, np.array(values)[list(form.places), :2])
     np.testing.assert_allclose(keypoints.confidence, 0.5 if width == 3 else 1.0)
 
 
@@ -60,12 +62,16 @@ def test_every_format_reads_back(name: str, width: int, shape: str, tmp_path: Pa
         ("COCO-17", "coco17"),
         ("Human3.6M", "h36m17"),
         ("Human3.6M 17", "h36m17"),
+        ("OpenPose COCO", "coco18"),
+        ("Halpe 26", "halpe26"),
+        ("coco_wholebody", "wholebody133"),
+        ("COCO-WholeBody 133", "wholebody133"),
         ("LSP", "lsp14"),
         ("mpii", "mpii16"),
     ],
 )
 def test_spellings_of_formats(text: str, name: str) -> None:
-    values = rows(len(SKELETONS[name]))
+    values = rows(SKELETONS[name].count)
     assert parse_keypoints({"format": text, "keypoints": values})[0].skeleton == name
     assert parse_keypoints(values, text)[0].skeleton == name
 
@@ -97,6 +103,112 @@ def test_mmpose_json() -> None:
         people = parse_keypoints(data)
         assert len(people) == 2
         assert people[0].confidence[[0, 16]].tolist() == [0.25, 1.0]
+
+
+def test_openpose_with_18_points() -> None:
+    """COCO's model, and files of its first versions, which call them otherwise."""
+    for key in ("pose_keypoints_2d", "pose_keypoints"):
+        (person,) = parse_keypoints({"people": [{key: flat(rows(18))}]})
+        assert person.skeleton == "coco18"
+        assert person.points[1].tolist() == [13, 25]  # the neck
+
+
+def test_mmpose_files() -> None:
+    """Of a picture, and of a film of one frame or several; the data set's name tells the format."""
+    instance = {"keypoints": rows(17, 2), "keypoint_scores": [0.5] * 17, "bbox": [[0, 0, 9, 9]], "bbox_score": 0.9}
+    frame = {"frame_id": 3, "instances": [instance, instance]}
+    for data in ([instance, instance], [frame]):
+        assert len(parse_keypoints({"meta_info": {"dataset_name": "coco"}, "instance_info": data})) == 2
+        assert len(parse_keypoints(data)) == 2
+        (person, _) = parse_keypoints({"meta_info": {"dataset_name": "h36m"}, "instance_info": data})
+        assert person.skeleton == "h36m17"
+        (person, _) = parse_keypoints({"meta_info": {"dataset_name": "ap10k"}, "instance_info": data}, "coco")
+        assert person.skeleton == "coco17"
+    assert len(parse_keypoints({"predictions": [[instance]], "visualization": []})) == 1
+    with pytest.raises(InputError, match=r"^f: person 0: format: 'ap10k'; expected one of coco17"):
+        parse_keypoints({"meta_info": {"dataset_name": "ap10k"}, "instance_info": [instance] * 2}, name="f")
+    for data in ([frame, frame], {"instance_info": [frame, {"frame_id": 4, "instances": []}]}, [[instance], []]):
+        with pytest.raises(InputError, match=r"^f: people of 2 pictures; expected those of one"):
+            parse_keypoints(data, name="f")
+    with pytest.raises(InputError, match=r"^f: instances: int; expected a list of people"):
+        parse_keypoints([{"frame_id": 3, "instances": 3}], name="f")
+
+
+def test_wholebody_without_its_points_that_are_no_landmarks() -> None:
+    values: list[Any] = rows(133)
+    values[30] = [-1, "cheek", None]
+    (person,) = parse_keypoints({"keypoints": values})
+    assert person.skeleton == "wholebody133"
+    assert person.points.shape == (35, 2)
+    thumb = person.format.landmarks.index("left_thumb")
+    assert person.points[thumb].tolist() == values[94][:2]
+    values[94] = [1, 2, 7]
+    with pytest.raises(InputError, match=r"^f: keypoint 94 \(left_thumb\): confidence 7; expected 0 to 1"):
+        parse_keypoints(values, name="f")
+
+
+def ultralytics(count: int = 17, **changes: Any) -> dict[str, Any]:
+    """One person as ``to_json`` writes them."""
+    x, y, visible = (list(column) for column in zip(*rows(count), strict=True))
+    points = {"x": x, "y": y, "visible": visible, **changes}
+    box = {"x1": 1.0, "y1": 2.0, "x2": 300.0, "y2": 400.0}
+    return {"name": "person", "class": 0, "confidence": 0.9, "box": box, "keypoints": points}
+
+
+def test_ultralytics_json() -> None:
+    person = ultralytics()
+    for name, value in (("x", 0.0), ("y", 0.0), ("visible", 0.41)):
+        person["keypoints"][name][3] = value
+    people = parse_keypoints([person, ultralytics()])
+    assert [each.skeleton for each in people] == ["coco17", "coco17"]
+    np.testing.assert_allclose(people[1].points, np.array(rows(17))[:, :2])
+    np.testing.assert_allclose(people[1].confidence, 0.5)
+    assert np.flatnonzero(~people[0].visible).tolist() == [3]
+    del person["keypoints"]["visible"]
+    (alone,) = parse_keypoints(person)
+    assert alone.confidence[:5].tolist() == [1, 1, 1, 0, 1]
+    assert len(parse_keypoints([[person]])) == 1  # a list of pictures, of which there is one
+    with pytest.raises(InputError, match="people of 2 pictures"):
+        parse_keypoints([[person], [person]])
+    for changes in ({"x": [1.0]}, {"y": None}, {"visible": 1}):
+        with pytest.raises(InputError, match=r"^f: keypoints: no lists x and y, and visible, of one length"):
+            parse_keypoints([ultralytics(**changes)], name="f")
+    with pytest.raises(InputError, match="all keypoints between 0 and 1; expected pixels, not shares"):
+        parse_keypoints([ultralytics(x=[0.01 * k for k in range(17)], y=[0.5] * 17)])
+
+
+def test_an_own_skeleton(tmp_path: Path) -> None:
+    """Its points by name; they may lack all bones that tell a height."""
+    names = ["nose", None, "left_wrist", "right_wrist", "left_ear", "right_ear"]
+    own = write(tmp_path / "mine.json", {"landmarks": names})
+    values = rows(6)
+    for given_format in (own, str(own), skeleton(own)):
+        person, other = read_keypoints(write(tmp_path / "k.json", [values, rows(6)]), given_format)
+        assert person.format.name == "mine"
+        np.testing.assert_allclose(person.points, np.array(values)[[0, 2, 3, 4, 5], :2])
+        assert person_height(person) == pytest.approx(25.0)  # of its extent
+        assert choose_person([person, other]) is person
+    with pytest.raises(InputError, match=r"k\.json: person 0: 5 keypoints; expected 6 of mine"):
+        read_keypoints(write(tmp_path / "k.json", [rows(5), rows(5)]), own)
+    with pytest.raises(InputError, match=r"k\.json: no list of \"landmarks\""):
+        read_keypoints(tmp_path / "k.json", tmp_path / "k.json")
+
+
+def test_a_folder_of_keypoint_files(tmp_path: Path) -> None:
+    photo = Path("pictures/a.b.jpg")
+    assert keypoint_file(tmp_path / "k.json", photo) == tmp_path / "k.json"
+    with pytest.raises(InputError, match=r": 0 \*_keypoints\.json there; expected one, or a photo"):
+        keypoint_file(tmp_path, None)
+    write(tmp_path / "c_keypoints.json", [])
+    assert keypoint_file(tmp_path, None) == tmp_path / "c_keypoints.json"
+    says = r": no keypoints of a\.b\.jpg; expected a\.b_keypoints\.json or a\.b\.keypoints\.json or a\.b\.json there"
+    with pytest.raises(InputError, match=says):
+        keypoint_file(tmp_path, photo)
+    for name in ("a.b.json", "a.b.keypoints.json", "a.b_keypoints.json"):
+        write(tmp_path / name, [])
+        assert keypoint_file(tmp_path, photo) == tmp_path / name
+    with pytest.raises(InputError, match=r": 2 \*_keypoints\.json there"):
+        keypoint_file(tmp_path, None)
 
 
 def test_lists_of_several_people() -> None:
@@ -141,10 +253,13 @@ def changed(joint: int, row: Any) -> list[Any]:
         ({"format": "dance", "keypoints": rows(17)}, "format: 'dance'; expected one of coco17, body25"),
         ({"format": "lsp14", "keypoints": rows(17)}, "17 keypoints; expected 14 of lsp14"),
         ({"format": "lsp14", "keypoints": flat(rows(17))}, "51 numbers; expected 3 (x, y, confidence) or 2 a keypoint"),
-        (rows(18), "18 keypoints; expected 14 (lsp14), 16 (mpii16), 17 (coco17)"),
         (
-            {"people": [{"pose_keypoints_2d": flat(rows(18))}]},
-            "54 numbers; expected 3 (x, y, confidence) or 2 a keypoint",
+            rows(19),
+            "19 keypoints; expected 14 (lsp14), 16 (mpii16), 17 (coco17), 18 (coco18), 25 (body25), 26 (halpe26)",
+        ),
+        (
+            {"people": [{"pose_keypoints_2d": flat(rows(19))}]},
+            "57 numbers; expected 3 (x, y, confidence) or 2 a keypoint",
         ),
         ([[1, 2, 3, 4]] * 17, "4 numbers; expected 3 (x, y, confidence) or 2"),
         ({"keypoints": [[1], *rows(16)]}, "rows of 1 or 3 numbers; expected [x, y] or [x, y, confidence] each"),
@@ -190,12 +305,21 @@ def test_unreadable_keypoint_files(tmp_path: Path) -> None:
         read_keypoints(write(tmp_path / "k.json", rows(17)), "dance")
 
 
+KEYS = [
+    "people",
+    "keypoints",
+    "format",
+    "annotations",
+    "keypoint_scores",
+    "instances",
+    "x",
+    "y",
+    "visible",
+    "meta_info",
+]
 JSON_VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(st.sampled_from(["people", "keypoints", "format", "annotations", "keypoint_scores"]), inner)
-    ),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner),
     max_leaves=20,
 )
 

@@ -17,7 +17,7 @@ from PIL import ExifTags, Image
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
-from warp_partdr.inputs.part_labels import check_sizes, read_focal, read_parts, read_photo
+from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_focal, read_parts, read_photo
 
 CDCL = label_set("cdcl14")
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
@@ -47,6 +47,8 @@ def save_palette(path: Path, picture: np.ndarray) -> None:
         ("LABELS.PNG", lambda path, picture: Image.fromarray(picture).save(path, "PNG")),
         ("bytes.npy", np.save),
         ("longs.npy", lambda path, picture: np.save(path, picture.astype(np.int64))),
+        ("halves.npy", lambda path, picture: np.save(path, picture.astype(np.float16))),
+        ("doubles.npy", lambda path, picture: np.save(path, picture.astype(np.float64))),
         ("fortran.npy", lambda path, picture: np.save(path, np.asfortranarray(picture))),
     ],
 )
@@ -101,12 +103,18 @@ def soft(channels: int = 15, scale: float = 1.0) -> np.ndarray:
         ),
         (np.full((4, 5), 1, dtype=np.uint8), "one part only (head); expected several"),
         (np.zeros((0, 5), dtype=np.uint8), "shape (0, 5); expected pixels"),
-        (np.zeros(5, dtype=np.uint8), "shape (5,); expected (H, W), or (K, H, W) probabilities"),
+        (np.zeros(5, dtype=np.uint8), "shape (5,); expected (H, W), (N, H, W) masks, or (K, H, W) probabilities"),
         (np.zeros((2, 3, 4, 5), dtype=np.uint8), "shape (2, 3, 4, 5); expected (H, W)"),
-        (np.zeros((4, 5), dtype=np.float32), "labels: float32; expected integers"),
-        (np.zeros((4, 5), dtype=np.complex64), "complex64; expected integers, or probabilities"),
-        (np.zeros((4, 5), dtype="U3"), "<U3; expected integers, or probabilities"),
-        (np.zeros((4, 5, 3), dtype=np.uint8), "uint8 of shape (4, 5, 3); expected (H, W) ids, or float probabilities"),
+        (np.zeros((4, 5), dtype=np.float32), "empty, no pixel of a body part"),
+        (np.full((4, 5), 2.5, np.float32), "float32, 2.5 among them; expected whole numbers, the labels' ids"),
+        (np.full((4, 5), np.nan, np.float64), "float64, nan among them; expected whole numbers"),
+        (np.full((4, 5), np.inf, np.float16), "float16, inf among them; expected whole numbers"),
+        (np.full((4, 5), 1e30, np.float32), "labels: ids 1000000000 not in cdcl14; expected 0 to 14"),
+        (np.zeros((4, 5), dtype=np.complex64), "complex64; expected integers, bool, or floats"),
+        (np.zeros((4, 5), dtype="U3"), "<U3; expected integers, bool, or floats"),
+        (np.zeros((4, 5, 3), dtype=np.uint8), "empty, no pixel of a body part"),
+        (np.ones((4, 5, 3), dtype=bool), "one part only (head); expected several of cdcl14, or the label set full1"),
+        (np.full((4, 5, 3), 15), "labels: ids 15 not in cdcl14; expected 0 to 14"),
         (soft(14), "shape (14, 4, 5); expected (15, H, W) or (H, W, 15), one map per id of cdcl14"),
         (soft() * np.nan, "values from nan to nan; expected probabilities, 0 to 1"),
         (soft() - 1, "values from -0.933333 to -0.933333; expected probabilities"),
@@ -137,6 +145,33 @@ def test_unreadable_label_files(suffix: str, tmp_path: Path, rng: np.random.Gene
         path.unlink() if content is None else path.write_bytes(content)
         with pytest.raises(InputError, match=rf"parts\{suffix}: {reason}; expected a"):
             read_parts(path, CDCL)
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64])
+def test_masks_by_instance(dtype: type, tmp_path: Path) -> None:
+    """Told from probabilities by their type alone; 0 to 1 or 0 to 255, as many write masks."""
+    masks = np.zeros((3, 6, 5), dtype=dtype)
+    masks[0, 1:4, 1] = masks[1, 3:, 1:3] = 1 if dtype is bool else 255
+    np.save(tmp_path / "masks.npy", masks)
+    parts = read_parts(tmp_path / "masks.npy", label_set("full1"))
+    assert parts.maps is None
+    assert parts.instances is not None
+    np.testing.assert_array_equal(parts.instances, masks > 0)
+    np.testing.assert_array_equal(parts.groups, (masks > 0).any(axis=0))
+    np.save(tmp_path / "masks.npy", (masks > 0).astype(np.float32))
+    with pytest.raises(InputError, match=r"expected \(2, H, W\) .*of full1; or masks \(N, H, W\), as integers or bool"):
+        read_parts(tmp_path / "masks.npy", label_set("full1"))
+    with pytest.raises(InputError, match=r"instances: shape \(3, 6, 4\); expected \(N, 6, 5\)"):
+        PartLabels(parts.label_set, parts.groups, instances=parts.instances[..., 1:])
+
+
+def test_part_ids_of_each_person(tmp_path: Path) -> None:
+    people = np.zeros((2, 3, 4), dtype=np.uint8)
+    people[0, 0], people[0, 1], people[1, 1:] = 1, 255, 2
+    np.save(tmp_path / "people.npy", people)
+    parts = read_parts(tmp_path / "people.npy", CDCL)
+    assert parts.groups[:, 0].tolist() == [1, 2, 2]
+    np.testing.assert_array_equal(parts.instances, people)
 
 
 def test_other_label_files(tmp_path: Path) -> None:
@@ -246,11 +281,20 @@ def test_large_pictures_are_read_without_a_word(tmp_path, monkeypatch):
         assert read_parts(path, CDCL).groups.shape == (12, 16)
 
 
-@pytest.mark.parametrize("shape", [(20, 10), (15, 20, 10), (20, 10, 15)])
-def test_larger_arrays_are_refused_by_their_headers(shape, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("shape", "kind"),
+    [
+        ((20, 10), "<f4"),
+        ((15, 20, 10), "<f4"),
+        ((20, 10, 15), "<f4"),
+        ((2, 20, 10), "|b1"),
+        ((160, 2, 10), "|u1"),
+    ],
+)
+def test_larger_arrays_are_refused_by_their_headers(shape, kind, tmp_path, monkeypatch):
     path = tmp_path / "labels.npy"
     with path.open("wb") as file:  # the header alone
-        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+        np.lib.format.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": shape})
     for limit, message in ((199, r"labels\.npy" + TOO_LARGE), (200, "says that its shape is")):
         monkeypatch.setattr(part_labels, "LARGEST_PICTURE", limit)
         with pytest.raises(InputError, match=message):

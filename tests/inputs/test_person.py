@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,18 @@ from hypothesis import strategies as st
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.errors import InputError
+from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D, choose_person, person_height
-from warp_partdr.inputs.part_labels import check_sizes, read_parts, read_photo
-from warp_partdr.inputs.person import connected, crop_keypoints, crop_nearest, person_crop, select_person
+from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_parts, read_photo
+from warp_partdr.inputs.person import (
+    connected,
+    crop_keypoints,
+    crop_nearest,
+    person_crop,
+    person_labels,
+    select_person,
+)
 
 PHOTOS = ("000000032081", "000000203864", "000000468632")
 
@@ -60,6 +69,39 @@ def paint(keypoints: Keypoints2D, size: tuple[int, int], thickness: float = 0.04
         near = np.hypot(u - a[0] - t * (b - a)[0], v - a[1] - t * (b - a)[1]) < thickness * person_height(keypoints)
         groups[near] = 1 if "ankle" in SKELETONS[keypoints.skeleton].landmarks[end] else 2
     return groups
+
+
+def masks_of(*people: Keypoints2D, size: tuple[int, int] = (220, 240)) -> PartLabels:
+    """One mask a person, as a file of such is read."""
+    masks = np.stack([(paint(person, size) > 0).astype(np.uint8) for person in people])
+    return PartLabels(label_set("full1"), masks.max(axis=0), instances=masks)
+
+
+def test_a_persons_mask_is_the_one_under_the_keypoints() -> None:
+    """Whatever its place in the file; other people's pixels are ignored, but not where the masks overlap."""
+    first, second = standing(100), standing(140)
+    parts = masks_of(second, first)
+    for person, own, other in ((first, 1, 0), (second, 0, 1)):
+        groups = person_labels(parts, person).groups
+        masks = parts.instances > 0
+        np.testing.assert_array_equal(groups == 1, masks[own])
+        np.testing.assert_array_equal(groups == IGNORE, masks[other] & ~masks[own])
+    both = np.stack([parts.groups, *parts.instances])  # one mask is around both
+    assert (person_labels(replace(parts, instances=both), first).groups == 1).sum() == parts.instances[1].sum()
+    plain = replace(parts, instances=None)
+    assert person_labels(plain, first) is plain
+    with pytest.raises(InputError, match="keypoints: in nobody's mask; expected keypoints and masks to agree"):
+        person_labels(parts, standing(1000))
+
+
+def test_masks_tell_whose_a_pixel_is_without_others_bones() -> None:
+    """Two people who stand close: a pixel nearer to somebody else's bones stays the person's."""
+    first, second = standing(100), standing(115)
+    parts = masks_of(first, second)
+    (seen,) = weigh_evidence(first, parts, [second])
+    np.testing.assert_array_equal(seen.groups == 1, parts.instances[0] > 0)
+    (alone,) = weigh_evidence(first, replace(parts, instances=None), [second])
+    assert (alone.groups == 1).sum() < (seen.groups == 1).sum()
 
 
 def test_choose_person() -> None:

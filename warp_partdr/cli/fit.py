@@ -35,11 +35,11 @@ FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to one person's 
 
 Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14`
 
-**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO
-and MMPose write them. Formats: {", ".join(SKELETONS)}.
+**2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
+MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
 
-**Part labels**, as large as the picture: ids, or a network's probabilities; without them, keypoints alone are fitted.
-Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
+**Part labels**, as large as the picture: ids, a network's probabilities, or each person's mask (full1); without them,
+keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
 
 **Results**: overlay.png (look at this first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
 (opens in Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
@@ -91,8 +91,8 @@ def fit(
     set_num_threads(take_whole(values, "threads"))
     options = fit_options(quality, start, values)
     check_folder(out)
-    named = (options.network, files.labels, model)
-    given = (photo, files.keypoints, files.parts, settings.config, *(Path(name) for name in named if name))
+    named = (options.network, files.keypoint_format, files.labels, model)
+    given = (photo, files.keypoint_file(photo), files.parts, settings.config, *(Path(name) for name in named if name))
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
     size = image_size(person.keypoints, person.parts, person.photo)
     camera = view.read(size, photo)

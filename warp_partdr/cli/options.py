@@ -12,7 +12,7 @@ from typer import Option
 
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
-from ..inputs.keypoint_files import read_keypoints
+from ..inputs.keypoint_files import keypoint_file, read_keypoints
 from ..inputs.keypoints import choose_person
 from ..inputs.part_labels import check_sizes, read_focal, read_labelled_parts, read_photo
 from ..inputs.person import PersonInputs, check_inside
@@ -57,26 +57,32 @@ def take_whole(values: dict[str, Any], name: str) -> int:
 class PersonFiles:
     """Options for the files of one person."""
 
-    keypoints: Annotated[Path | None, Option(help="2D keypoints, JSON.", metavar="FILE")] = None
+    keypoints: Annotated[Path | None, Option(help="2D keypoints, JSON, or OpenPose's folder.", metavar="FILE")] = None
     keypoint_format: Annotated[
-        str | None, Option("--format", help="Of the keypoints, if the file does not say.", metavar="NAME")
+        str | None,
+        Option("--format", help="Of the keypoints, if the file does not say; or a JSON file.", metavar="NAME"),
     ] = None
     parts: Annotated[
-        Path | None, Option(help="Part labels: ids, .png or .npy, or probabilities, .npy.", metavar="FILE")
+        Path | None, Option(help="Part labels, .png or .npy: ids, masks, probabilities.", metavar="FILE")
     ] = None
     labels: LabelsOption = None
     person: Annotated[int | None, Option(help="Whom to take, 0 = first; default: the largest.", metavar="N")] = None
 
-    def read(self, photo: Path | None) -> PersonInputs:
-        """The person, and the picture if there is one; an InputError if the files don't fit each other."""
+    def keypoint_file(self, photo: Path | None) -> Path:
+        """The file of keypoints, a photo's one of a folder."""
         if self.keypoints is None:
             raise InputError("--keypoints: missing; expected the person's 2D keypoints, FILE.json")
+        return keypoint_file(self.keypoints, photo)
+
+    def read(self, photo: Path | None) -> PersonInputs:
+        """The person, and the picture if there is one; an InputError if the files don't fit each other."""
+        keypoints = self.keypoint_file(photo)
         picture = None if photo is None else read_photo(photo)
         parts = read_labelled_parts(self.parts, self.labels)
         groups = None if parts is None else parts.groups
         sizes = [None if seen is None else seen.shape[:2] for seen in (picture, groups)]
         check_sizes(photo=sizes[0], parts=sizes[1])
-        people = read_keypoints(self.keypoints, self.keypoint_format)
+        people = read_keypoints(keypoints, self.keypoint_format)
         chosen = choose_person(people, groups, self.person)
         check_inside(chosen, sizes[0] or sizes[1])
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)

@@ -16,7 +16,7 @@ from .agreement import LIMBS, compare_sides, disagreement
 from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
-from .person import Box, crop_keypoints, crop_nearest, reach_box, select_person
+from .person import Box, crop_keypoints, crop_nearest, person_labels, reach_box, select_person
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px
@@ -99,6 +99,8 @@ def weigh_evidence(
     _check_places(keypoints)
     if parts is None:
         return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
+    if parts.instances is not None:  # then nobody's bones need tell whose a pixel is
+        parts, others = person_labels(parts, keypoints), ()
     window = _window(keypoints, parts.groups.shape)
     box, labels = _box_of(window), parts.label_set
     mine = crop_keypoints(keypoints, box, window.size)

@@ -2,14 +2,18 @@
 
 * ``{"format": "coco17", "keypoints": [[x, y, confidence], ...]}``, the format's name and order as in ``skeletons.py``;
   ``[x, y]`` alone, flat lists ``[x, y, confidence, x, y, ...]`` and a missing ``format`` are fine too;
-* OpenPose's own: ``{"people": [{"pose_keypoints_2d": [x, y, confidence, ...]}, ...]}``;
+* OpenPose's own: ``{"people": [{"pose_keypoints_2d": [x, y, confidence, ...]}, ...]}``, and folders of such files;
 * COCO's annotations or results: objects with flat ``keypoints``, alone, in a list, or under ``annotations``; their
   visibilities 1 and 2 become the confidences 0.5 and 1;
-* MMPose's predictions: objects with ``keypoints`` and ``keypoint_scores``, in a list or under ``instances``;
+* MMPose's predictions: objects with ``keypoints`` and ``keypoint_scores``, in a list, under ``instances`` or under
+  ``instance_info``, or, of a film, one frame with its ``instances``;
+* Ultralytics' results (``to_json``): objects whose ``keypoints`` hold the lists ``x``, ``y`` and ``visible``, their
+  confidences; it writes (0, 0) for points that are less than half sure, which are missing;
 * the bare list of one person's keypoints, or a list of such lists.
 
-Without a name, the number of keypoints tells the format; 17 is COCO. Missing are keypoints of confidence 0, with null
-or NaN for all their numbers, and, where no confidences are given, those at exactly (0, 0).
+Without a name, the number of keypoints tells the format; 17 is COCO. Points that are no landmark are left out. Missing
+are keypoints of confidence 0, with null or NaN for all their numbers, and, where no confidences are given, those at
+exactly (0, 0).
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from ..body.skeletons import SKELETONS
+from ..body.skeletons import SKELETONS, Skeleton, skeleton
 from ..errors import InputError, shown
 from ..files.json_files import read_json
 from .keypoints import LARGEST_PLACE, Keypoints2D
@@ -35,6 +39,13 @@ _ALIASES: dict[str, str] = {
     "coco": "coco17",
     "openpose": "body25",
     "openposebody25": "body25",
+    "openposecoco": "coco18",
+    "openposecoco18": "coco18",
+    "openpose18": "coco18",
+    "halpe": "halpe26",
+    "wholebody": "wholebody133",
+    "cocowholebody": "wholebody133",
+    "cocowholebody133": "wholebody133",
     "blazepose": "blazepose33",
     "mediapipe": "blazepose33",
     "mediapipepose": "blazepose33",
@@ -44,19 +55,42 @@ _ALIASES: dict[str, str] = {
     "lsp": "lsp14",
     "mpii": "mpii16",
 }
-_BY_COUNT: dict[int, str] = {17: "coco17", 25: "body25", 33: "blazepose33", 14: "lsp14", 16: "mpii16"}
+_BY_COUNT: dict[int, Skeleton] = {form.count: form for name, form in SKELETONS.items() if name != "h36m17"}
+# Keys of objects that hold a list of people, or of frames.
+_LISTS = ("people", "instances", "annotations", "instance_info", "predictions")
+_KEYPOINTS = ("keypoints", "pose_keypoints_2d", "pose_keypoints")  # the last: OpenPose's before version 1.2
 _NUMBERS = {int, float}
 _MAX_CONFIDENCE = 1.5  # Heat maps peak a little above 1 now and then; those are taken as 1.
 _MAX_NORMALISED = 1.5  # MediaPipe's coordinates in shares of the picture's size go a little beyond it.
 _MIN_EXTENT = 1.0  # [px]; keypoints closer together than a pixel are one point.
 
 
-def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list[Keypoints2D]:
+def keypoint_file(path: Path, photo: Path | None) -> Path:
+    """The file itself, or a photo's file in a folder such as OpenPose writes, ``NAME_keypoints.json``.
+
+    Raises:
+        InputError: If a folder has none for the photo, or, without a photo, not exactly one.
+    """
+    if not path.is_dir():
+        return path
+    if photo is None:
+        found = sorted(path.glob("*_keypoints.json"))
+        if len(found) != 1:
+            raise InputError(f"{path}: {len(found)} *_keypoints.json there; expected one, or a photo that tells which")
+        return found[0]
+    names = [f"{photo.stem}{ending}" for ending in ("_keypoints.json", ".keypoints.json", ".json")]
+    for name in names:
+        if (path / name).is_file():
+            return path / name
+    raise InputError(f"{path}: no keypoints of {photo.name}; expected {' or '.join(names)} there")
+
+
+def read_keypoints(path: str | Path, keypoint_format: str | Path | Skeleton | None = None) -> list[Keypoints2D]:
     """Read everybody's 2D keypoints from a JSON file, in its order, but for people without visible keypoints.
 
     Args:
         path: The file.
-        keypoint_format: Name of the format, if the file's is missing or wrong.
+        keypoint_format: Name of the format, if the file's is missing or wrong, or a JSON file of one's own.
 
     Raises:
         InputError: If the file can't be read or understood, or nobody in it has usable keypoints.
@@ -64,31 +98,34 @@ def read_keypoints(path: str | Path, keypoint_format: str | None = None) -> list
     return parse_keypoints(read_json(path, "keypoints in JSON"), keypoint_format, name=str(path))
 
 
-def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str = "keypoints") -> list[Keypoints2D]:
+def parse_keypoints(
+    data: Any, keypoint_format: str | Path | Skeleton | None = None, *, name: str = "keypoints"
+) -> list[Keypoints2D]:
     """Read everybody's 2D keypoints from a file's content; errors call it ``name``.
 
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
     """
-    given = _format_name(keypoint_format, "keypoint format") if keypoint_format is not None else None
+    given = None if keypoint_format is None else _given_format(keypoint_format)
     entries = _people(data, name)
     if not entries:
         raise InputError(f"{name}: nobody in it; expected keypoints of at least one person")
     places = [name] if len(entries) == 1 else [f"{name}: person {index}" for index in range(len(entries))]
-    alike: dict[tuple[str, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
+    alike: dict[tuple[Skeleton, int], list[int]] = {}  # whose keypoints make one array: format and numbers a keypoint
     numbers: list[list[float]] = []
     for index, (entry, where) in enumerate(zip(entries, places, strict=True)):
-        fmt, width, values = _person(entry, given, where)
-        alike.setdefault((fmt, width), []).append(index)
+        form, width, values = _person(entry, given, where)
+        alike.setdefault((form, width), []).append(index)
         numbers.append(values)
     people: dict[int, Keypoints2D] = {}
     reasons: dict[int, str] = {}
-    for (fmt, width), group in alike.items():
+    for (form, width), group in alike.items():
         table = np.array([numbers[index] for index in group]).reshape(len(group), -1, width)
-        points, confidence = _checked(table, fmt, [places[index] for index in group])
+        points, confidence = _checked(table, form, [places[index] for index in group])
+        known = form.name if SKELETONS.get(form.name) is form else form
         for row, (index, reason) in enumerate(zip(group, _why_unusable(points, confidence), strict=True)):
             if reason is None:
-                people[index] = Keypoints2D(fmt, points[row], confidence[row])
+                people[index] = Keypoints2D(known, points[row], confidence[row])
             else:
                 reasons[index] = f"{places[index]}: {reason}"
     if not people:
@@ -96,29 +133,39 @@ def parse_keypoints(data: Any, keypoint_format: str | None = None, *, name: str 
     return [people[index] for index in sorted(people)]
 
 
-def _format_name(text: str, where: str) -> str:
-    """Name of a skeleton from a user's or file's spelling: "BlazePose33 x,y,visibility px" is blazepose33."""
+def _given_format(given: str | Path | Skeleton) -> Skeleton:
+    """Skeleton that a user names, or describes in a JSON file."""
+    if isinstance(given, Skeleton) or Path(given).suffix == ".json":
+        return skeleton(given)
+    return _named_format(given, "keypoint format", ", or a JSON file")
+
+
+def _named_format(text: Any, where: str, also: str = "") -> Skeleton:
+    """Skeleton by a user's or file's spelling: "BlazePose33 x,y,visibility px" is blazepose33."""
     words = str(text).lower().split()
-    for candidate in (words[0] if words else "", "".join(words)):
+    for candidate in ("".join(words), words[0] if words else ""):
         key = re.sub(r"[^a-z0-9]", "", candidate)
         if key in _ALIASES:
-            return _ALIASES[key]
-    raise InputError(f"{where}: {text!r}; expected one of {', '.join(SKELETONS)}")
+            return SKELETONS[_ALIASES[key]]
+    raise InputError(f"{where}: {shown(text)}; expected one of {', '.join(SKELETONS)}{also}")
 
 
 def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
     """Objects with "keypoints", one per person, whatever the file's shape."""
-    common = {}
+    common, bare = {}, isinstance(data, list)
     if isinstance(data, Mapping):
-        lists = [data[key] for key in ("people", "instances", "annotations") if isinstance(data.get(key), list)]
+        lists = [data[key] for key in _LISTS if isinstance(data.get(key), list)]
         if not lists and not _holds_people(data.get("keypoints")):
             return [data]
-        if data.get("format") is not None:
-            common = {"format": data["format"]}
+        meta = data.get("meta_info")  # MMPose's
+        said = data.get("format", meta.get("dataset_name") if isinstance(meta, Mapping) else None)
+        if said is not None:
+            common = {"format": said}
         data = lists[0] if lists else data["keypoints"]
-    elif not isinstance(data, list):
+    elif not bare:
         raise InputError(f"{name}: {type(data).__name__}; expected an object or a list of keypoints")
-    elif not _holds_people(data):
+    data = _one_picture(data, name)
+    if bare and not _holds_people(data):
         return [{"keypoints": data}] if data else []
     people: list[Mapping[str, Any]] = []
     for index, entry in enumerate(data):
@@ -134,6 +181,19 @@ def _people(data: Any, name: str) -> list[Mapping[str, Any]]:
     return people
 
 
+def _one_picture(entries: list[Any], name: str) -> list[Any]:
+    """People of a list of frames, of which there must be one; people as they are."""
+    frames = [entry["instances"] for entry in entries if isinstance(entry, Mapping) and "instances" in entry]
+    frames += [entry for entry in entries if isinstance(entry, list) and any(isinstance(one, Mapping) for one in entry)]
+    if not frames:
+        return entries
+    if len(entries) > 1:
+        raise InputError(f"{name}: people of {len(entries)} pictures; expected those of one")
+    if not isinstance(frames[0], list):
+        raise InputError(f"{name}: instances: {type(frames[0]).__name__}; expected a list of people")
+    return frames[0]
+
+
 def _holds_people(values: Any) -> bool:
     """True if this is a list of people, not of one person's rows or numbers."""
     if not isinstance(values, list) or not values:
@@ -144,39 +204,53 @@ def _holds_people(values: Any) -> bool:
     )
 
 
-def _person(entry: Mapping[str, Any], given: str | None, where: str) -> tuple[str, int, list[float]]:
-    """Format, numbers a keypoint, and these numbers, one keypoint after the other; null is NaN."""
-    key = "keypoints" if "keypoints" in entry else "pose_keypoints_2d"
-    values = entry.get(key)
+def _person(entry: Mapping[str, Any], given: Skeleton | None, where: str) -> tuple[Skeleton, int, list[float]]:
+    """Format, numbers a keypoint, and these numbers, one landmark's after the other's; null is NaN."""
+    values = next((entry[key] for key in _KEYPOINTS if key in entry), None)
+    if isinstance(values, Mapping):
+        values = _columns(values, where)
     if not isinstance(values, list):
         raise InputError(f"{where}: no list of keypoints; expected one under keypoints or pose_keypoints_2d")
-    fmt = given
-    if fmt is None and entry.get("format") is not None:
-        fmt = _format_name(entry["format"], f"{where}: format")
-    rows = _rows(values, fmt, where)
-    if fmt is None:
+    form = given
+    if form is None and entry.get("format") is not None:
+        form = _named_format(entry["format"], f"{where}: format")
+    rows = _rows(values, form, where)
+    if form is None:
         if len(rows) not in _BY_COUNT:
-            counts = ", ".join(f"{count} ({known})" for count, known in sorted(_BY_COUNT.items()))
+            counts = ", ".join(f"{count} ({known.name})" for count, known in sorted(_BY_COUNT.items()))
             raise InputError(f"{where}: {len(rows)} keypoints; expected {counts}, or a format")
-        fmt = _BY_COUNT[len(rows)]
-    expected = len(SKELETONS[fmt])
-    if len(rows) != expected:
-        raise InputError(f"{where}: {len(rows)} keypoints; expected {expected} of {fmt}")
+        form = _BY_COUNT[len(rows)]
+    if len(rows) != form.count:
+        raise InputError(f"{where}: {len(rows)} keypoints; expected {form.count} of {form.name}")
     scores = entry.get("keypoint_scores")
     if scores is not None:
         if not isinstance(scores, list) or len(scores) != len(rows):
             raise InputError(f"{where}: keypoint_scores: not one a keypoint; expected {len(rows)}")
         rows = [[*row[:2], score] for row, score in zip(rows, scores, strict=True)]
+    rows = [rows[place] for place in form.places]
     width, values = len(rows[0]), list(chain.from_iterable(rows))
     if set(map(type, values)) <= _NUMBERS:
         with suppress(OverflowError):
-            return fmt, width, list(map(float, values))
-    landmarks = SKELETONS[fmt].landmarks
-    names = [f"{where}: keypoint {joint} ({landmark})" for joint, landmark in enumerate(landmarks)]
-    return fmt, width, [_number(value, names[index // width]) for index, value in enumerate(values)]
+            return form, width, list(map(float, values))
+    names = [f"{where}: {_named(form, joint)}" for joint in range(len(form))]
+    return form, width, [_number(value, names[index // width]) for index, value in enumerate(values)]
 
 
-def _rows(values: list[Any], fmt: str | None, where: str) -> list[list[Any]]:
+def _named(form: Skeleton, joint: int) -> str:
+    """A joint in a message: its row in the file, and its landmark."""
+    return f"keypoint {form.places[joint]} ({form.landmarks[joint]})"
+
+
+def _columns(lists: Mapping[str, Any], where: str) -> list[list[Any]]:
+    """Rows from Ultralytics' lists x, y and, where there are confidences, visible; (0, 0) is missing."""
+    columns: list[Any] = [lists.get(name) for name in ("x", "y", "visible") if name != "visible" or name in lists]
+    if not all(isinstance(column, list) for column in columns) or len(set(map(len, columns))) > 1:
+        raise InputError(f"{where}: keypoints: no lists x and y, and visible, of one length; expected such")
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    return [[0] * len(row) if row[:2] == [0, 0] else row for row in rows]
+
+
+def _rows(values: list[Any], form: Skeleton | None, where: str) -> list[list[Any]]:
     """Rows [x, y] or [x, y, confidence] from such rows (or null) or from a flat list."""
     kinds = set(map(type, values))
     if list in kinds:
@@ -184,7 +258,7 @@ def _rows(values: list[Any], fmt: str | None, where: str) -> list[list[Any]]:
         if widths not in ({2}, {3}) or not kinds <= {list, type(None)}:
             raise InputError(f"{where}: rows of {_listed(widths)} numbers; expected [x, y] or [x, y, confidence] each")
         return values if len(kinds) == 1 else [[None] * max(widths) if value is None else value for value in values]
-    counts = {len(SKELETONS[fmt])} if fmt else set(_BY_COUNT)
+    counts = {form.count} if form else set(_BY_COUNT)
     for width in (3, 2):
         if len(values) % width == 0 and len(values) // width in counts:
             return [values[k : k + width] for k in range(0, len(values), width)]
@@ -209,13 +283,12 @@ def _number(value: Any, name: str) -> float:
         return math.inf
 
 
-def _checked(table: np.ndarray, fmt: str, places: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _checked(table: np.ndarray, form: Skeleton, places: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, J, 2) and confidences (N, J), float32, from N people's numbers (N, J, 2 or 3)."""
 
     def refuse(wrong: np.ndarray, found: Callable[[np.ndarray], str]) -> None:
         for person, joint in np.argwhere(wrong)[:1].tolist():
-            landmark = SKELETONS[fmt].landmarks[joint]
-            raise InputError(f"{places[person]}: keypoint {joint} ({landmark}): {found(table[person, joint])}")
+            raise InputError(f"{places[person]}: {_named(form, joint)}: {found(table[person, joint])}")
 
     def listed(row: np.ndarray) -> str:
         return f"[{', '.join(f'{value:g}' for value in row)}]"

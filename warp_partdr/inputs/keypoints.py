@@ -25,7 +25,7 @@ class Keypoints2D:
     """2D keypoints of one person.
 
     Attributes:
-        skeleton: Name of their format, such as "coco17".
+        skeleton: Their format: its name, such as "coco17", or a skeleton of one's own.
         points: Positions [px], origin at the picture's top left corner, 0 where missing, shape (J, 2), float32.
         confidence: 0 (missing) to 1, shape (J,), float32.
 
@@ -33,7 +33,7 @@ class Keypoints2D:
         InputError: If a shape is wrong, or a confidence is none.
     """
 
-    skeleton: str
+    skeleton: str | Skeleton
     points: np.ndarray
     confidence: np.ndarray
 
@@ -42,7 +42,7 @@ class Keypoints2D:
         for name, shape in (("points", (count, 2)), ("confidence", (count,))):
             values = getattr(self, name)
             if not isinstance(values, np.ndarray) or values.shape != shape or values.dtype.kind != "f":
-                raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.skeleton}")
+                raise InputError(f"{name}: {np.shape(values)}; expected floats {shape}, as {self.format.name}")
         if not ((self.confidence >= 0) & (self.confidence <= 1)).all():
             raise InputError("confidence: holds numbers that are not from 0 to 1")
 
@@ -77,13 +77,15 @@ def person_height(keypoints: Keypoints2D) -> float:
     return float(_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
 
 
-def _heights(name: str, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def _heights(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """``person_height`` of N people with one skeleton: points (N, J, 2) and confidence (N, J), shape (N,)."""
     sure = confident(confidence)
     low, high = (np.where(sure[..., None], points, end) for end in (np.inf, -np.inf))
     heights = np.where(sure.any(axis=1), (high.max(axis=1) - low.min(axis=1)).max(axis=1), 0.0).astype(np.float64)
     for bones in (_SHORT_BONES, _LONG_BONES):  # the long ones have the last word
-        pairs, shares = _bones(name, tuple(bones.items()))
+        pairs, shares = _bones(form, tuple(bones.items()))
+        if not len(pairs):
+            continue
         found = np.linalg.norm(points[:, pairs[:, 0]] - points[:, pairs[:, 1]], axis=-1) / shares
         found = np.where(sure[:, pairs].all(axis=-1), found, -np.inf)
         told = found.max(axis=1) > 0
@@ -106,15 +108,16 @@ def _upper_quartile(values: np.ndarray) -> np.ndarray:
 
 
 @lru_cache
-def _bones(name: str, bones: tuple[tuple[str, float], ...]) -> tuple[np.ndarray, np.ndarray]:
+def _bones(form: str | Skeleton, bones: tuple[tuple[str, float], ...]) -> tuple[np.ndarray, np.ndarray]:
     """Joint pairs (N, 2) of the bones on both sides that the skeleton has, and their shares of the stature (N,)."""
-    landmarks = skeleton(name).landmarks
-    pairs = [
-        (landmarks.index(f"{side}_{start}"), landmarks.index(f"{side}_{end}"))
-        for start, end in (bone.split("-") for bone, _ in bones)
-        for side in ("left", "right")
+    landmarks = skeleton(form).landmarks
+    found = [
+        ((landmarks.index(start), landmarks.index(end)), share)
+        for bone, share in bones
+        for start, end in ([f"{side}_{joint}" for joint in bone.split("-")] for side in ("left", "right"))
+        if start in landmarks and end in landmarks
     ]
-    return np.array(pairs), np.repeat([share for _, share in bones], 2)
+    return np.array([pair for pair, _ in found], dtype=np.int64), np.array([share for _, share in found])
 
 
 def choose_person(
@@ -143,11 +146,11 @@ def choose_person(
         except ValueError as error:
             raise InputError(str(error)) from None
     scores = np.zeros(len(people))
-    for name in {keypoints.skeleton for keypoints in people}:
-        rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == name]
+    for form in {keypoints.skeleton for keypoints in people}:
+        rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == form]
         points = np.stack([people[row].points for row in rows])
         confidence = np.stack([people[row].confidence for row in rows])
-        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(name, points, confidence)
+        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(form, points, confidence)
     return people[int(scores.argmax())]
 
 

@@ -1,7 +1,11 @@
 """Read a photo and its focal length, a label set and part labels.
 
-Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette (``.png``), as an integer array (H, W),
-or as a network's probability maps (K, H, W) or (H, W, K) (``.npy``), with one channel per id of the label set.
+Labels come as an image of ids, 8- or 16-bit, one channel, grayscale or palette (``.png``), or as an array (``.npy``):
+
+* ids (H, W), whole numbers of any type;
+* a network's probability maps (K, H, W) or (H, W, K), floats, with one channel per id of the label set;
+* each person's ids alone (N, H, W), integers or booleans: in a set of one group, masks by instance. The type tells them
+  from probabilities, for both may hold nothing but 0 and 1.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.labels import IGNORE, LABEL_SETS, LabelSet, label_set
+from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set
 from ..errors import InputError, cause
 from ..files.array_files import Header, read_npy
 from ..files.json_files import read_json
@@ -29,6 +33,8 @@ LARGEST_PICTURE = 2**27
 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
 _CUT = 0.01  # change of the sides' ratio that says a photo was cut
+
+_MOST_MASKS = 16  # of the largest pictures; of smaller ones more
 
 # 16-bit softmax outputs are off by 1e-3 in their sum.
 _SUM_TOLERANCE = 1e-2
@@ -43,11 +49,14 @@ class PartLabels:
         groups: Group ids: 0 = background, 1 to G, 255 = ignore, shape (H, W), uint8.
         maps: Probabilities of background and groups, shape (G + 1, H, W), float32, where the file had such; what is
             missing to a sum of 1 is the probability of something to be ignored.
+        instances: Group ids of each of N people alone, shape (N, H, W), uint8, where the file had such; ``groups`` are
+            then anybody's, and ``person_labels`` picks one person's.
     """
 
     label_set: LabelSet
     groups: np.ndarray
     maps: np.ndarray | None = None
+    instances: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         groups, count = self.groups, self.label_set.num_groups
@@ -59,6 +68,9 @@ class PartLabels:
         shape = (count + 1, *groups.shape)
         if self.maps is not None and (not isinstance(self.maps, np.ndarray) or self.maps.shape != shape):
             raise InputError(f"maps: shape {np.shape(self.maps)}; expected {shape}")
+        masks = self.instances
+        if masks is not None and (not isinstance(masks, np.ndarray) or masks.shape[1:] != groups.shape):
+            raise InputError(f"instances: shape {np.shape(masks)}; expected (N, {groups.shape[0]}, {groups.shape[1]})")
 
 
 def described_label_set(path: Path) -> LabelSet:
@@ -177,7 +189,7 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
 
 
 def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
-    """Read part labels, ids of a label set or their probabilities, from a ``.png`` or ``.npy`` file.
+    """Read part labels, ids of a label set, each person's or their probabilities, from a ``.png`` or ``.npy`` file.
 
     Raises:
         InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
@@ -192,15 +204,14 @@ def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
         raise InputError(f"{path}: {suffix or 'no suffix'}; expected .png or .npy part labels")
     if not array.size:
         raise InputError(f"{path}: shape {array.shape}; expected pixels")
-    if array.ndim == 3:
+    if array.ndim == 3 and array.dtype.kind == "f":
         parts = _from_probabilities(array, labels, str(path))
+    elif array.ndim == 3:
+        parts = _from_instances(array, labels, str(path))
     elif array.ndim == 2:
-        try:
-            parts = PartLabels(labels, labels.to_groups(array))
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from error
+        parts = PartLabels(labels, _groups(array, labels, str(path)))
     else:
-        raise InputError(f"{path}: shape {array.shape}; expected (H, W), or (K, H, W) probabilities")
+        raise InputError(f"{path}: shape {array.shape}; expected (H, W), (N, H, W) masks, or (K, H, W) probabilities")
     _check_content(parts, str(path))
     return parts
 
@@ -216,22 +227,47 @@ def _read_npy(path: str | Path, channels: int) -> np.ndarray:
     def check(header: Header) -> None:
         shape, dtype = header
         if dtype.kind not in "biuf":
-            raise InputError(f"{path}: {dtype}; expected integers, or probabilities")
-        _check_pixels(path, math.prod(shape) // (channels if len(shape) == 3 else 1))
+            raise InputError(f"{path}: {dtype}; expected integers, bool, or floats")
+        if len(shape) == 3 and dtype.kind != "f":
+            _check_pixels(path, max(math.prod(shape[1:]), math.prod(shape) // _MOST_MASKS))
+        else:
+            _check_pixels(path, math.prod(shape) // (channels if len(shape) == 3 else 1))
 
     return read_npy(path, expected="a .npy array of part labels", check=check)
 
 
+def _groups(ids: np.ndarray, labels: LabelSet, where: str) -> np.ndarray:
+    """Group ids of an array of ids, which many save as floats."""
+    if ids.dtype.kind == "f":
+        strange = ids[~np.isfinite(ids) | (ids != np.rint(ids))]
+        if strange.size:
+            raise InputError(
+                f"{where}: {ids.dtype}, {strange[0]:g} among them; expected whole numbers, the labels' ids"
+            )
+        wide = ids.astype(np.promote_types(ids.dtype, np.float32), copy=False)
+        ids = np.clip(wide, -1e9, 1e9).astype(np.int64)
+    try:
+        return labels.to_groups(ids)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _from_instances(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:
+    instances = np.stack([_groups(layer, labels, where) for layer in array])
+    groups = instances[0].copy()
+    for layer in instances[1:]:
+        np.copyto(groups, layer, where=((groups == BACKGROUND) | (groups == IGNORE)) & (layer != BACKGROUND))
+    return PartLabels(labels, groups, instances=instances)
+
+
 def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> PartLabels:
     channels = len(labels.channel_ids)
-    if array.dtype.kind != "f":
-        raise InputError(f"{where}: {array.dtype} of shape {array.shape}; expected (H, W) ids, or float probabilities")
     if array.shape[0] != channels and array.shape[2] == channels:
         array = array.transpose(2, 0, 1)
     if array.shape[0] != channels:
         raise InputError(
             f"{where}: shape {array.shape}; expected ({channels}, H, W) or (H, W, {channels}), "
-            f"one map per id of {labels.name}"
+            f"one map per id of {labels.name}; or masks (N, H, W), as integers or bool"
         )
     array = array.astype(np.float32)
     low, high = float(array.min()), float(array.max())  # NaN if there is one.

@@ -95,6 +95,29 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
     return np.where(foreground & ~kept, IGNORE, groups).astype(np.uint8)
 
 
+def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
+    """Labels of one person, where the file had each person's alone: the mask that holds most of the keypoints.
+
+    All other people's pixels become 255, ignore. Of masks that hold as many, the smallest is the person's: what is
+    behind somebody may be a mask around both. Labels that are not by person are returned as they are.
+
+    Raises:
+        InputError: If no mask holds a confident keypoint.
+    """
+    if parts.instances is None:
+        return parts
+    columns, rows = np.floor(keypoints.points).astype(np.int64).T
+    height, width = parts.groups.shape
+    inside = keypoints.confident & (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    shown = parts.instances[:, rows[inside], columns[inside]]
+    held = ((shown != BACKGROUND) & (shown != IGNORE)) @ keypoints.confidence[inside]
+    if not held.any():
+        raise InputError("keypoints: in nobody's mask; expected keypoints and masks to agree")
+    own = parts.instances[np.lexsort((np.count_nonzero(parts.instances, axis=(1, 2)), -held))[0]]
+    groups = np.where((own == BACKGROUND) & (parts.groups != BACKGROUND), IGNORE, own)
+    return PartLabels(parts.label_set, groups.astype(np.uint8))
+
+
 def reach_box(keypoints: Keypoints2D) -> Box:
     """Box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
     height = person_height(keypoints)
