@@ -31,9 +31,10 @@ _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch 
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to one person's keypoints and part labels.
+FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo.
 
-Example: `partdr fit photo.jpg --keypoints photo.json --parts photo.png --labels cdcl14`
+Example: `partdr fit photo.jpg`; to one person, by your own predictors: `partdr fit photo.jpg --keypoints photo.json
+--parts photo.png --labels cdcl14`. A photo alone gives people.json, and a folder of results for each person.
 
 **2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
 MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
@@ -41,8 +42,8 @@ MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON fi
 **Part labels**, as large as the picture: ids, a network's probabilities, or each person's mask (full1); without them,
 keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file of your own (docs/inputs.md).
 
-**Results**: overlay.png (look at this first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
-(opens in Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
+**Results**: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
+(for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
 registration.json. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
@@ -55,7 +56,7 @@ _START_HELP = "network (a search where that ends far off) or search."
 
 def fit(
     files: PersonFiles,
-    photo: Annotated[Path | None, Argument(help="The picture, for the overlay; optional.", metavar="PHOTO")] = None,
+    photo: Annotated[Path | None, Argument(help="The picture; with keypoints optional.", metavar="PHOTO")] = None,
     out: OutOption = Path("out"),
     model: Annotated[str, Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
     quality: Annotated[QualityName, Option(help=_QUALITY_HELP, metavar="NAME")] = QualityName.balanced,

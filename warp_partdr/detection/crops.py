@@ -102,7 +102,7 @@ class Pyramid:
         self.size = picture.shape[0], picture.shape[1]
         self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
         self.device = torch.device(device)
-        self._bytes = torch.from_numpy(np.ascontiguousarray(picture)).to(device).permute(2, 0, 1)[None]
+        self._bytes = torch.from_numpy(np.require(picture, requirements=["C", "W"])).to(device).permute(2, 0, 1)[None]
         self._levels: list[torch.Tensor] = []
 
     @cached_property

@@ -1,0 +1,59 @@
+"""``partdr fit PHOTO`` with nothing else."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from scenes import commands
+from scenes.commands import EVERY_FILE, Run
+from scenes.files import EXAMPLE
+
+from warp_partdr.results.save_photo import PHOTO_FILES
+
+files, run = commands.files, commands.run  # fixtures
+
+
+def test_a_photo_is_enough(run: Run, files: Path) -> None:
+    shutil.copy(EXAMPLE / "photo.png", "whole.png")
+    code, said, complaint = run("fit whole.png --out out --device cpu")
+    assert (code, complaint) == (0, "")
+    first, last = said.splitlines()
+    assert first.startswith("person0: score 0.")
+    assert "m away" in first
+    assert Path("out", "people.json").as_posix() in last
+    assert {path.name for path in Path("out").iterdir()} == {*PHOTO_FILES, "person0"}
+    assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
+    (person,) = json.loads(Path("out", "people.json").read_text())["people"]
+    assert person["distance"] == "for a focal length of the diagonal"
+    code, said, _ = run("fit whole.png --out known --device cpu --focal 900 --person 0")
+    assert code == 0
+    assert "about" not in said
+    (known,) = json.loads(Path("known", "people.json").read_text())["people"]
+    assert known["camera"]["focal_px"] == 900
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("fit", ["PHOTO: missing", "--keypoints"]),
+        ("fit photo.png --parts p.png --labels cdcl14", ["--parts: p.png, without --keypoints"]),
+        ("fit photo.png --labels cdcl14", ["--labels: cdcl14, without --keypoints"]),
+        ("fit photo.png --format coco17", ["--format: coco17, without --keypoints"]),
+        ("fit photo.png --model none", ["--model: none"]),
+        ("fit nothing.png", ["nothing.png", "no such file"]),
+        ("fit gray.png", ["photo: nobody found"]),
+        ("fit overlay.png --out .", ["--out: .: the result would replace overlay.png"]),
+    ],
+)
+def test_faults_are_one_line(run: Run, files: Path, line: str, words: list[str]) -> None:
+    Image.new("RGB", (320, 240), (128, 128, 128)).save("gray.png")
+    shutil.copy("gray.png", "overlay.png")
+    code, said, complaint = run(f"{line} --device cpu")
+    assert (code, said) == (2, "")
+    (told,) = complaint.splitlines()
+    assert all(word.lower() in told.lower() for word in words), told
+    assert not Path("out").exists()

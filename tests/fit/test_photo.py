@@ -1,0 +1,143 @@
+"""Everyone in a photo that comes with nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from warp_partdr import metrics
+from warp_partdr.cameras import Perspective
+from warp_partdr.errors import InputError
+from warp_partdr.fit.options import FitOptions
+from warp_partdr.fit.photo import PhotoFit, fit_photo, mask_labels
+from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES
+from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
+FAST = FitOptions.at("fast")
+
+
+def two_people() -> np.ndarray:
+    """The example's photo, and the same person again, half as large."""
+    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    wide = Image.new("RGB", (photo.width * 2, photo.height), photo.getpixel((5, 5)))
+    wide.paste(photo, (0, 0))
+    wide.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))
+    return np.asarray(wide)
+
+
+@pytest.fixture(scope="module")
+def everyone() -> tuple[np.ndarray, PhotoFit]:
+    photo = two_people()
+    return photo, fit_photo(photo, options=FAST)
+
+
+def test_the_example_s_person_is_near_the_truth(device):
+    photo = read_photo(EXAMPLE / "photo.png")
+    found = fit_photo(photo, options=FAST, device=device)
+    assert list(found.fits) == [0]
+    mesh, truth = found.fits[0], json.loads((EXAMPLE / "truth.json").read_text())
+    joints = truth["joints"]["lsp14"]
+    error = metrics.pa_mpjpe(mesh.landmarks(joints["names"]), np.array(joints["points_m"]))
+    assert 1000 * float(error) < 110
+    drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
+    person = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
+    assert (drawn & person).sum() / (drawn | person).sum() > 0.8
+    assert found.hidden_by(0) == []
+
+
+def test_everyone_is_fitted_where_they_stand(everyone):
+    photo, found = everyone
+    assert list(found.fits) == [0, 1]
+    assert found.owners.shape == photo.shape[:2]
+    for place, mesh in found.fits.items():
+        drawn = mesh.draw(photo.shape[:2]).labels[0].numpy() > 0
+        own = found.owners == place + 1
+        assert (drawn & own).sum() / (drawn | own).sum() > 0.75
+    large, small = (mesh.camera.scale for mesh in found.fits.values())
+    assert 1.5 < float(large / small) < 2.7
+
+
+def test_one_of_them_may_be_asked_for(everyone):
+    photo, found = everyone
+    alone = fit_photo(photo, options=FAST, person=1)
+    assert list(alone.fits) == [1]
+    np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
+    with pytest.raises(InputError, match="person: 2; expected 0 to 1"):
+        fit_photo(photo, options=FAST, person=2)
+
+
+def test_nobody_is_an_error():
+    with pytest.raises(InputError, match="photo: nobody found"):
+        fit_photo(np.full((200, 300, 3), 128, dtype=np.uint8))
+
+
+def test_a_known_camera_puts_them_in_one_scene():
+    photo = two_people()
+    found = fit_photo(photo, options=FAST, camera=Perspective.of_picture(photo.shape[:2], focal=900.0))
+    near, far = (float(mesh.landmarks(["pelvis"])[0, 2]) for mesh in found.fits.values())
+    assert 1.5 < far / near < 2.7
+    assert all(isinstance(mesh.camera, Perspective) for mesh in found.fits.values())
+
+
+def test_others_pixels_are_unknown_not_background():
+    owners = np.array([[0, 1], [2, 1]])
+    found = mask_labels(owners, 0)
+    assert found is not None
+    assert found.groups.tolist() == [[0, 1], [255, 1]]
+    assert mask_labels(owners, 2) is None
+
+
+def test_a_person_hidden_by_another_is_told(everyone):
+    _, found = everyone
+    owners = found.owners.copy()
+    drawn = found.fits[0].draw(owners.shape).labels[0].numpy() > 0
+    rows = np.flatnonzero(drawn.any(1))
+    owners[rows[len(rows) // 2] :][drawn[rows[len(rows) // 2] :]] = 2
+    assert PhotoFit(found.people, found.fits, owners).hidden_by(0) == [1]
+    assert found.hidden_by(1) == []
+
+
+def test_files_of_everyone(everyone, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    photo, found = everyone
+    old = tmp_path / "person7"
+    old.mkdir()
+    (old / "body.npz").write_text("of an older run")
+    (tmp_path / "person8").mkdir()
+    (tmp_path / "person8" / "notes.txt").write_text("mine")
+    report = save_photo_fit(found, tmp_path, photo=photo)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {*PHOTO_FILES, "person0", "person1", "person8"}
+    for place in (0, 1):
+        assert {path.name for path in (tmp_path / f"person{place}").iterdir()} == {*RESULT_FILES, *DETAILED_FILES}
+    assert json.loads((tmp_path / "people.json").read_text()) == report
+    first, second = report["people"]
+    assert first["score"] > 0.5
+    assert 1.5 < second["distance_m"] / first["distance_m"] < 2.7
+    assert len(first["keypoints"]) == 33
+    scene = trimesh.load(tmp_path / "scene.glb")
+    sizes = [np.ptp(mesh.vertices[:, 1]) for mesh in scene.geometry.values()]
+    assert all(1.2 < size < 2.2 for size in sizes)  # metres, not shares of the picture
+    left, right = (scene.geometry[f"person{place}"].vertices.mean(0) for place in (0, 1))
+    assert left[0] < right[0]
+    assert left[2] > right[2]  # nearer, seen along -z
+    overlay = np.asarray(Image.open(tmp_path / "overlay.png"))
+    assert overlay.shape == photo.shape
+    assert (overlay != photo).any()
+
+
+def test_wrong_arguments_are_named(everyone, tmp_path):
+    photo, found = everyone
+    with pytest.raises(TypeError, match="fit"):
+        save_photo_fit(found.fits, tmp_path, photo=photo)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="photo"):
+        save_photo_fit(found, tmp_path, photo=torch.zeros(3))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="person: -1"):
+        fit_photo(photo, person=-1)
