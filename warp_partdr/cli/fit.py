@@ -12,6 +12,7 @@ from typer import Argument, Option
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
+from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import CameraOptions, DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
 from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
 
@@ -24,17 +25,15 @@ if TYPE_CHECKING:
     from ..fit.options import FitOptions
     from ..inputs.person import PersonInputs
 
-NO_MODEL = "none"
 _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
 
 # Keys of ``fit.stages.STAGES``, which is not loaded for --help.
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo.
+FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo: people.json, a folder each.
 
-Example: `partdr fit photo.jpg`; to one person, by your own predictors: `partdr fit photo.jpg --keypoints photo.json
---parts photo.png --labels cdcl14`. A photo alone gives people.json, and a folder of results for each person.
+Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
 **2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
 MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
@@ -133,16 +132,6 @@ def fit(
     typer.echo(told)
 
 
-def load_mesh_kernels(device: str) -> None:
-    """Compile the mesh stage's kernels, or load them."""
-    import warp as wp
-
-    from ..kernels.mesh import label_borders, rasterize, resolve
-
-    for module in (rasterize, resolve, label_borders):
-        wp.load_module(module, device=device)
-
-
 def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarray | None) -> str:
     """Files of the mesh stage, and a line about them."""
     from ..results.save import save_registered
@@ -183,30 +172,6 @@ def _explain(
     if model is not None:
         choices.append(explain_mesh(model, person.parts))
     print_choices(choices, Console(highlight=False))
-
-
-def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
-    """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
-    import warp as wp
-
-    from ..kernels import kinematics, labels
-    from ..kernels.ellipsoids import picture, silhouette
-    from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
-    from ..kernels.refine import state
-    from ..render.renderers import RendererEllipsoids, RendererMesh
-
-    modules: list[Any] = [kinematics, rasterize, resolve]
-    if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
-        modules.append(state.MODULE)
-    if with_labels and isinstance(options.renderer, RendererMesh):
-        modules += [label_borders] if options.renderer.gradient == "edges" else [push_xy, push_z]
-    elif with_labels and device == "cpu":
-        drawn = [stage.renderer for stage in options.stages if stage.size]
-        gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})
-        modules += [labels, silhouette, picture]
-        modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
-    for module in modules:
-        wp.load_module(module, device=device)
 
 
 def _summarise(report: dict[str, Any], out: Path) -> None:

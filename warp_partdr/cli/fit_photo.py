@@ -9,6 +9,7 @@ import typer
 
 from ..errors import InputError
 from ..inputs.part_labels import read_photo
+from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import CameraOptions, PersonFiles
 from .register import read_model
 
@@ -48,7 +49,6 @@ def fit_everyone(
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_photo import PHOTO_FILES, save_photo_fit
-    from .fit import NO_MODEL, load_kernels, load_mesh_kernels
     from .progress import FitProgress
 
     if model == NO_MODEL:

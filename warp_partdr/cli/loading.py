@@ -1,0 +1,44 @@
+"""Kernels that a fit needs, loaded before it starts, so that no stage seems to take so long."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..fit.options import FitOptions
+
+NO_MODEL = "none"  # of --model
+
+
+def load_kernels(device: str, options: FitOptions, *, with_labels: bool) -> None:
+    """Compile a fit's kernels, or load them: later, one of its stages would seem to take so long."""
+    import warp as wp
+
+    from ..kernels import kinematics, labels
+    from ..kernels.ellipsoids import picture, silhouette
+    from ..kernels.mesh import label_borders, push_xy, push_z, rasterize, resolve
+    from ..kernels.refine import state
+    from ..render.renderers import RendererEllipsoids, RendererMesh
+
+    modules: list[Any] = [kinematics, rasterize, resolve]
+    if device == "cpu":  # on CUDA, these are compiled for block sizes that their launches know
+        modules.append(state.MODULE)
+    if with_labels and isinstance(options.renderer, RendererMesh):
+        modules += [label_borders] if options.renderer.gradient == "edges" else [push_xy, push_z]
+    elif with_labels and device == "cpu":
+        drawn = [stage.renderer for stage in options.stages if stage.size]
+        gradients = sorted({each.gradient for each in drawn if isinstance(each, RendererEllipsoids)})
+        modules += [labels, silhouette, picture]
+        modules += [f"warp_partdr.kernels.ellipsoids.{gradient}" for gradient in gradients]
+    for module in modules:
+        wp.load_module(module, device=device)
+
+
+def load_mesh_kernels(device: str) -> None:
+    """Compile the mesh stage's kernels, or load them."""
+    import warp as wp
+
+    from ..kernels.mesh import label_borders, rasterize, resolve
+
+    for module in (rasterize, resolve, label_borders):
+        wp.load_module(module, device=device)
