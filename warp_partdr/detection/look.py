@@ -44,20 +44,32 @@ class FoundLandmarks:
         arrays = (self.points[rows], self.confidence[rows], self.presence[rows])
         return FoundLandmarks(self.crops[rows], *arrays, self.next_crops[rows], self.masks[kept])
 
-    def person(self, row: int, score: float, size: tuple[int, int]) -> FoundPerson:
-        """One of them, in a picture of size (H, W)."""
-        one, extent = slice(row, row + 1), np.array(size[::-1])
-        side = self.masks.shape[-1]
-        y, x = np.mgrid[:side, :side]
-        places = self.crops[one].to_picture((np.stack([x, y], axis=-1).reshape(1, -1, 2) + 0.5) / side)[0]
-        inside = ((places >= 0) & (places <= extent)).all(axis=1)
-        mask = self.masks[row].sigmoid().cpu().numpy() * inside.reshape(side, side).astype(np.float32)
-        shown = places[mask.reshape(-1) > 0.5]
-        corners = shown if len(shown) else np.clip(self.points[row], 0, extent)
-        (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-        points, confidence = (values[row].astype(np.float32) for values in (self.points, self.confidence))
-        keypoints = Keypoints2D(SKELETON, points, confidence)
-        return FoundPerson(keypoints, score, (left, top, right, bottom), self.crops[one], mask, self.next_crops[one])
+    def people(self, rows: np.ndarray, scores: np.ndarray, sizes: np.ndarray) -> list[FoundPerson]:
+        """Some of them as people, with scores (R,), in pictures of sizes (H, W), shape (R, 2)."""
+        some, side = self.select(rows), self.masks.shape[-1]
+        corners = some.crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(rows), 3, 2)))
+        start, across, down = torch.from_numpy(corners).to(self.masks)[:, :, None, None].unbind(1)
+        steps = (torch.arange(side, device=self.masks.device) + 0.5) / side
+        places = start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]
+        extents = torch.from_numpy(np.ascontiguousarray(sizes[:, ::-1])).to(self.masks)[:, None, None]
+        masks = some.masks.sigmoid() * ((places >= 0) & (places <= extents)).all(-1)
+        shown = (masks > 0.5)[..., None]
+        low = torch.where(shown, places, torch.inf).amin((1, 2)).cpu().numpy()
+        high = torch.where(shown, places, -torch.inf).amax((1, 2)).cpu().numpy()
+        found: list[FoundPerson] = []
+        for row, mask in enumerate(masks.cpu().numpy()):
+            if not np.isfinite(low[row]).all():  # nothing of the person is shown
+                points = np.clip(some.points[row], 0, sizes[row, ::-1])
+                low[row], high[row] = points.min(axis=0), points.max(axis=0)
+            (left, top), (right, bottom) = low[row].tolist(), high[row].tolist()
+            values = some.points[row].astype(np.float32), some.confidence[row].astype(np.float32)
+            one, box = slice(row, row + 1), (left, top, right, bottom)
+            found.append(
+                FoundPerson(
+                    Keypoints2D(SKELETON, *values), float(scores[row]), box, some.crops[one], mask, some.next_crops[one]
+                )
+            )
+        return found
 
 
 def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
+from ..interop.precision import exact_convolutions
 from ..interop.torch_threads import one_torch_thread
 from .asset import packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
@@ -15,6 +16,8 @@ from .detector import detect_people
 from .look import FoundLandmarks, look
 from .person import FoundPerson
 from .same_person import first_of_each, similarity
+
+_TOGETHER = 64  # people whose masks are made at a time
 
 
 def find_people(
@@ -49,6 +52,7 @@ def find_people(
 
 
 @one_torch_thread()
+@exact_convolutions()
 @torch.no_grad()
 def find_people_in(
     pictures: Sequence[np.ndarray],
@@ -91,10 +95,16 @@ def find_people_in(
     scores = found.presence.copy()
     scores[: len(rows)] = _scores(detected, first, found.select(np.arange(len(rows))))
     rows = _distinct(found, scores, min_score)
+    rows = rows[np.argsort(-found.next_crops.sides[rows], kind="stable")]
+    pictured = found.crops.pictures[rows]
+    sizes = np.array([pyramid.size for pyramid in pyramids]).reshape(-1, 2)[pictured]
     people_of: list[list[FoundPerson]] = [[] for _ in pictures]
-    for row in rows[np.argsort(-found.next_crops.sides[rows], kind="stable")].tolist():
-        picture = int(found.crops.pictures[row])
-        people_of[picture].append(found.person(row, float(scores[row]), pyramids[picture].size))
+    for start in range(0, len(rows), _TOGETHER):
+        some = slice(start, start + _TOGETHER)
+        for picture, person in zip(
+            pictured[some].tolist(), found.people(rows[some], scores[rows[some]], sizes[some]), strict=True
+        ):
+            people_of[picture].append(person)
     return people_of
 
 

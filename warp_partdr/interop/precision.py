@@ -1,4 +1,4 @@
-"""Rounding of products of float32 matrices on CUDA."""
+"""Rounding of float32 products and convolutions on CUDA."""
 
 from __future__ import annotations
 
@@ -18,3 +18,14 @@ def matmul_precision(precision: Literal["highest", "high", "medium"]) -> Iterato
         yield
     finally:
         torch.set_float32_matmul_precision(before)
+
+
+@contextmanager
+def exact_convolutions() -> Iterator[None]:
+    """Let convolutions of float32 not be rounded to TF32, as torch has them by default."""
+    before = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.allow_tf32 = before
