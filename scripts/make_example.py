@@ -22,9 +22,9 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import skeleton
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
+from warp_partdr.clothing.normals import vertex_normals
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
-from warp_partdr.results.skinned_files import vertex_normals
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "warp_partdr" / "assets" / "example"
 IMAGE_SIZE = (512, 384)  # (H, W)

@@ -9,6 +9,7 @@ import torch
 from ..body.landmarks import without_side
 from ..body.template import PART_NAMES
 from .model import DetailedModel
+from .normals import vertex_normals
 
 # Kinds of parts that have a thickness of clothes each, the same left and right: hands, feet, hips and shoulders have
 # none, for there labels draw thickness wherever joints are off.
@@ -39,14 +40,5 @@ def clothes_basis(model: DetailedModel) -> torch.Tensor:
         kinds = [without_side(name) for name in PART_NAMES]
         sums = torch.tensor([[float(kind == name) for name in CLOTHED] for kind in kinds], device=model.faces.device)
         shares = model.spread_weights @ sums.to(model.rest_vertices)
-        return shares.T[..., None] * _normals(model)
-
-
-def _normals(model: DetailedModel) -> torch.Tensor:
-    """Unit normals of the mean body's vertices, 0 where there is no face, shape (V, 3)."""
-    corners = model.rest_vertices[model.faces.long()]
-    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sums = torch.zeros_like(model.rest_vertices)
-    for place in range(3):
-        sums.index_add_(0, model.faces[:, place].long(), across)
-    return torch.nn.functional.normalize(sums, dim=-1)
+        normals = vertex_normals(model.rest_vertices.cpu().numpy(), model.faces.cpu().numpy())
+        return shares.T[..., None] * torch.from_numpy(normals).to(shares)

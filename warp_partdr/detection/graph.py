@@ -10,6 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from ..interop.precision import exact_convolutions
+
 
 @dataclass(frozen=True)
 class Node:
@@ -138,6 +140,7 @@ class OperatorGraph(nn.Module):
             for place, node in enumerate(self._nodes)
         ]
 
+    @exact_convolutions()
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Outputs by name, for pictures of shape (B, 3, size, size)."""
         values = {self._start: pictures.contiguous(memory_format=torch.channels_last)}

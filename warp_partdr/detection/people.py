@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
-from ..interop.precision import exact_convolutions
 from ..interop.torch_threads import one_torch_thread
 from .asset import packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
@@ -52,7 +51,6 @@ def find_people(
 
 
 @one_torch_thread()
-@exact_convolutions()
 @torch.no_grad()
 def find_people_in(
     pictures: Sequence[np.ndarray],

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from ..clothing.model import DetailedModel
+from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
@@ -70,7 +71,7 @@ def glb(registered: Registered) -> bytes:
     buffer = _Buffer()
     attributes = {
         "POSITION": buffer.add(bind.astype(np.float32), bounds=True),
-        "NORMAL": buffer.add(vertex_normals(bind, faces).astype(np.float32)),
+        "NORMAL": buffer.add(_any_way(vertex_normals(bind, faces)).astype(np.float32)),
         "JOINTS_0": buffer.add(bones.astype(np.uint16)),
         "WEIGHTS_0": buffer.add(shares.astype(np.float32)),
     }
@@ -188,14 +189,9 @@ def _euler_zyx(rotation: np.ndarray) -> list[float]:
     return np.degrees([z, y, x]).tolist()
 
 
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Normals of vertices (V, 3), weighted by the areas of the faces (F, 3) around them, unit length, shape (V, 3)."""
-    corners = vertices[faces]
-    of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    np.add.at(normals, faces, of_faces[:, None])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(lengths > 0, normals / np.maximum(lengths, 1e-30), [0.0, 0.0, 1.0])
+def _any_way(normals: np.ndarray) -> np.ndarray:
+    """The same, those of no length along z, for glTF takes unit vectors alone."""
+    return np.where(normals.any(axis=1, keepdims=True), normals, [0.0, 0.0, 1.0])
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -19,7 +19,7 @@ from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh
 from . import people
-from .clothes import draw_outfit, dress
+from .garments import draw_outfit, dress
 from .pose_recipes import POSES, TILTED_POSES, draw_pose
 from .poses import mean_body
 

@@ -12,6 +12,7 @@ from ..body.landmarks import without_side
 from ..body.template import PART_NAMES
 from ..clothing.anny import anny
 from ..clothing.model import Detailed
+from ..clothing.normals import vertex_normals
 
 Limb = tuple[str, str]  # its two parts
 ARM, LEG = ("upper_arm", "forearm"), ("upper_leg", "lower_leg")
@@ -71,13 +72,7 @@ def along(points: np.ndarray, start: np.ndarray, middle: np.ndarray, end: np.nda
 
 def normals(vertices: np.ndarray) -> np.ndarray:
     """Outward unit vectors of Anny's vertices (V, 3), averaged as ``smooth`` does, shape (V, 3)."""
-    faces = anny().faces.numpy()
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    areas = np.cross(second - first, third - first)
-    sums = np.zeros(vertices.shape)
-    for corner in range(3):
-        np.add.at(sums, faces[:, corner], areas)
-    return _unit(smooth(_unit(sums)))
+    return _unit(smooth(vertex_normals(vertices, anny().faces.numpy())))
 
 
 def smooth(values: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from warp_partdr.cameras import WeakPerspective
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.model import Detailed
 from warp_partdr.render.mesh import draw_mesh
-from warp_partdr.synthetic.clothes import GARMENTS, Worn, draw_outfit, dress, offsets
+from warp_partdr.synthetic.garments import GARMENTS, Worn, draw_outfit, dress, offsets
 from warp_partdr.synthetic.partbench_people import make_person
 from warp_partdr.synthetic.skin import anny_skin, normals
 
