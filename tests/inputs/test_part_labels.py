@@ -202,6 +202,16 @@ def test_photo_and_sizes(tmp_path: Path) -> None:
         read_photo(tmp_path / "none.jpg")
 
 
+def test_photos_of_any_mode_are_the_same_picture(tmp_path):
+    """8- and 16-bit gray, and with transparency."""
+    gray = np.arange(0, 240, 5, dtype=np.uint8).reshape(6, 8)
+    Image.fromarray(gray).save(tmp_path / "gray.png")
+    Image.fromarray(gray.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+    Image.fromarray(gray).convert("RGBA").save(tmp_path / "rgba.png")
+    for name in ("gray", "deep", "rgba"):
+        np.testing.assert_array_equal(read_photo(tmp_path / f"{name}.png"), np.repeat(gray[..., None], 3, axis=2))
+
+
 @pytest.mark.parametrize("size", [(400, 300), (300, 400), (200, 150)])
 def test_the_focal_length_of_a_photo(tmp_path, size):
     """Also of one that was turned or made smaller since."""

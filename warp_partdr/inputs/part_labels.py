@@ -116,10 +116,13 @@ def read_photo(path: str | Path) -> np.ndarray:
     Raises:
         InputError: If the file can't be read, or the picture is larger than 2**27 pixels.
     """
-    from PIL import ImageOps
+    from PIL import Image, ImageOps
 
     with _opened(path, "a picture") as image:
-        return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+        upright = ImageOps.exif_transpose(image)
+        if upright.mode.startswith("I"):  # 16-bit gray, of which PIL would make all but the darkest white
+            upright = Image.fromarray((np.asarray(upright) >> 8).clip(0, 255).astype(np.uint8))
+        return np.array(upright.convert("RGB"))
 
 
 def read_focal(path: str | Path) -> float:
