@@ -43,6 +43,7 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
         ("fit photo.png --parts p.png --labels cdcl14", ["--parts: p.png, without --keypoints"]),
         ("fit photo.png --labels cdcl14", ["--labels: cdcl14, without --keypoints"]),
         ("fit photo.png --format coco17", ["--format: coco17, without --keypoints"]),
+        ("fit photo.png --explain", ["--explain: without --keypoints"]),
         ("fit photo.png --model none", ["--model: none"]),
         ("fit nothing.png", ["nothing.png", "no such file"]),
         ("fit gray.png", ["photo: nobody found"]),

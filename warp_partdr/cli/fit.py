@@ -74,6 +74,8 @@ def fit(
     if files.keypoints is None:
         from .fit_photo import fit_everyone
 
+        if explain:
+            raise InputError("--explain: without --keypoints; expected them with it")
         chosen = take_whole(values, "threads"), fit_options(quality, start, values)
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
