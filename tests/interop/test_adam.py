@@ -29,7 +29,7 @@ def test_it_is_torch_s_to_the_bit(device):
 
 
 def test_it_restarts(device):
-    """What it is told by a tensor, as in a captured graph, is the same."""
+    """A share that is a tensor, as in a captured graph, does the same."""
     ends = []
     moved = torch.ones(3, device=device).requires_grad_()
     adam = Adam([([moved], 0.1)])

@@ -199,7 +199,7 @@ class MeshEnergy:
         return self._depths(self._landmarks(self._pose(people, at_rest))).detach()
 
     def _pose(self, people: Starts, unknowns: Unknowns) -> Detailed:
-        """What is drawn, the pelvis about the origin."""
+        """The body that is drawn, the pelvis about the origin."""
         dress = None if self.options.clothes is None else clothes_offsets(self.basis, unknowns.clothes)
         where = self.rotations(people, unknowns.turns), people.translation
         return self.model.pose(unknowns.shape, *where, offsets=dress)

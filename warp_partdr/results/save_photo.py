@@ -91,7 +91,7 @@ def _name(place: int) -> str:
 
 
 def _place(fit: MeshFit, size: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """What brings a body into a scene that all share (3,) [m], and its distance from the camera [m].
+    """Offset that brings a body into a scene of all, (3,) [m], and its distance from the camera [m].
 
     Without a known camera, one whose focal length is the picture's diagonal: a body is as far as its size says.
     """
