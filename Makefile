@@ -19,12 +19,11 @@ SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
 
-fit: out/example/report.json  ## fit the body to the packaged example; the result is in out/example
-	@echo "The fitted body is in $(<D): open overlay.png first, then ellipbody.glb in Blender; report.json has the numbers."
+fit: out/example/people.json  ## fit a body to the packaged photo, from nothing else; the result is in out/example
+	@echo "The fitted body is in $(<D): open overlay.png first, then person0 and scene.glb in Blender; people.json has the numbers."
 
-out/example/report.json: $(VENV)/.installed $(SOURCES)
-	$(BIN)/partdr fit $(EXAMPLE)/photo.png --keypoints $(EXAMPLE)/keypoints.json \
-		--parts $(EXAMPLE)/parts.png --labels cdcl14 --out $(@D)
+out/example/people.json: $(VENV)/.installed $(SOURCES)
+	$(BIN)/partdr fit $(EXAMPLE)/photo.png --out $(@D)
 
 demo: $(VENV)/.installed-demo  ## open the interactive demo, in a browser where there is no display
 	$(BIN)/partdr demo $(if $(DISPLAY)$(WAYLAND_DISPLAY),,$(if $(filter Linux,$(shell uname)),--web)) --out out/demo

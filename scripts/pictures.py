@@ -22,7 +22,9 @@ import warp as wp
 from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 import warp_partdr as partdr
-from warp_partdr.fit.mesh_stage import refine_mesh
+from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh
+from warp_partdr.fit.photo import fit_photo, mask_labels
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.results.palette import PART_COLOURS, group_colours
 from warp_partdr.results.pictures import blend, shade_mesh, turntable_views
 from warp_partdr.results.save import draw_detailed, draw_overlay
@@ -48,7 +50,7 @@ MEASURED = {
     "tradeoff-h200.png": "partdr bench tradeoff --device cuda",
 }
 
-GAP, BAR = 12, 30  # [px]
+GAP, BAR, WIDTH = 12, 30, 300  # [px], the last of a photo
 ARM = ("left_forearm", "left_hand")
 DEMO_STEPS = 25  # of each setting
 
@@ -99,25 +101,41 @@ def side_by_side(panels: dict[str, Image.Image]) -> Image.Image:
     return sheet
 
 
-def draw_example(height: int = 400) -> Image.Image:
-    """Photo and part labels of the packaged example, both bodies over the photo, and the ellipsoids from the side."""
+def draw_examples() -> Image.Image:
+    """Both packaged examples, one above the other: the first with part labels, the second from the photo alone."""
     folder = Path(str(resources.files("warp_partdr"))) / "assets" / "example"
     photo = partdr.read_photo(folder / "photo.png")
     parts = partdr.read_parts(folder / "parts.png", partdr.label_set("cdcl14"))
     person = partdr.choose_person(partdr.read_keypoints(folder / "keypoints.json"), parts.groups)
-    result = partdr.fit_body(person, parts)
-    mesh = refine_mesh(result)
+    labelled = draw_fit(photo, parts, "its part labels", refine_mesh(partdr.fit_body(person, parts)))
+    photo = partdr.read_photo(folder / "astronaut.jpg")
+    everyone = fit_photo(photo)
+    mask = mask_labels(everyone.owners, 0)
+    assert mask is not None  # the person is in the middle of the picture
+    alone = draw_fit(photo, mask, "the person who is found", everyone.fits[0], nude=False)
+    sheet = Image.new("RGB", (max(labelled.width, alone.width), labelled.height + GAP + alone.height), "white")
+    sheet.paste(labelled)
+    sheet.paste(alone, (0, labelled.height + GAP))
+    return sheet
+
+
+def draw_fit(photo: np.ndarray, parts: PartLabels, seen: str, mesh: MeshFit, *, nude: bool = True) -> Image.Image:
+    """A photo, the labels that a fit saw, both bodies over the photo, and the ellipsoids from the side.
+
+    The mesh is left out, on request: it has no clothes, and a photo may show somebody real.
+    """
+    height, width = round(WIDTH * photo.shape[0] / photo.shape[1]), WIDTH
     colours = group_colours(parts.label_set.part_groups)
     colours[0] = 255
     views = {
-        "photo": Image.fromarray(photo),
-        "part labels": Image.fromarray(colours[parts.groups]),
-        "fitted body, with the keypoints": draw_overlay(result, photo.shape[:2], photo),
-        "the detailed body": draw_detailed(mesh.body, mesh.camera, photo.shape[:2], photo),
+        "a photo": Image.fromarray(photo),
+        seen: Image.fromarray(colours[parts.groups]),
+        "ellipsoids, with the keypoints": draw_overlay(mesh.ellipbody, photo.shape[:2], photo),
     }
-    width = round(height * photo.shape[1] / photo.shape[0])
+    if nude:
+        views["the mesh"] = draw_detailed(mesh.body, mesh.camera, photo.shape[:2], photo)
     panels = {name: view.resize((width, height), Image.Resampling.LANCZOS) for name, view in views.items()}
-    (side,) = turntable_views(result.posed, ((90, 0),), height)
+    (side,) = turntable_views(mesh.ellipbody.posed, ((90, 0),), height)
     margin = (height - width) // 2
     panels["ellipsoids from the side"] = Image.fromarray(side).crop((margin, 0, margin + width, height))
     return side_by_side(panels)
@@ -174,7 +192,7 @@ def draw(path: Path) -> None:
     """Draw that one of this file's own pictures which has the path's name."""
     wp.config.log_level = wp.LOG_WARNING
     torch.set_num_threads(1)  # the tensors are small
-    own = {"ellipbody.png": draw_ellipbody, "example.png": draw_example, "demo_window.png": draw_demo_window}
+    own = {"ellipbody.png": draw_ellipbody, "example.png": draw_examples, "demo_window.png": draw_demo_window}
     own[path.name]().save(path, optimize=True)
 
 

@@ -50,3 +50,16 @@ def test_the_body_beneath_stays(device: str) -> None:
     assert (clothed.joints - body.detailed.joints).abs().max() < 1e-6
     middle = body.detailed.vertices.mean(1, keepdim=True)
     assert (clothed.vertices - middle).norm(dim=-1).mean() > (body.detailed.vertices - middle).norm(dim=-1).mean()
+
+
+def test_hair_grows_behind_the_face_and_away_from_the_head(device: str) -> None:
+    model = anny(torch.device(device))
+    part, _ = vertex_parts(model)
+    head = part == PART_NAMES.index("head")
+    far, at = moved("head", 0.03, device)[head], model.rest_vertices[head]
+    assert far[at[:, 2].argmax()] < 1e-6  # the nose
+    for outermost in (at[:, 1].argmax(), at[:, 2].argmin()):  # the crown and the back of the head
+        assert far[outermost] > 0.025
+    middle = (at.amin(0) + at.amax(0)) / 2
+    moves = clothes_basis(model)[CLOTHED.index("head"), head]
+    assert ((moves * (at - middle)).sum(1) >= -1e-6).all()

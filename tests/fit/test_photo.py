@@ -52,6 +52,18 @@ def test_the_example_s_person_is_near_the_truth(device):
     assert found.hidden_by(0) == []
 
 
+def test_half_a_body_of_a_real_photo(device):
+    photo = read_photo(EXAMPLE / "astronaut.jpg")
+    found = fit_photo(photo, options=FAST, device=device)
+    assert list(found.fits) == [0]
+    mesh = found.fits[0]
+    drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
+    seen = found.owners == 1
+    assert (drawn & seen).sum() / (drawn | seen).sum() > 0.85
+    nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None])[0, 0].tolist()
+    assert abs(nose[0] - 226) < 30 and abs(nose[1] - 112) < 30  # seen in the picture
+
+
 def test_everyone_is_fitted_where_they_stand(everyone):
     photo, found = everyone
     assert list(found.fits) == [0, 1]

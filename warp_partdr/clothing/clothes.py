@@ -16,6 +16,7 @@ from .normals import vertex_normals
 CLOTHED: tuple[str, ...] = ("head", "neck", "chest", "abdomen", "upper_arm", "forearm", "upper_leg", "lower_leg")
 THICKEST = 0.05  # [m]; and no less than 0, for labels drawn too small would eat the body
 SPREAD = 0.02  # [m], standard deviation of a thickness
+_HAIRLINE = 0.04  # [m], along y or z, over which hair begins
 
 
 def clothes_offsets(basis: torch.Tensor, thicknesses: torch.Tensor) -> torch.Tensor:
@@ -41,4 +42,18 @@ def clothes_basis(model: DetailedModel) -> torch.Tensor:
         sums = torch.tensor([[float(kind == name) for name in CLOTHED] for kind in kinds], device=model.faces.device)
         shares = model.spread_weights @ sums.to(model.rest_vertices)
         normals = vertex_normals(model.rest_vertices.cpu().numpy(), model.faces.cpu().numpy())
-        return shares.T[..., None] * torch.from_numpy(normals).to(shares)
+        moves = shares.T[..., None] * torch.from_numpy(normals).to(shares)
+        moves[0] = shares[:, :1] * _hair(model.rest_vertices, shares[:, 0] > 0.5)
+        return moves
+
+
+def _hair(vertices: torch.Tensor, head: torch.Tensor) -> torch.Tensor:
+    """Move of each vertex of a head by a metre of hair, shape (V, 3); at rest y is up and z ahead.
+
+    Hair grows above and behind a plane from the nape to the hairline, so that no face swells, and away from the head's
+    middle, so that no ear does.
+    """
+    low, high = vertices[head].amin(0), vertices[head].amax(0)
+    away = vertices - (low + high) / 2
+    grows = ((away[:, 1] - away[:, 2]) / _HAIRLINE + 0.5).clamp(0.0, 1.0)
+    return grows[:, None] * torch.nn.functional.normalize(away, dim=1)
