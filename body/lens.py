@@ -69,10 +69,12 @@ def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParamete
 
 
 def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tensor:
-    """Shortest rotations from the camera's axis to the rays through the pelvises, shape (B, 3, 3)."""
-    lens = lens.to(parameters.shift)
-    away = lens[:1].expand(parameters.batch_size, 1)
-    return rotations_to(torch.cat([parameters.shift - lens[1:], away], dim=1))
+    """Shortest rotations from the camera's axis to the rays through the pelvises, shape (B, 3, 3).
+
+    ``lens`` may be one a body, (B, 3).
+    """
+    lens = lens.to(parameters.shift).expand(parameters.batch_size, 3)
+    return rotations_to(torch.cat([parameters.shift - lens[:, 1:], lens[:, :1]], dim=1))
 
 
 def rotations_to(rays: torch.Tensor) -> torch.Tensor:

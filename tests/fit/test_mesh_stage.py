@@ -17,9 +17,10 @@ from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.mesh_stage import MeshFit, Steps, refine_mesh, refine_meshes
+from warp_partdr.fit.mesh_stage import MeshFit, refine_mesh, refine_meshes
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
+from warp_partdr.fit.steps import Steps
 from warp_partdr.inputs.sample import Sample
 
 HIPS = ("left_hip", "right_hip")
@@ -204,7 +205,8 @@ def test_steps_start_again_with_other_people(crowd):
     seen = several(crowd, "cpu")[:2]
     energy = mesh_energy(anny(), QUICK, seen[0].observation.label_set)
     first, second = (gather_starts(energy, anny(), [each]) for each in seen)
-    used, fresh = Steps(energy, first.copied()), Steps(energy, second)
+    rate = energy.options.learning_rate
+    used, fresh = Steps(energy, first.copied(), rate), Steps(energy, second, rate)
     used.step(1.0)
     used.restart(second)
     for steps in (used, fresh):

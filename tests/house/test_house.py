@@ -37,6 +37,7 @@ LEVELS = (
     "detection",
     "refinement",
     "fit",
+    "scenes",
     "synthetic",
     "results",
     "evaluation",

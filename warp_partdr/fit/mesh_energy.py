@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from ..clothing.reduction import reduce_model
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..interop.movable import Movable
+from ..network.uncertainty import Uncertainty
 from ..refinement.energy import split_votes
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
@@ -33,7 +35,7 @@ from .result import FitResult
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
 # Of shape values, whose variance is 1, and of thicknesses [m], against radians and half-sides of the crop.
-_SHAPE_RATE, _CLOTHES_RATE = 5.0, 0.3
+SHAPE_RATE, CLOTHES_RATE = 5.0, 0.3
 _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of captured graphs serve all
 
 
@@ -114,10 +116,22 @@ class Unknowns(Movable):
 
     @staticmethod
     def rates(people: Starts) -> torch.Tensor:
-        """Learning rates of their moves, relative to that of angles [rad] and camera [half-sides], shape (R,)."""
+        """Learning rates of their moves, relative to that of angles [rad] and camera [half-sides], shape (B, R)."""
         like, joints = people.shape, people.turn_spreads.shape[1]
-        sizes = (3 * joints, 1.0), (like.shape[1], _SHAPE_RATE), (len(CLOTHED), _CLOTHES_RATE), (3, 1.0)
-        return torch.cat([like.new_full((count,), rate) for count, rate in sizes])
+        sizes = (3 * joints, 1.0), (like.shape[1], SHAPE_RATE), (len(CLOTHED), CLOTHES_RATE), (3, 1.0)
+        return torch.cat([like.new_full((len(like), count), rate) for count, rate in sizes], dim=1)
+
+
+class Posing(Protocol):
+    """Poses from which a stage starts: ``rotations`` and ``translation`` as of ``Starts``."""
+
+    @property
+    def rotations(self) -> torch.Tensor:
+        """Of the drawn model's joints, shape (B, J, 3, 3)."""
+
+    @property
+    def translation(self) -> torch.Tensor:
+        """Of its root [m], shape (B, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +165,12 @@ class MeshEnergy:
     def __call__(self, people: Starts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape (B,) each."""
         options = self.options
-        posed = self._pose(people, unknowns)
-        points = self._landmarks(posed)
+        posed = self.pose(people, unknowns)
+        points = self.landmarks(posed)
         camera, away = self._camera(people, unknowns, REFERENCE_SIZE)
         marks = points.gather(1, people.places[..., None].expand(-1, -1, 3))
         apart = camera.project(marks + away)[..., :2] - (people.points + 1) * (REFERENCE_SIZE / 2)
-        moved = (self._depths(points) - people.depths) / people.depth_spreads
+        moved = (self.depths(points) - people.depths) / people.depth_spreads
         terms = {
             "proj": options.proj * (apart.abs().sum(-1) * people.votes).sum(1),
             "depth": options.depth * moved.square().sum(1),
@@ -180,12 +194,20 @@ class MeshEnergy:
             terms["seg"] = options.seg * (REFERENCE_SIZE / options.size) ** 2 * loss
         return terms
 
-    def rotations(self, people: Starts, turns: torch.Tensor) -> torch.Tensor:
+    def rates(self, people: Starts) -> torch.Tensor:
+        """Learning rates, as of ``Unknowns``."""
+        return Unknowns.rates(people)
+
+    def moved(self, people: Starts, moves: torch.Tensor) -> Unknowns:
+        """Numbers of people who moved, as of ``Unknowns``."""
+        return Unknowns.moved(people, moves)
+
+    def rotations(self, people: Posing, turns: torch.Tensor) -> torch.Tensor:
         """Local rotations of the drawn model's joints, shape (B, J, 3, 3)."""
         return turn_joints(people.rotations, self.free, turns)
 
     def whole_pose(
-        self, model: DetailedModel, people: Starts, unknowns: Unknowns
+        self, model: DetailedModel, people: Posing, unknowns: Unknowns
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Shape values, local rotations and translation for the whole model's ``pose``; copies."""
         like = people.rotations
@@ -195,23 +217,23 @@ class MeshEnergy:
 
     def start_depths(self, people: Starts) -> torch.Tensor:
         """``Starts.depths`` of where the stage starts."""
-        at_rest = Unknowns.moved(people, people.shape.new_zeros(len(people.shape), len(Unknowns.rates(people))))
-        return self._depths(self._landmarks(self._pose(people, at_rest))).detach()
+        at_rest = Unknowns.moved(people, torch.zeros_like(Unknowns.rates(people)))
+        return self.depths(self.landmarks(self.pose(people, at_rest))).detach()
 
-    def _pose(self, people: Starts, unknowns: Unknowns) -> Detailed:
+    def pose(self, people: Posing, unknowns: Unknowns) -> Detailed:
         """The body that is drawn, the pelvis about the origin."""
         dress = None if self.options.clothes is None else clothes_offsets(self.basis, unknowns.clothes)
         where = self.rotations(people, unknowns.turns), people.translation
         return self.model.pose(unknowns.shape, *where, offsets=dress)
 
-    def _landmarks(self, posed: Detailed) -> torch.Tensor:
+    def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
         return self.weights @ torch.cat([posed.vertices[:, self.first :], posed.joints], dim=1)
 
-    def _depths(self, points: torch.Tensor) -> torch.Tensor:
-        """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (B, 20)."""
-        depths = points[:, self.ends, 2]
-        return depths[:, 1:] - depths[:, :1]
+    def depths(self, points: torch.Tensor) -> torch.Tensor:
+        """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (..., 20)."""
+        depths = points[..., self.ends, 2]
+        return depths[..., 1:] - depths[..., :1]
 
     @staticmethod
     def _camera(people: Starts, unknowns: Unknowns, size: int) -> tuple[Camera, torch.Tensor | float]:
@@ -266,8 +288,8 @@ def gather_starts(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
     shape = shape_from_lengths(model, posed)
     rotations, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
     seen = [each.observation for each in results]
-    places, points, votes = _gather_keypoints(energy.model, seen)
-    depth_spreads, turn_spreads = _gather_spreads(energy, results)
+    places, points, votes = gather_keypoints(energy.model, seen)
+    depth_spreads, turn_spreads = gather_spreads(energy, [each.uncertainty for each in results], shape)
     target = lens = None
     if energy.mesh is not None:
         labels = torch.stack([each.labels for each in seen if each.labels is not None])
@@ -292,7 +314,7 @@ def gather_starts(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
     return replace(people, depths=energy.start_depths(people))
 
 
-def _gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple[torch.Tensor, ...]:
+def gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple[torch.Tensor, ...]:
     """``places``, ``points`` and ``votes`` of people."""
     device, rows = seen[0].points.device, [_keypoint_table(model, each.landmarks, each.body_points) for each in seen]
     columns = -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
@@ -321,12 +343,13 @@ def _keypoint_table(model: DetailedModel, landmarks: tuple[str, ...], marks: tup
     return np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
 
 
-def _gather_spreads(energy: MeshEnergy, results: Sequence[FitResult]) -> tuple[torch.Tensor, torch.Tensor]:
-    """``depth_spreads`` and ``turn_spreads`` of people."""
-    like, count = results[0].parameters.log_scale, 1 + len(FREE_PARTS)
+def gather_spreads(
+    energy: MeshEnergy, said: Sequence[Uncertainty | None], like: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """``depth_spreads`` and ``turn_spreads`` of people, of the dtype and on the device of ``like``."""
+    count = 1 + len(FREE_PARTS)
     unsaid = like.new_full((1, len(JOINT_NAMES) - 1), _DEPTH_SPREAD), like.new_full((1, count + 1), _TURN_SPREAD)
     locked = like.new_full((1, 1), _LOCKED_SPREAD)
-    said = [each.uncertainty for each in results]
     depths = torch.cat([unsaid[0] if each is None else each.depths for each in said])
     turns = torch.cat([unsaid[1] if each is None else torch.cat([each.turns, locked], dim=1) for each in said])
     # The orientation is the root's, then come free parts; of other joints nothing is said.

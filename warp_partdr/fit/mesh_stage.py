@@ -25,9 +25,6 @@ from ..clothing.model import DetailedModel, detailed_mesh
 from ..clothing.registration import Registered, ungrown
 from ..errors import check_type
 from ..inputs.observation import REFERENCE_SIZE
-from ..interop.adam import Adam
-from ..interop.captured_step import CapturedStep
-from ..interop.graph_cache import graphs
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
@@ -36,6 +33,7 @@ from .fitting import Progress
 from .mesh_energy import MeshEnergy, Starts, Unknowns, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
 from .result import FitResult
+from .steps import Steps, find_steps
 
 
 @dataclass(frozen=True)
@@ -157,7 +155,7 @@ def _refine_batch(
     started, iterations = time.perf_counter(), energy.options.iterations
     with torch.no_grad():
         people = gather_starts(energy, model, results)
-    steps = _find_steps(energy, people)
+    steps = find_steps(energy, people, energy.options)
     for iteration in range(iterations):
         steps.step(rate_share(iteration, iterations))
         told(iteration)
@@ -165,70 +163,11 @@ def _refine_batch(
         return _finish(energy, model, people, steps, results, started)
 
 
-class Steps:
-    """Adam on what is unknown of B people.
-
-    Attributes:
-        terms: Of the energy before the last step, by name, shape (B,) each.
-    """
-
-    def __init__(self, energy: MeshEnergy, people: Starts) -> None:
-        self._energy, self._people, self._rates = energy, people, Unknowns.rates(people)
-        # In units of their rates, so that Adam has one tensor.
-        self._moves = self._rates.new_zeros(len(people.shape), len(self._rates)).requires_grad_()
-        self._adam = Adam([([self._moves], energy.options.learning_rate)])
-        self.terms: dict[str, torch.Tensor] = {}
-
-    @property
-    def unknowns(self) -> Unknowns:
-        """As they are now."""
-        return Unknowns.moved(self._people, self._moves * self._rates)
-
-    def step(self, share: float | torch.Tensor) -> None:
-        """One, at this share of the learning rate."""
-        self.terms = self._energy(self._people, self.unknowns)
-        torch.stack(list(self.terms.values())).sum().backward()
-        self._adam.step(share)
-
-    @torch.no_grad()
-    def restart(self, people: Starts) -> None:
-        """Take other people, as many as before."""
-        torch._foreach_copy_(self._people.tensors(), people.tensors())
-        self._moves.zero_()
-        self._adam.restart()
-
-
-class _CapturedSteps(Steps):
-    """The same on CUDA by one graph."""
-
-    def __init__(self, energy: MeshEnergy, people: Starts) -> None:
-        super().__init__(energy, people.copied())
-        self._share = torch.ones((), device=people.shape.device)
-        with torch.enable_grad():
-            self._captured = CapturedStep(lambda: super(_CapturedSteps, self).step(self._share), self._share.device)
-
-    def step(self, share: float | torch.Tensor) -> None:
-        self._share.fill_(share)
-        self._captured.replay()
-
-
-def _find_steps(energy: MeshEnergy, people: Starts) -> Steps:
-    device = people.shape.device
-    if device.type == "cuda" and energy.options.iterations > 0:
-        shapes = tuple(tensor.shape for tensor in people.tensors())
-        key = _CapturedSteps, energy, shapes, people.lens is None
-        steps = graphs.find(key, device, 0, lambda: _CapturedSteps(energy, people), at_once=True)
-        if steps is not None:
-            steps.restart(people)
-            return steps
-    return Steps(energy, people)
-
-
 def _finish(
     energy: MeshEnergy,
     model: DetailedModel,
     people: Starts,
-    steps: Steps,
+    steps: Steps[Starts, Unknowns],
     results: Sequence[FitResult],
     started: float,
 ) -> list[MeshFit]:

@@ -123,13 +123,13 @@ def crop_evidence(
             label_set=None if evidence.picture is None else evidence.picture.label_set,
             maps=maps,
             known=known,
-            lens=None if camera is None else _crop_lens(camera, crop).to(device),
+            lens=None if camera is None else crop_lens(camera, crop).to(device),
         ),
         crop,
     )
 
 
-def _crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
+def crop_lens(camera: Perspective, crop: Crop) -> torch.Tensor:
     """Focal length and principal point of a picture's camera in a square crop's coordinates, shape (3,)."""
     focal, _, u, v = camera.in_crop(crop).intrinsics[0].tolist()
     half = crop.size[0] / 2

@@ -94,6 +94,26 @@ class PartMesh(Movable):
         edges = edges[edges[:, 2:4].amax(1) >= 0]
         return PartMesh(self.faces[new > 0], new[new > 0], edges)
 
+    def repeated(self, count: int, labels: int, vertices: int) -> PartMesh:
+        """So many of this mesh in one; each has its labels so much higher, and its vertices, than the one before.
+
+        Raises:
+            ValueError: If that makes labels over 254, or ``labels`` is less than the highest.
+        """
+        if not self.num_labels <= labels <= MAX_LABEL // count:
+            raise ValueError(
+                f"labels: {labels} a mesh, {count} of them; expected {self.num_labels} to {MAX_LABEL // count}"
+            )
+        faces, edges, shown = [], [], []
+        for place in range(count):
+            faces.append(self.faces + place * vertices)
+            moves = self.edges.new_tensor([vertices] * 2 + [len(self.faces)] * 2 + [vertices] * 2)
+            edges.append(torch.where(self.edges >= 0, self.edges + place * moves, self.edges))
+            shown.append(
+                torch.where(self.face_labels <= MAX_LABEL, self.face_labels + place * labels, self.face_labels)
+            )
+        return PartMesh(torch.cat(faces), torch.cat(shown).to(torch.uint8), torch.cat(edges))
+
 
 def ellipbody_mesh(subdivisions: int = DEFAULT_SUBDIVISIONS, *, device: torch.device | str = "cpu") -> PartMesh:
     """EllipBody's mesh E0 to E3 with labels 1 to 20; its vertices come from ``Posed.vertices(subdivisions)``."""

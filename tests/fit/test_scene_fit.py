@@ -1,0 +1,163 @@
+"""Scenes: one body is as in the mesh stage, several cameras know the depth, and labels know who stands in front."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from warp_partdr import Perspective, metrics
+from warp_partdr.body.skeletons import MPJPE_JOINTS
+from warp_partdr.clothing.anny import anny
+from warp_partdr.errors import InputError
+from warp_partdr.fit.mesh_energy import Starts, Unknowns, mesh_energy
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.scenes.depth_order import exchange, grown, order_people
+from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
+from warp_partdr.scenes.fitting import fit_scene, scene_energy
+from warp_partdr.scenes.options import SceneOptions
+from warp_partdr.scenes.scene import Scene, Sight, View
+from warp_partdr.scenes.start import gather_scene, look_at, time_shares
+from warp_partdr.synthetic.scene_people import LABELS, make_pair, make_views
+
+QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
+
+
+def prepared(scene: Scene, device: str, options: SceneOptions = QUICK) -> tuple[SceneEnergy, SceneStarts]:
+    model = anny(torch.device(device))
+    energy = scene_energy(mesh_energy(model, options.mesh, LABELS), options, scene.num_people, LABELS.num_groups)
+    with torch.no_grad():
+        return energy, gather_scene(energy, model, scene, look_at(scene, device))
+
+
+def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
+    scene = make_views(3, 1).scene
+    turned = replace(scene, views=[View(scene.views[0].camera)])
+    energy, people = prepared(turned, device)
+    alone = Starts(
+        **{name: getattr(people, name) for name in ("rotations", "translation", "shape", "log_scale", "shift")},
+        **{name: getattr(people, name)[:, 0] for name in ("places", "points", "votes", "depths")},
+        depth_spreads=people.depth_weights[:, 0].rsqrt(),
+        turn_spreads=people.turn_spreads,
+        target=people.target,
+        lens=people.lens,
+    )
+    moves = 0.02 * torch.randn(energy.rates(people).shape, generator=torch.Generator().manual_seed(0)).to(device)
+    unknowns = energy.moved(people, moves)
+    terms, expected = energy(people, unknowns), energy.one(alone, Unknowns(**vars(unknowns)))
+    assert terms.keys() == expected.keys()
+    for name, term in terms.items():
+        torch.testing.assert_close(term, expected[name].sum(), rtol=2e-3, atol=1e-4)
+
+
+def test_two_cameras_find_where_somebody_stands(device):
+    sample = make_views(11, 2)
+    found = fit_scene(sample.scene, options=QUICK, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
+    off = 1000 * np.linalg.norm(found - sample.joints[0, 0], axis=-1).mean()
+    assert off < 40  # [mm]
+    one = replace(sample.scene, sights=[sight for sight in sample.scene.sights if sight.view == 0])
+    alone = fit_scene(one, options=QUICK, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
+    assert 1000 * np.linalg.norm(alone - sample.joints[0, 0], axis=-1).mean() > 2 * off
+
+
+def test_the_world_s_frame_does_not_matter():
+    scene = make_views(5, 2).scene
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1)))[0]
+    turn = turn * torch.linalg.det(turn)
+    move = torch.tensor([2.0, -1.0, 3.0])  # of the world's origin
+    elsewhere = [
+        replace(v, rotation=v.rotation @ turn, translation=v.translation + v.rotation @ move) for v in scene.views
+    ]
+    here, there = (fit_scene(each, options=QUICK).joints for each in (scene, replace(scene, views=elsewhere)))
+    assert ((there @ turn.mT + move) - here).norm(dim=-1).max() < 5e-3
+
+
+def test_a_pair_in_the_wrong_order_is_exchanged(device):
+    sample = make_pair(100, "clean")
+    model = anny(torch.device(device))
+    energy, _ = prepared(sample.scene, device)
+    depths = sample.scene.views[0].to_camera(torch.from_numpy(sample.joints[:, 0].mean(1)))[:, 2]
+    front = int(depths.argmin())
+    with torch.no_grad():
+        right = look_at(sample.scene, device)
+        away = [float(look.seen.lens[0] / look.body.log_scale.exp()) for look in right]
+        factor = math.sqrt(1.08 * max(1.0, away[1 - front] / away[front]))
+        wrong = [grown(look, factor if look.sight.person == front else 1 / factor) for look in right]
+        people, looks = order_people(energy, model, sample.scene, wrong)
+        pelvises = energy.pelvises(people, energy.at_rest(people)).cpu()
+        assert int(sample.scene.views[0].to_camera(pelvises)[:, 2].argmin()) == front
+        assert exchange(energy, people, energy.at_rest(people), looks, (0,)) is None
+
+
+def test_people_are_drawn_together():
+    sample = make_pair(102, "clean")
+    _energy, people = prepared(sample.scene, "cpu")
+    assert people.target is not None
+    shown = set(people.target.unique().tolist()) - {0, 255}
+    assert min(shown) <= LABELS.num_groups < max(shown) <= 2 * LABELS.num_groups
+    fit = fit_scene(sample.scene, options=QUICK)
+    for person in range(2):
+        error = metrics.pa_mpjpe(fit.landmarks(MPJPE_JOINTS)[person, 0].numpy(), sample.joints[person, 0])
+        assert 1000 * float(error) < 90
+
+
+def test_frames_in_which_nobody_is_seen_are_bridged():
+    sight = make_views(7, 1).scene.sights[0]
+    views = make_views(7, 1).scene.views
+    scene = Scene(views, [sight, replace(sight, frame=4)])
+    fit = fit_scene(scene, options=QUICK)
+    assert fit.joints.shape == (1, 5, 21, 3)
+    assert fit.joints.isfinite().all()
+    assert (fit.joints[0, 2] - fit.joints[0, 0]).norm(dim=-1).max() < 0.05
+
+
+def test_shares_of_frames():
+    seen = torch.tensor([[True, True, True, False, False, False]])
+    shares = time_shares(seen, 1.0)[0]
+    torch.testing.assert_close(shares.sum(1), torch.ones(6, dtype=torch.float64))
+    assert (shares[:, 3:] == 0).all()
+    assert shares[1, 0] == shares[1, 2] < shares[1, 1]
+    assert shares[5].argmax() == 2
+
+
+def test_a_mesh_several_times():
+    one = PartMesh.from_faces(np.array([[0, 1, 2], [2, 1, 3]]), np.array([1, 2]))
+    two = one.repeated(2, 5, 6)
+    assert two.faces.tolist() == [[0, 1, 2], [2, 1, 3], [6, 7, 8], [8, 7, 9]]
+    assert two.face_labels.tolist() == [1, 2, 6, 7]
+    assert sorted(two.edges.tolist()) == sorted(
+        PartMesh.from_faces(two.faces.numpy(), two.face_labels.numpy()).edges.tolist()
+    )
+    with pytest.raises(ValueError, match="labels: 1 a mesh"):
+        one.repeated(2, 1, 6)
+    with pytest.raises(ValueError, match="labels: 200 a mesh, 2 of them; expected 2 to 127"):
+        one.repeated(2, 200, 6)
+
+
+def test_scenes_that_can_t_be():
+    scene = make_views(3, 1).scene
+    sight, views = scene.sights[0], scene.views
+    for sights, message in (
+        ([], "sights: none"),
+        ([sight, sight], r"sights\[1\]: person, frame, view \(0, 0, 0\) a second time"),
+        ([replace(sight, view=1)], r"sights\[0\].view: 1; expected 0 to 0"),
+        ([replace(sight, person=1)], "sights: person 0 in none"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Scene(views, sights)
+    with pytest.raises(InputError, match="frame_rate: 0"):
+        Scene(views, scene.sights, 0)
+    with pytest.raises(TypeError, match=r"sights\[0\]"):
+        Scene(views, ["photo.jpg"])
+    camera = Perspective.of_picture((100, 100), focal=100)
+    with pytest.raises(ValueError, match="rotation: not orthonormal"):
+        View(camera, torch.diag(torch.tensor([1.0, 1.0, -1.0])))
+    with pytest.raises(ValueError, match="smoothing: -1"):
+        SceneOptions(smoothing=-1)
+    many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
+    with pytest.raises(InputError, match="19 people of 14 groups; expected 254 labels at most"):
+        fit_scene(many, options=QUICK)

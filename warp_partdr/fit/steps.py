@@ -1,0 +1,102 @@
+"""Steps of Adam on an energy of many numbers; on CUDA one captured graph, kept for as many other people."""
+
+from __future__ import annotations
+
+from typing import Generic, Protocol, Self, TypeVar
+
+import torch
+
+from ..interop.adam import Adam
+from ..interop.captured_step import CapturedStep
+from ..interop.graph_cache import graphs
+from .mesh_options import MeshOptions
+
+
+class People(Protocol):
+    """Starts and observations, all of whose tensors a captured graph may copy from others."""
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All that are there."""
+
+    def copied(self) -> Self:
+        """Copies of all tensors."""
+
+
+P = TypeVar("P", bound=People)
+U = TypeVar("U")
+_P = TypeVar("_P", bound=People, contravariant=True)
+
+
+class StepEnergy(Protocol[_P, U]):
+    """Energy whose unknowns are moves from a start."""
+
+    def __call__(self, people: _P, unknowns: U) -> dict[str, torch.Tensor]:
+        """Weighted terms by name, of one shape."""
+
+    def rates(self, people: _P) -> torch.Tensor:
+        """Learning rates of all moves, of the moves' shape."""
+
+    def moved(self, people: _P, moves: torch.Tensor) -> U:
+        """Numbers after these moves."""
+
+
+class Steps(Generic[P, U]):
+    """Adam on what is unknown.
+
+    Attributes:
+        terms: Of the energy before the last step, by name.
+    """
+
+    def __init__(self, energy: StepEnergy[P, U], people: P, learning_rate: float) -> None:
+        self._energy, self._people, self._rates = energy, people, energy.rates(people)
+        # In units of their rates, so that Adam has one tensor.
+        self._moves = torch.zeros_like(self._rates).requires_grad_()
+        self._adam = Adam([([self._moves], learning_rate)])
+        self.terms: dict[str, torch.Tensor] = {}
+
+    @property
+    def unknowns(self) -> U:
+        """As they are now."""
+        return self._energy.moved(self._people, self._moves * self._rates)
+
+    def step(self, share: float | torch.Tensor) -> None:
+        """One, at this share of the learning rate."""
+        self.terms = self._energy(self._people, self.unknowns)
+        torch.stack(list(self.terms.values())).sum().backward()
+        self._adam.step(share)
+
+    @torch.no_grad()
+    def restart(self, people: P) -> None:
+        """Take other people, as many as before."""
+        torch._foreach_copy_(self._people.tensors(), people.tensors())
+        self._moves.zero_()
+        self._adam.restart()
+
+
+class _CapturedSteps(Steps[P, U]):
+    """The same on CUDA by one graph."""
+
+    def __init__(self, energy: StepEnergy[P, U], people: P, learning_rate: float) -> None:
+        super().__init__(energy, people.copied(), learning_rate)
+        self._share = torch.ones((), device=self._rates.device)
+        with torch.enable_grad():
+            self._captured = CapturedStep(lambda: super(_CapturedSteps, self).step(self._share), self._share.device)
+
+    def step(self, share: float | torch.Tensor) -> None:
+        self._share.fill_(share)
+        self._captured.replay()
+
+
+def find_steps(energy: StepEnergy[P, U], people: P, options: MeshOptions) -> Steps[P, U]:
+    """Steps from people's start; on CUDA those of a graph that is kept, if there is one of as many people."""
+    tensors = people.tensors()
+    device, rate = tensors[0].device, options.learning_rate
+    if device.type == "cuda" and options.iterations > 0:
+        # Which tensors are there is told by their names.
+        shapes = tuple((name, each.shape) for name, each in vars(people).items() if isinstance(each, torch.Tensor))
+        key = _CapturedSteps, energy, shapes, rate
+        steps = graphs.find(key, device, 0, lambda: _CapturedSteps(energy, people, rate), at_once=True)
+        if steps is not None:
+            steps.restart(people)
+            return steps
+    return Steps(energy, people, rate)

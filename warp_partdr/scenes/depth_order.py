@@ -1,0 +1,97 @@
+"""Order in depth of people who hide one another, decided by whose labels are seen where they overlap.
+
+A body that grows as it goes away from the camera looks as before; only who hides whom changes. So a wrong order costs
+neither keypoints nor outlines, and no small step mends it: pairs are exchanged, drawn, and compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import torch
+
+from ..clothing.model import DetailedModel
+from ..fit.mesh_energy import Unknowns
+from ..render.mesh import mesh_label_loss
+from .energy import SceneEnergy, SceneStarts, crop_cameras
+from .scene import Scene
+from .start import Looked, gather_scene
+
+_APART = 1.08  # ratio of the distances of two people who were exchanged
+_LEAST_GAIN = 0.003  # of the loss, that an exchange must save; rounding alone moves a few pixels
+_MOST_EXCHANGES = 3  # a person of the picture
+
+
+def order_people(
+    energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]
+) -> tuple[SceneStarts, list[Looked]]:
+    """Starts with pairs exchanged where the labels of their picture say so, and their sights."""
+    looks = list(looks)
+    people = gather_scene(energy, model, scene, looks)
+    for frame in range(scene.num_frames):
+        for _ in range(_MOST_EXCHANGES * scene.num_people):
+            found = exchange(energy, people, energy.at_rest(people), looks, (frame,))
+            if found is None:
+                break
+            looks, people = found, gather_scene(energy, model, scene, found)
+    return people, looks
+
+
+def exchange(
+    energy: SceneEnergy,
+    people: SceneStarts,
+    unknowns: Unknowns,
+    looks: Sequence[Looked],
+    frames: Sequence[int],
+) -> list[Looked] | None:
+    """Sights after the best exchange of two people in each frame, as bodies are now; None if none helps.
+
+    Of one view alone, for several know the depth.
+    """
+    if energy.mesh is None or len(people.shape) < 2 or len(people.view_rotations) > 1:
+        return None
+    found = {frame: _best_exchange(energy, people, unknowns, frame) for frame in frames}
+    if not any(found.values()):
+        return None
+    return [grown(look, (found.get(look.sight.frame) or {}).get(look.sight.person, 1.0)) for look in looks]
+
+
+def _best_exchange(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns, frame: int) -> dict[int, float] | None:
+    """How much two people of a frame grow, by their numbers, as they are exchanged; None if no exchange helps."""
+    assert energy.mesh is not None
+    assert people.target is not None
+    assert people.target_lens is not None
+    every = energy.pictured(people, energy.vertices(people, unknowns))[frame]
+    bodies = every.unflatten(0, (len(people.shape), -1))  # (P, n, 3)
+    shown = people.shown.unflatten(0, (len(bodies), -1))[:, frame, 0].tolist()
+    distances = bodies[..., 2].mean(1).tolist()
+    camera = crop_cameras(people.target_lens[frame : frame + 1], 2)
+    seen = [camera.project(body[None])[0, :, :2] for body in bodies]
+    boxes = [(points.amin(0), points.amax(0)) for points in seen]
+    tries: list[dict[int, float]] = [{}]
+    for one, other in combinations(range(len(bodies)), 2):
+        (low, high), (from_, to) = boxes[one], boxes[other]
+        if shown[one] and shown[other] and bool((torch.minimum(high, to) > torch.maximum(low, from_)).all()):
+            front, back = sorted((one, other), key=distances.__getitem__)
+            factor = math.sqrt(_APART * distances[back] / distances[front])
+            tries.append({front: factor, back: 1 / factor})
+    if len(tries) == 1:
+        return None
+    factors = bodies.new_tensor([[each.get(person, 1.0) for person in range(len(bodies))] for each in tries])
+    grown = bodies * factors[..., None, None]
+    target = people.target[frame : frame + 1]
+    loss, _ = mesh_label_loss(
+        grown.flatten(1, 2), energy.mesh, crop_cameras(people.target_lens[frame : frame + 1], target.shape[-1]), target
+    )
+    best = int(loss.argmin())
+    return tries[best] if float(loss[best]) < (1 - _LEAST_GAIN) * float(loss[0]) else None
+
+
+def grown(look: Looked, factor: float) -> Looked:
+    """A sight whose body is so much larger and farther away."""
+    body = look.body
+    sizes = {name: getattr(body, name) * factor for name in ("lengths", "thicknesses")}
+    return replace(look, body=replace(body, log_scale=body.log_scale - math.log(factor), **sizes))

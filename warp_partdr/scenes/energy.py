@@ -1,0 +1,207 @@
+"""Energy of a scene: P people in T frames before V cameras, each with one shape, posed in the world.
+
+Tables are dense, (P, T, V), so that the forces on a body are summed over its pictures in a fixed order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from ..body.lens import through_lens
+from ..body.parameters import crop_camera
+from ..cameras import Perspective
+from ..clothing.clothes import CLOTHED, SPREAD
+from ..clothing.model import DetailedModel
+from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
+from ..inputs.observation import REFERENCE_SIZE
+from ..interop.movable import Movable
+from ..render.mesh import mesh_label_loss
+from ..render.part_mesh import PartMesh
+from .options import SceneOptions
+
+
+@dataclass(frozen=True)
+class SceneStarts(Movable):
+    """Starts and observations of P people in T frames, seen by V views; N = P T bodies, frames of a person in a row.
+
+    Attributes:
+        rotations: Of the drawn model's joints where the fit starts, the root's in the world, shape (N, J, 3, 3).
+        translation: From the pelvis to the root, in the world [m], shape (N, 3).
+        shape: Shape values, shape (P, S).
+        log_scale: Of the pelvis in the crop of the body's first view, like ``shift`` as of ``BodyParameters``, (N,).
+        shift: Shape (N, 2).
+        lens: Of that crop, shape (N, 3).
+        first: That view, shape (N,), int64.
+        turn_spreads: How sure the turn of each free joint is [rad], shape (N, F).
+        view_rotations: World to camera, shape (V, 3, 3).
+        view_translations: The same [m], shape (V, 3).
+        places: Landmark of the model that each keypoint marks, shape (N, V, L), int64.
+        points: Keypoints in their crops, from -1 to 1, shape (N, V, L, 2).
+        votes: Their weights; 0 where somebody is not seen, shape (N, V, L).
+        lenses: Of the crops, shape (N, V, 3).
+        depths: Of joints relative to the pelvis, as the network saw them in each view [m], shape (N, V, 20).
+        depth_weights: Of their squares, 0 where somebody is not seen [1/m^2], shape (N, V, 20).
+        shown: Who is seen in each view, shape (N, V), bool.
+        smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
+        target: Labels of pictures: person G + group, shape (T V, size, size), uint8; None: without labels.
+        target_lens: Of the pictures' crops, shape (T V, 3).
+    """
+
+    rotations: torch.Tensor
+    translation: torch.Tensor
+    shape: torch.Tensor
+    log_scale: torch.Tensor
+    shift: torch.Tensor
+    lens: torch.Tensor
+    first: torch.Tensor
+    turn_spreads: torch.Tensor
+    view_rotations: torch.Tensor
+    view_translations: torch.Tensor
+    places: torch.Tensor
+    points: torch.Tensor
+    votes: torch.Tensor
+    lenses: torch.Tensor
+    depths: torch.Tensor
+    depth_weights: torch.Tensor
+    shown: torch.Tensor
+    smooth: torch.Tensor | None
+    target: torch.Tensor | None
+    target_lens: torch.Tensor | None
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All that are there."""
+        return [tensor for tensor in vars(self).values() if tensor is not None]
+
+    def copied(self) -> SceneStarts:
+        """Copies of all tensors."""
+        values = vars(self).values()
+        return SceneStarts(*(None if value is None else value.clone() for value in values))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneEnergy:
+    """Terms of a scene.
+
+    Attributes:
+        one: Model, landmarks and terms of a person.
+        mesh: Of all people together, with their labels; None: without labels.
+        options: Weights.
+    """
+
+    one: MeshEnergy
+    mesh: PartMesh | None
+    options: SceneOptions
+
+    def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
+        """Weighted terms by name, shape () each."""
+        options, one = self.options.mesh, self.one
+        posed = one.pose(people, self._of_frames(people, unknowns))
+        pelvises = self.pelvises(people, unknowns)[:, None]
+        points = one.landmarks(posed) + pelvises
+        seen = self._seen(people, points)
+        lenses = people.lenses.flatten(0, 1)
+        marks = seen.flatten(0, 1).gather(1, people.places.flatten(0, 1)[..., None].expand(-1, -1, 3))
+        pixels = crop_cameras(lenses, REFERENCE_SIZE).project(marks)[..., :2].view_as(people.points)
+        apart = pixels - (people.points + 1) * (REFERENCE_SIZE / 2)
+        moved = one.depths(seen) - people.depths
+        spread = people.turn_spreads.square()
+        terms = {
+            "proj": options.proj * (apart.abs().sum(-1) * people.votes).sum(),
+            "depth": options.depth * (moved.square() * people.depth_weights).sum(),
+            "turns": options.turns * (unknowns.turns.square().sum(-1) / spread).sum(),
+            "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(),
+        }
+        if options.clothes is not None:
+            terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum()
+        if people.target is not None and people.target_lens is not None and self.mesh is not None:
+            loss, _ = mesh_label_loss(
+                self.pictured(people, posed.vertices + pelvises),
+                self.mesh,
+                crop_cameras(people.target_lens, people.target.shape[-1]),
+                people.target,
+                gradient=options.gradient,
+                max_distance=options.max_distance,
+                depth_weight=options.depth_weight,
+                validate=False,
+            )
+            terms["seg"] = options.seg * (REFERENCE_SIZE / people.target.shape[-1]) ** 2 * loss.sum()
+        return terms
+
+    def vertices(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
+        """Vertices of the bodies that are drawn, in the world [m], shape (N, n, 3)."""
+        posed = self.one.pose(people, self._of_frames(people, unknowns))
+        return posed.vertices + self.pelvises(people, unknowns)[:, None]
+
+    def at_rest(self, people: SceneStarts) -> Unknowns:
+        """Numbers where the fit starts."""
+        return self.moved(people, torch.zeros_like(self.rates(people)))
+
+    def rates(self, people: SceneStarts) -> torch.Tensor:
+        """Learning rates of all moves in a row: of bodies, then of people, shape (R,)."""
+        like = people.shape
+        sizes = (self._sizes(people)[0], 1.0), (like.numel(), SHAPE_RATE), (len(like) * len(CLOTHED), CLOTHES_RATE)
+        return torch.cat([like.new_full((count,), rate) for count, rate in sizes])
+
+    def moved(self, people: SceneStarts, moves: torch.Tensor) -> Unknowns:
+        """Numbers after these moves, (R,): turns, ``log_scale`` and ``shift`` of N bodies, the others of P people."""
+        bodies, shape, clothes = moves.split(self._sizes(people))
+        rows = bodies.view(len(people.shift), -1)
+        if people.smooth is not None:
+            rows = (people.smooth @ rows.unflatten(0, (len(people.shape), -1))).flatten(0, 1)
+        turns, log_scale, shift = rows.split([rows.shape[1] - 3, 1, 2], dim=1)
+        return Unknowns(
+            turns.unflatten(1, (-1, 3)),
+            people.shape + shape.view_as(people.shape),
+            clothes.view(-1, len(CLOTHED)),
+            people.log_scale + log_scale[:, 0],
+            people.shift + shift,
+        )
+
+    def whole_pose(
+        self, model: DetailedModel, people: SceneStarts, unknowns: Unknowns
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Shape values, local rotations and translation of N bodies in the world, for the whole model's ``pose``."""
+        shape, rotations, translation = self.one.whole_pose(model, people, self._of_frames(people, unknowns))
+        return shape, rotations, translation + self.pelvises(people, unknowns)
+
+    @staticmethod
+    def pelvises(people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
+        """Pelvises in the world [m], shape (N, 3)."""
+        _, there = through_lens(
+            crop_camera(unknowns.log_scale, unknowns.shift, REFERENCE_SIZE), people.lens, REFERENCE_SIZE
+        )
+        assert there is not None
+        rotations, translations = people.view_rotations[people.first], people.view_translations[people.first]
+        return ((there - translations)[:, None] @ rotations)[:, 0]
+
+    def _sizes(self, people: SceneStarts) -> list[int]:
+        """Numbers of moves: of bodies, shapes and clothes."""
+        bodies, joints = people.turn_spreads.shape
+        return [bodies * (3 * joints + 3), people.shape.numel(), len(people.shape) * len(CLOTHED)]
+
+    @staticmethod
+    def _of_frames(people: SceneStarts, unknowns: Unknowns) -> Unknowns:
+        """Numbers of N bodies: of people, each as often as there are frames."""
+        frames = len(people.shift) // len(people.shape)
+        shape, clothes = (each.repeat_interleave(frames, 0) for each in (unknowns.shape, unknowns.clothes))
+        return replace(unknowns, shape=shape, clothes=clothes)
+
+    @staticmethod
+    def _seen(people: SceneStarts, points: torch.Tensor) -> torch.Tensor:
+        """Points (N, L, 3) in each camera's frame, shape (N, V, L, 3)."""
+        return points[:, None] @ people.view_rotations.mT + people.view_translations[:, None]
+
+    def pictured(self, people: SceneStarts, vertices: torch.Tensor) -> torch.Tensor:
+        """Vertices of all people in each picture, in its camera's frame, shape (T V, P n, 3)."""
+        seen = self._seen(people, vertices)
+        # Who is not seen is behind the camera, where nothing is drawn.
+        seen = torch.where(people.shown[..., None, None], seen, -1.0)
+        each = seen.unflatten(0, (len(people.shape), -1))  # (P, T, V, n, 3)
+        return each.permute(1, 2, 0, 3, 4).flatten(2, 3).flatten(0, 1)
+
+
+def crop_cameras(lens: torch.Tensor, size: int) -> Perspective:
+    """Cameras of square crops, from lenses (B, 3)."""
+    return Perspective(lens[:, :1].expand(-1, 2) * (size / 2), (lens[:, 1:] + 1) * (size / 2))

@@ -1,0 +1,141 @@
+"""Fit of a scene: all people in all frames before all cameras, in one refinement."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+
+from ..body.template import JOINT_NAMES
+from ..clothing.anny import anny
+from ..clothing.clothes import bounded
+from ..clothing.model import DetailedModel
+from ..clothing.registration import Registered, ungrown
+from ..errors import InputError, check_type
+from ..fit.fitting import Progress
+from ..fit.mesh_energy import MeshEnergy, mesh_energy
+from ..fit.steps import find_steps
+from ..interop.devices import choose_device
+from ..interop.movable import Movable
+from ..interop.torch_threads import one_torch_thread
+from ..refinement.stepper import rate_share
+from ..render.part_mesh import MAX_LABEL, PartMesh
+from .depth_order import exchange, order_people
+from .energy import SceneEnergy
+from .options import SceneOptions
+from .scene import Scene
+from .start import gather_scene, look_at
+
+_ROUNDS = 2  # of refinement, where people turn out to stand in another order
+
+
+@dataclass(frozen=True)
+class SceneFit(Movable):
+    """Bodies of a scene.
+
+    Attributes:
+        scene: What was given.
+        bodies: Detailed bodies in the world, N = P T, frames of a person in a row.
+        clothes: Thicknesses of clothes and hair of each person [m], shape (P, 8).
+        energy: Weighted terms before the last step, by name.
+        seconds: Wall time of each stage.
+    """
+
+    scene: Scene
+    bodies: Registered
+    clothes: torch.Tensor
+    energy: dict[str, float]
+    seconds: dict[str, float]
+
+    @property
+    def joints(self) -> torch.Tensor:
+        """``JOINT_NAMES`` in the world [m], shape (P, T, 21, 3)."""
+        return self.landmarks(JOINT_NAMES)
+
+    @property
+    def vertices(self) -> torch.Tensor:
+        """Of the bodies without clothes, in the world [m], shape (P, T, V, 3)."""
+        return self._by_person(self.bodies.detailed.vertices)
+
+    def landmarks(self, names: tuple[str, ...]) -> torch.Tensor:
+        """Landmarks in the world [m], shape (P, T, L, 3)."""
+        return self._by_person(self.bodies.model.landmarks(self.bodies.detailed, names))
+
+    def _by_person(self, values: torch.Tensor) -> torch.Tensor:
+        return values.unflatten(0, (self.scene.num_people, self.scene.num_frames))
+
+
+@one_torch_thread()
+def fit_scene(
+    scene: Scene,
+    *,
+    options: SceneOptions | None = None,
+    model: DetailedModel | None = None,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+) -> SceneFit:
+    """Fit detailed bodies to a scene: one shape a person, a pose a frame, places in the world.
+
+    The label network looks at each sight. Where several views see a person, its turns are averaged and pelvises lie
+    where rays meet. All is refined together: keypoints and labels of every picture, people drawn with one another,
+    depth and turns held as sure as the network was, moves smooth in time.
+
+    Args:
+        scene: Views and sights.
+        options: Weights, iterations and sizes.
+        model: On the device, float32; default Anny.
+        device: "cpu" or a CUDA device.
+        progress: Called with (stage name, iterations done, iterations in all).
+
+    Raises:
+        InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
+        TypeError: If an argument is of another type.
+    """
+    check_type("scene", scene, Scene, "such as Scene(views, sights)")
+    check_type("options", options, SceneOptions | None, "such as SceneOptions()")
+    check_type("model", model, DetailedModel | None, "of load_model, or anny()")
+    options = options or SceneOptions()
+    where = torch.device(choose_device(str(device)))
+    model = model or anny(where)
+    tell = progress or (lambda name, done, total: None)
+    started = time.perf_counter()
+    tell("network", 0, 1)
+    looks = look_at(scene, where)
+    label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
+    one = mesh_energy(model, options.mesh, label_set)
+    energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
+    with torch.no_grad():
+        people, looks = order_people(energy, model, scene, looks)
+    looked = time.perf_counter()
+    iterations = options.mesh.iterations
+    for left in reversed(range(_ROUNDS)):
+        steps = find_steps(energy, people, options.mesh)
+        for iteration in range(iterations):
+            steps.step(rate_share(iteration, iterations))
+            tell("scene", iteration + 1, iterations)
+        with torch.no_grad():
+            again = exchange(energy, people, steps.unknowns, looks, range(scene.num_frames)) if left else None
+            if again is None:
+                break
+            looks, people = again, gather_scene(energy, model, scene, again)
+    with torch.no_grad():
+        found = steps.unknowns
+        bodies = ungrown(model, *energy.whole_pose(model, people, found), steps.terms)
+        terms = {name: float(term) for name, term in steps.terms.items()}
+        clothes = bounded(found.clothes).clone()
+    seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
+    return SceneFit(scene, bodies, clothes, terms, seconds)
+
+
+@lru_cache(maxsize=8)
+def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups: int) -> SceneEnergy:
+    """Energy of so many people whose labels are of G groups; kept, for captured graphs belong to it."""
+    mesh: PartMesh | None = None
+    if one.mesh is not None:
+        if num_people * groups > MAX_LABEL:
+            raise InputError(f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most")
+        # Vertices that no face needs come along, so that bodies lie in a row.
+        mesh = one.mesh.repeated(num_people, groups, one.model.num_vertices)
+    return SceneEnergy(one, mesh, options)

@@ -1,0 +1,128 @@
+"""Scene: calibrated views, and what was seen of each person in each frame of each view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from ..cameras import Perspective
+from ..errors import InputError, check_each, check_type, check_whole
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.part_labels import PartLabels
+from ..interop.checks import FLOATS, check_tensor
+
+_ROTATION_ERROR = 1e-3  # of R^T R
+
+
+@dataclass(frozen=True)
+class View:
+    """Camera that stands still: X_camera = R X_world + t.
+
+    Attributes:
+        camera: Of the whole picture, with square pixels and without distortion, B = 1.
+        rotation: R, world to camera, shape (3, 3).
+        translation: t [m], shape (3,).
+
+    Raises:
+        ValueError: If there is not one camera, a shape is wrong, or R is no rotation.
+    """
+
+    camera: Perspective
+    rotation: torch.Tensor = field(default_factory=lambda: torch.eye(3))
+    translation: torch.Tensor = field(default_factory=lambda: torch.zeros(3))
+
+    def __post_init__(self) -> None:
+        check_type("camera", self.camera, Perspective, "such as Perspective.of_picture(size, focal=1500)")
+        if len(self.camera.focal) != 1:
+            raise ValueError(f"camera: {len(self.camera.focal)} of them; expected one")
+        check_tensor("rotation", self.rotation, (3, 3), dtypes=FLOATS)
+        check_tensor("translation", self.translation, (3,), dtypes=FLOATS)
+        turn = self.rotation.double()
+        off = (turn.mT @ turn - torch.eye(3, dtype=turn.dtype, device=turn.device)).abs().max()
+        if not (off < _ROTATION_ERROR and torch.linalg.det(turn) > 0):
+            raise ValueError("rotation: not orthonormal, or a mirror image; expected a rotation, world to camera")
+        if not self.translation.isfinite().all():
+            raise ValueError(f"translation: {self.translation.tolist()}; expected finite numbers [m]")
+
+    def to_camera(self, points: torch.Tensor) -> torch.Tensor:
+        """Points of the world (..., 3) in the camera's frame [m]."""
+        return points @ self.rotation.to(points).mT + self.translation.to(points)
+
+    def to_world(self, points: torch.Tensor) -> torch.Tensor:
+        """Points of the camera's frame (..., 3) in the world [m]."""
+        return (points - self.translation.to(points)) @ self.rotation.to(points)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One person in one picture.
+
+    Attributes:
+        keypoints: The person's, in pixels of the picture.
+        parts: The picture's part labels, other people's pixels being ignored (255); None: keypoints alone.
+        person: Which one, 0 = first.
+        frame: When, 0 = first.
+        view: Where from, a place in ``Scene.views``.
+    """
+
+    keypoints: Keypoints2D
+    parts: PartLabels | None = None
+    person: int = 0
+    frame: int = 0
+    view: int = 0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """People in frames seen by views.
+
+    Attributes:
+        views: Cameras, which share one world.
+        sights: In any order; each person in each picture once at most. Frames in which nobody sees somebody are
+            bridged.
+        frame_rate: Frames a second.
+
+    Raises:
+        InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, or labels differ
+            in their set.
+    """
+
+    views: Sequence[View]
+    sights: Sequence[Sight]
+    frame_rate: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_each("views", self.views, View, "such as View(camera)")
+        check_each("sights", self.sights, Sight, "such as Sight(keypoints)")
+        if not self.views or not self.sights:
+            raise InputError(f"{'sights' if self.views else 'views'}: none; expected at least one")
+        if not 0 < self.frame_rate < math.inf:
+            raise InputError(f"frame_rate: {self.frame_rate}; expected frames a second, above 0")
+        seen: set[tuple[int, int, int]] = set()
+        for place, sight in enumerate(self.sights):
+            for name in ("person", "frame", "view"):
+                check_whole(f"sights[{place}].{name}", getattr(sight, name), 0)
+            if sight.view >= len(self.views):
+                raise InputError(f"sights[{place}].view: {sight.view}; expected 0 to {len(self.views) - 1}")
+            key = sight.person, sight.frame, sight.view
+            if key in seen:
+                raise InputError(f"sights[{place}]: person, frame, view {key} a second time; expected once")
+            seen.add(key)
+        if unseen := sorted(set(range(self.num_people)) - {person for person, _, _ in seen}):
+            raise InputError(f"sights: person {unseen[0]} in none; expected people 0 to {self.num_people - 1}")
+        sets = [sight.parts.label_set for sight in self.sights if sight.parts is not None]
+        if any(each != sets[0] for each in sets):
+            raise InputError("sights: part labels of several sets; expected one")
+
+    @property
+    def num_people(self) -> int:
+        """P."""
+        return 1 + max(sight.person for sight in self.sights)
+
+    @property
+    def num_frames(self) -> int:
+        """T."""
+        return 1 + max(sight.frame for sight in self.sights)

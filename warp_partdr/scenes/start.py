@@ -1,0 +1,344 @@
+"""Starts of a scene: the label network looks at each sight, and cameras put together what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ..body.labels import BACKGROUND, IGNORE
+from ..body.lens import through_lens, turn_to_rays
+from ..body.parameters import BodyParameters
+from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
+from ..cameras import Crop
+from ..clothing.model import DetailedModel
+from ..clothing.pose import pose_from_ellipbody
+from ..clothing.registration import shape_from_lengths
+from ..fit.mesh_energy import gather_keypoints, gather_spreads
+from ..inputs.evidence import Evidence, weigh_evidence
+from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence, crop_lens, resize_nearest
+from ..network.checkpoint import packaged_network
+from ..network.predict import ask_network
+from ..network.predicted import Predicted
+from ..network.uncertainty import Uncertainty
+from .energy import SceneEnergy, SceneStarts
+from .scene import Scene, Sight, View
+
+_TOGETHER = 64  # sights that the network looks at at a time
+_UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
+_NEAREST = 0.1  # [m], of a pelvis before its camera
+_MARGIN = 0.02  # of a picture's crop around several people
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A sight that the network looked at.
+
+    Attributes:
+        sight: The sight.
+        evidence: What is believed of it.
+        seen: The same in a crop.
+        crop: The crop.
+        body: The network's body, as the crop's camera sees it, B = 1.
+        uncertainty: How sure it is.
+    """
+
+    sight: Sight
+    evidence: Evidence
+    seen: Observation
+    crop: Crop
+    body: BodyParameters
+    uncertainty: Uncertainty | None
+
+
+def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
+    """What the network says of each sight, in the order of people, frames and views."""
+    network = packaged_network(str(device))
+    sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
+    pictures: dict[tuple[int, int], list[Sight]] = {}
+    for sight in sights:
+        pictures.setdefault((sight.frame, sight.view), []).append(sight)
+    found: list[Looked] = []
+    for start in range(0, len(sights), _TOGETHER):
+        some = sights[start : start + _TOGETHER]
+        evidence = [
+            weigh_evidence(
+                sight.keypoints,
+                sight.parts,
+                [other.keypoints for other in pictures[sight.frame, sight.view] if other is not sight],
+            )[0]
+            for sight in some
+        ]
+        pairs = [
+            crop_evidence(each, device=device, camera=scene.views[sight.view].camera)
+            for each, sight in zip(evidence, some, strict=True)
+        ]
+        said: Predicted = ask_network([seen for seen, _ in pairs], network)
+        lenses = torch.stack([seen.lens for seen, _ in pairs if seen.lens is not None])
+        bodies = turn_to_rays(said.parameters(), lenses)
+        for place, (sight, each, (seen, crop)) in enumerate(zip(some, evidence, pairs, strict=True)):
+            own = slice(place, place + 1)
+            unsure = None if said.uncertainty is None else said.uncertainty.select(own)
+            found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
+    return found
+
+
+def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> SceneStarts:
+    """Starts of a scene's bodies, and its observations.
+
+    Args:
+        energy: Of the scene.
+        model: The whole one.
+        scene: The scene.
+        looks: Of ``look_at``.
+    """
+    one, num_frames, num_views = energy.one, scene.num_frames, len(scene.views)
+    count = scene.num_people * num_frames
+    like = looks[0].body.log_scale
+    rows = torch.tensor([look.sight.person * num_frames + look.sight.frame for look in looks], device=like.device)
+    views = torch.tensor([look.sight.view for look in looks], device=like.device)
+    rotations = torch.stack([view.rotation for view in scene.views]).to(like)
+    translations = torch.stack([view.translation for view in scene.views]).to(like)
+
+    homes = _homes(looks, rows.tolist(), scene)
+    body = _joined(looks, homes, rotations, translations, scene)
+    posed = body.posed()
+    own = torch.arange(0, count, num_frames, device=like.device)
+    shape = shape_from_lengths(model, body.select(own).posed())
+    turned, moved = pose_from_ellipbody(model, posed, shape.repeat_interleave(num_frames, 0), trunk_along=True)
+    first = torch.tensor([looks[home].sight.view for home in homes], device=like.device)
+    to_world = rotations[first].mT
+    turned = turned[:, one.turning].clone()
+    turned[:, 0] = to_world @ turned[:, 0]
+
+    log_scale, shift, smooth = body.log_scale, body.shift, None
+    lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
+    at = torch.tensor(homes, device=like.device)
+    if num_frames > 1 and energy.options.smoothing > 0:
+        width = energy.options.smoothing * scene.frame_rate
+        seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True).view(-1, num_frames)
+        shares = time_shares(seen, width).to(like)
+        each = turned.unflatten(0, (scene.num_people, -1))
+        turned = _nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
+        there = rotations[first], translations[first], lenses[at]
+        log_scale, shift = _smooth_places(shares, body, *there)
+        smooth = time_shares(torch.ones_like(seen[:1]), width).to(like)[0]
+
+    places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
+    depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
+    bridged = torch.ones(count, dtype=torch.bool, device=like.device).index_fill(0, rows, False)
+    turn_spreads = torch.where(bridged[:, None], _UNSEEN_SPREAD, turn_spreads[at])
+
+    def table(values: torch.Tensor, fill: float = 0.0) -> torch.Tensor:
+        """Rows of sights by body and view, (N, V, ...)."""
+        full = values.new_full((count, num_views, *values.shape[1:]), fill)
+        full[rows, views] = values
+        return full
+
+    looked = torch.cat([look.body.posed().joints[:, 1:, 2] - look.body.posed().joints[:, :1, 2] for look in looks])
+    target = lens = None
+    if energy.mesh is not None:
+        target, lens = _targets(energy, scene, looks, like)
+    no_lens = lenses.new_tensor([1.0, 0.0, 0.0])
+    shown = table(torch.ones_like(views, dtype=torch.bool))
+    return SceneStarts(
+        rotations=turned,
+        translation=(to_world @ moved[..., None])[..., 0],
+        shape=shape,
+        log_scale=log_scale,
+        shift=shift,
+        lens=lenses[at],
+        first=first,
+        turn_spreads=turn_spreads,
+        view_rotations=rotations,
+        view_translations=translations,
+        places=table(places),
+        points=table(points),
+        votes=table(votes),
+        lenses=torch.where(shown[..., None], table(lenses), no_lens),
+        depths=table(looked),
+        depth_weights=table(1 / depth_spreads.square()),
+        shown=shown,
+        smooth=smooth,
+        target=target,
+        target_lens=lens,
+    )
+
+
+def time_shares(seen: torch.Tensor, width: float) -> torch.Tensor:
+    """Shares of frames in each frame's mean, by a Gaussian of this standard deviation [frames], shape (P, T, T).
+
+    ``seen``, (P, T), says which frames are counted; where none is near, the nearest one is.
+    """
+    frames = torch.arange(seen.shape[1], device=seen.device)
+    apart = (frames[:, None] - frames).double() / width
+    return (-apart.square() / 2).masked_fill(~seen[:, None], -torch.inf).softmax(-1)
+
+
+def _smooth_places(
+    shares: torch.Tensor,
+    body: BodyParameters,
+    rotations: torch.Tensor,
+    translations: torch.Tensor,
+    lenses: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """``log_scale`` and ``shift`` of bodies whose pelvises move smoothly in the world."""
+    _, there = through_lens(body.camera(REFERENCE_SIZE), lenses, REFERENCE_SIZE)
+    assert there is not None
+    world = ((there - translations)[:, None] @ rotations)[:, 0]
+    smooth = (shares @ world.unflatten(0, (len(shares), -1))).flatten(0, 1)
+    there = (smooth[:, None] @ rotations.mT)[:, 0] + translations
+    scale = lenses[:, 0] / there[:, 2].clamp_min(_NEAREST)
+    return scale.log(), lenses[:, 1:] + there[:, :2] * scale[:, None]
+
+
+def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[int]:
+    """Sight in whose crop each body is placed: the surest one; where nobody sees a person, of the nearest frame."""
+    best: dict[int, int] = {}
+    for place, (look, row) in enumerate(zip(looks, rows, strict=True)):
+        if row not in best or _sure(look) > _sure(looks[best[row]]):
+            best[row] = place
+    homes: list[int] = []
+    for person in range(scene.num_people):
+        first = person * scene.num_frames
+        seen = np.array([row for row in best if first <= row < first + scene.num_frames])
+        for row in range(first, first + scene.num_frames):
+            homes.append(best[int(seen[np.abs(seen - row).argmin()])])
+    return homes
+
+
+def _sure(look: Looked) -> float:
+    return float(look.evidence.keypoints.confidence.sum())
+
+
+def _joined(
+    looks: Sequence[Looked],
+    homes: Sequence[int],
+    rotations: torch.Tensor,
+    translations: torch.Tensor,
+    scene: Scene,
+) -> BodyParameters:
+    """Bodies in their home crops: turns are means of what all views say, pelvises lie where the views' rays meet."""
+    people: list[BodyParameters] = []
+    of_row: dict[tuple[int, int], list[Looked]] = {}
+    for look in looks:
+        of_row.setdefault((look.sight.person, look.sight.frame), []).append(look)
+    for person in range(scene.num_people):
+        mine = [look for look in looks if look.sight.person == person]
+        sizes = {
+            name: torch.cat([getattr(look.body, name) for look in mine]).mean(0, keepdim=True)
+            for name in ("lengths", "thicknesses")
+        }
+        for frame in range(scene.num_frames):
+            home = looks[homes[person * scene.num_frames + frame]]
+            body = replace(home.body, **sizes)
+            group = of_row[home.sight.person, home.sight.frame]
+            if len(group) > 1:
+                body = _met(body, home, group, rotations, translations)
+            people.append(body)
+    return BodyParameters.joined(people)
+
+
+def _met(
+    body: BodyParameters, home: Looked, group: Sequence[Looked], rotations: torch.Tensor, translations: torch.Tensor
+) -> BodyParameters:
+    """A body that several views see, in its home crop."""
+    here = home.sight.view
+    world = [rotations[look.sight.view].mT @ look.body.global_orient() for look in group]
+    orientation = rotations[here] @ _mean_rotation(torch.cat(world))
+    local = torch.cat([rotation_from_axis_angle(look.body.rotations) for look in group])
+    pelvis = rotations[here] @ _meeting_point(group, rotations, translations) + translations[here]
+    lens = home.seen.lens
+    assert lens is not None
+    if pelvis[2] > _NEAREST:  # else rays do not meet before the camera
+        scale = lens[0] / pelvis[2]
+        shift = lens[1:] + pelvis[:2] * scale
+        body = replace(body, log_scale=scale.log()[None], shift=shift[None])
+    return replace(
+        body,
+        orientation=rotation_to_6d(orientation)[None],
+        rotations=rotation_to_axis_angle(_mean_rotation(local.transpose(0, 1)))[None],
+    )
+
+
+def _mean_rotation(rotations: torch.Tensor) -> torch.Tensor:
+    """Chordal mean of rotations (..., N, 3, 3), shape (..., 3, 3)."""
+    return _nearest_rotation(rotations.mean(-3))
+
+
+def _nearest_rotation(matrices: torch.Tensor) -> torch.Tensor:
+    """Rotations nearest to matrices (..., 3, 3)."""
+    u, _, v = torch.linalg.svd(matrices)
+    signs = torch.ones_like(u[..., 0])
+    signs[..., 2] = torch.linalg.det(u @ v)
+    return u * signs[..., None, :] @ v
+
+
+def _meeting_point(group: Sequence[Looked], rotations: torch.Tensor, translations: torch.Tensor) -> torch.Tensor:
+    """The point that is nearest to the rays through the pelvises, shape (3,) [m]."""
+    normal, right = rotations.new_zeros(3, 3), rotations.new_zeros(3)
+    eye = torch.eye(3).to(normal)
+    for look in group:
+        _, pelvis = through_lens(look.body.camera(REFERENCE_SIZE), look.seen.lens, REFERENCE_SIZE)
+        assert pelvis is not None
+        turn, move = rotations[look.sight.view], translations[look.sight.view]
+        ray = turn.mT @ torch.nn.functional.normalize(pelvis[0], dim=0)
+        across = eye - ray[:, None] * ray
+        # A little of the distance that the view alone gives, for rays may be parallel.
+        along = 1e-3 * eye
+        normal = normal + across + along
+        right = right - across @ (turn.mT @ move) + along @ (turn.mT @ (pelvis[0] - move))
+    return torch.linalg.solve(normal, right)
+
+
+def _targets(
+    energy: SceneEnergy, scene: Scene, looks: Sequence[Looked], like: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """``target`` and ``target_lens`` of all pictures; where nobody is seen, all is ignored."""
+    size = energy.options.size_of(scene.num_people)
+    shape = scene.num_frames * len(scene.views), size, size
+    target = torch.full(shape, IGNORE, dtype=torch.uint8, device=like.device)
+    lens = like.new_tensor([1.0, 0.0, 0.0]).repeat(shape[0], 1)
+    groups: dict[int, list[Looked]] = {}
+    for look in looks:
+        if look.seen.labels is not None:
+            groups.setdefault(look.sight.frame * len(scene.views) + look.sight.view, []).append(look)
+    for picture, group in groups.items():
+        if len(group) == 1:
+            look = group[0]
+            assert look.seen.labels is not None
+            assert look.seen.lens is not None
+            labels = _shifted(resize_nearest(look.seen.labels, size), look)
+            target[picture], lens[picture] = labels, look.seen.lens
+        else:
+            target[picture], lens[picture] = _together(group, size, scene.views[group[0].sight.view], like)
+    return target, lens
+
+
+def _shifted(labels: torch.Tensor, look: Looked) -> torch.Tensor:
+    """Group ids of a person as the scene has them."""
+    moved = labels + look.sight.person * look.evidence.labels.label_set.num_groups
+    return torch.where((labels == BACKGROUND) | (labels == IGNORE), labels, moved.to(torch.uint8))
+
+
+def _together(group: Sequence[Looked], size: int, view: View, like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Labels of several people in one crop around them, and its lens."""
+    sides = [look.crop.size[0] / look.crop.zoom for look in group]
+    low = np.min([(look.crop.left, look.crop.top) for look in group], axis=0)
+    high = np.max(
+        [(look.crop.left + side, look.crop.top + side) for look, side in zip(group, sides, strict=True)], axis=0
+    )
+    side = float((high - low).max()) * (1 + _MARGIN)
+    left, top = (low + high - side) / 2
+    crop = Crop(float(left), float(top), REFERENCE_SIZE / side, (REFERENCE_SIZE, REFERENCE_SIZE))
+    box = (crop.left, crop.top, crop.left + side, crop.top + side)
+    each = [torch.from_numpy(look.evidence.target((size, size), box)).to(like.device) for look in group]
+    stack = torch.stack(each)
+    known = (stack != BACKGROUND) & (stack != IGNORE)
+    shifted = torch.stack([_shifted(labels, look) for labels, look in zip(each, group, strict=True)])
+    # A pixel is somebody's if just one says so, and background if all do.
+    owned = torch.where(known, shifted, 0).sum(0).to(torch.uint8)
+    rest = torch.where((stack == BACKGROUND).all(0), BACKGROUND, IGNORE).to(torch.uint8)
+    return torch.where(known.sum(0) == 1, owned, rest), crop_lens(view.camera, crop).to(like)

@@ -1,0 +1,186 @@
+"""Scenes of known truth: Anny people before several cameras, and two who hide one another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..body.labels import label_set
+from ..body.landmarks import annotated
+from ..body.rotations import rotation_from_axis_angle
+from ..body.skeletons import MPJPE_JOINTS
+from ..body.template import MEAN_STATURE, NUM_PARTS
+from ..cameras import Perspective
+from ..clothing.anny import anny, anny_shape
+from ..clothing.model import Detailed
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.part_labels import PartLabels
+from ..interop.torch_threads import one_torch_thread
+from ..render.mesh import draw_mesh
+from ..scenes.scene import Scene, Sight, View
+from . import people
+from .mocap import Clip
+from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
+from .partbench_people import COCO, SEED, draw_phenotypes, pose_kind
+from .pose_recipes import draw_pose
+from .poses import mean_body
+
+LABELS = label_set("cdcl14")
+_SIZE = (400, 480)  # (H, W) of pictures [px]
+_FILL = 0.8  # of the picture's height or width that the people take
+_DISTANCE = (3.0, 5.0)  # [m]
+_PITCH = (-5.0, 20.0)  # [degrees], how far cameras look down
+_BESIDE, _BEHIND = (0.1, 0.35), (0.3, 0.9)  # [m], of the second of a pair
+_HIDDEN = (0.05, 0.6)  # share of the one behind that the other hides
+_LASTS = 0.7  # correlation of a keypoint's noise from frame to frame
+_VIEWS, _PAIR, _CLIP = 19, 20, 21  # of the seeds
+
+
+@dataclass(frozen=True)
+class SceneSample:
+    """A scene and its truth.
+
+    Attributes:
+        name: Such as "views 007".
+        scene: As it is seen, with noise.
+        joints: LSP's 14 joints in the world [m], shape (P, T, 14, 3).
+        vertices: Anny's in the world [m], shape (P, T, V, 3).
+        parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
+    """
+
+    name: str
+    scene: Scene
+    joints: np.ndarray
+    vertices: np.ndarray
+    parts: np.ndarray
+
+
+def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSample:
+    """PartBench's person ``index`` in the middle of so many cameras, all around or, two, 70 to 110 degrees apart."""
+    rng = np.random.default_rng([SEED, index, _VIEWS, num_views])
+    body, stature = _draw_body(index)
+    even = 2 * np.pi / num_views if num_views > 2 else np.pi / 2
+    start = rng.uniform(0, 2 * np.pi)
+    turns = start + even * (np.arange(num_views) + rng.uniform(-0.2, 0.2, num_views) * (num_views > 1))
+    views = [_place_view(body.vertices.numpy(), turn, rng) for turn in turns]
+    return _see(f"views {index:03d}", [[body]], [stature], views, LEVELS[level], rng)
+
+
+def make_pair(index: int, level: str = "realistic") -> SceneSample:
+    """Two people, one partly before the other; the first is ``index`` of PartBench."""
+    rng = np.random.default_rng([SEED, index, _PAIR])
+    (one, first), (other, second) = _draw_body(index), _draw_body(index + 1)
+    # Both stand on the same ground.
+    ground = float(one.vertices[..., 1].max() - other.vertices[..., 1].max())
+    mesh, size = people.anny_mesh().repeated(2, NUM_PARTS, anny().num_vertices), _SIZE
+    while True:
+        beside = rng.uniform(*_BESIDE) * rng.choice((-1, 1))
+        behind = rng.uniform(*_BEHIND) * rng.choice((-1, 1))
+        beyond = other.moved(torch.tensor([[beside, ground, behind]], dtype=torch.float32))
+        every = torch.cat([one.vertices, beyond.vertices])
+        view = _place_view(every.numpy(), 0.0, rng)
+        seen = view.to_camera(every)
+        both = draw_mesh(seen.flatten(0, 1)[None], mesh, view.camera, size).labels[0]
+        counts = [int((draw_mesh(body[None], people.anny_mesh(), view.camera, size).labels > 0).sum()) for body in seen]
+        left = int((both > NUM_PARTS).sum()) if behind > 0 else int(((both > 0) & (both <= NUM_PARTS)).sum())
+        if _HIDDEN[0] <= 1 - left / counts[int(behind > 0)] <= _HIDDEN[1]:
+            break
+    return _see(f"pair {index:03d}", [[one], [beyond]], [first, second], [view], LEVELS[level], rng)
+
+
+def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic") -> SceneSample:
+    """Person of PartBench's shape ``index`` who moves as a clip says, before one camera; noise lasts some frames."""
+    rng = np.random.default_rng([SEED, index, _CLIP])
+    phenotypes, _ = draw_phenotypes(index)
+    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    world = torch.from_numpy(clip.global_orient).float()
+    zero = torch.zeros(1, dtype=world.dtype)
+    posed = mean_body(torch.from_numpy(clip.rotations).float(), people.seen_by_camera(world, zero.expand(len(world))))
+    bodies = people.pose_anny(anny(), shape.expand(len(world), -1), posed)
+    view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
+    stature = float(people.statures(anny(), shape))
+    frames = [bodies.select(slice(frame, frame + 1)) for frame in range(len(world))]
+    return _see(f"clip {index:03d}", [frames], [stature], [view], LEVELS[level], rng, frame_rate)
+
+
+@one_torch_thread()
+def _draw_body(index: int) -> tuple[Detailed, float]:
+    """A body in PartBench's shape and kind of pose, upright in a world with y down, and its stature [m]."""
+    phenotypes, rng = draw_phenotypes(index)
+    shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
+    pose = draw_pose(pose_kind(index), rng)
+    up, yaw, level = (torch.tensor(value, dtype=torch.float64)[None] for value in (pose.up, pose.yaw, 0.0))
+    orientation = people.seen_by_camera(people.upright(up, yaw), level).float()
+    rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
+    model = anny()
+    return people.pose_anny(model, shape, mean_body(rotations, orientation)), float(people.statures(model, shape))
+
+
+def _place_view(vertices: np.ndarray, turn: float, rng: np.random.Generator) -> View:
+    """A camera that looks at vertices (N, V, 3) from this angle about the vertical [rad] and sees all of them."""
+    pitch = np.radians(rng.uniform(*_PITCH))
+    angles = torch.tensor([[pitch, 0.0, 0.0], [0.0, turn, 0.0]], dtype=torch.float64)
+    about_x, about_y = rotation_from_axis_angle(angles)
+    rotation = (about_x @ about_y).float()
+    flat = vertices.reshape(-1, 3) @ rotation.numpy().T
+    middle = (flat.min(0) + flat.max(0)) / 2
+    shift = np.array([-middle[0], -middle[1], rng.uniform(*_DISTANCE) - middle[2]], dtype=np.float32)
+    rays = (flat + shift)[:, :2] / (flat + shift)[:, 2:]
+    height, width = _SIZE
+    focal = _FILL * float((np.array([width, height]) / 2 / np.abs(rays).max(0)).min())
+    camera = Perspective.of_picture(_SIZE, focal=focal)
+    return View(camera, rotation, torch.from_numpy(shift))
+
+
+def _see(
+    name: str,
+    bodies: list[list[Detailed]],
+    statures: list[float],
+    views: list[View],
+    level: Level,
+    rng: np.random.Generator,
+    frame_rate: float = 30.0,
+) -> SceneSample:
+    """What cameras see of P people in T frames."""
+    model, mesh = anny(), people.anny_mesh()
+    both = mesh.repeated(len(bodies), NUM_PARTS, model.num_vertices)
+    sights: list[Sight] = []
+    pictures: list[np.ndarray] = []
+    names = annotated(COCO.landmarks, model.landmark_names)
+    lasting: dict[tuple[int, int], np.ndarray] = {}  # noise of keypoints one frame ago
+    for frame in range(len(bodies[0])):
+        for place, view in enumerate(views):
+            now = [each[frame] for each in bodies]
+            vertices = torch.cat([view.to_camera(body.vertices) for body in now], dim=1)
+            drawn = draw_mesh(vertices, both, view.camera, _SIZE)
+            shown, depth = drawn.labels[0].numpy(), drawn.depth[0]
+            pictures.append(shown)
+            for person, body in enumerate(now):
+                points = view.to_camera(model.landmarks(body, names))
+                pixels = view.camera.project(points)[..., :2]
+                cover = statures[person] / MEAN_STATURE * torch.from_numpy(people.cover_of(COCO.landmarks))
+                at = people.pixel_indices(pixels, _SIZE)
+                hidden = people.behind_something(points[..., 2], at, depth[None], cover)[0].numpy()
+                height = statures[person] * float(view.camera.focal[0, 0] / points[..., 2].mean())
+                mine = (shown > NUM_PARTS * person) & (shown <= NUM_PARTS * (person + 1))
+                groups = LABELS.from_parts(np.where(mine, shown - NUM_PARTS * person, 0).astype(np.uint8))
+                groups = noisy_labels(groups, LABELS, height, level, rng)
+                # What is somebody else's for sure is no background of this one.
+                groups[(shown > 0) & ~mine & (groups == 0)] = 255
+                true = pixels[0].numpy()
+                seen = noisy_keypoints(true, hidden, COCO.landmarks, height, _SIZE, level=level, rng=rng)
+                off = lasting.get((person, place))
+                lasting[person, place] = seen[:, :2] - true
+                if off is not None:
+                    lasting[person, place] = _LASTS * off + math.sqrt(1 - _LASTS**2) * (seen[:, :2] - true)
+                placed = np.where(seen[:, 2:] > 0, true + lasting[person, place], 0.0).astype(np.float32)
+                keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
+                if keypoints.visible.any():
+                    sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, place))
+    truth = [torch.cat([model.landmarks(body, MPJPE_JOINTS) for body in each]).numpy() for each in bodies]
+    every = [torch.cat([body.vertices for body in each]).numpy() for each in bodies]
+    scene = Scene(tuple(views), tuple(sights), frame_rate)
+    return SceneSample(name, scene, np.stack(truth), np.stack(every), np.stack(pictures))
