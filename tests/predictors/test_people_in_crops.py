@@ -41,7 +41,7 @@ def by_colour(pictures: torch.Tensor) -> torch.Tensor:
 
 
 def as_probabilities(pictures: torch.Tensor) -> torch.Tensor:
-    return 0.7 * torch.nn.functional.one_hot(by_colour(pictures), 7).permute(0, 3, 1, 2).float() + 0.3 / 7
+    return 0.51 * torch.nn.functional.one_hot(by_colour(pictures), 7).permute(0, 3, 1, 2).float() + 0.07
 
 
 def picture_of(ids: np.ndarray) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_labels_come_back_to_their_places(size: tuple[int, int], stretch: float,
     assert hard.maps is None
     assert soft.maps is not None
     assert soft.maps.shape == (7, *SIZE)
-    assert soft.maps[3, 75, 100] == pytest.approx(0.7 + 0.3 / 7, abs=1e-3)
+    assert soft.maps[3, 75, 100] == pytest.approx(0.58, abs=1e-3)
     np.testing.assert_allclose(soft.maps.sum(0), 1.0, atol=1e-3)
     assert soft.maps[0, 0, 0] == 1.0  # beyond the crop
 
@@ -135,6 +135,18 @@ def test_ignored_classes_are_in_no_map() -> None:
     assert parts is not None
     assert parts.groups[60, 100] == 1 + atr.group_names.index("left_arm")
     assert parts.groups[40, 100] == IGNORE
+
+
+def test_haze_over_all_classes_is_taken_as_none() -> None:
+    said = torch.full((1, 7, 8, 8), 0.02)
+    said[:, 3] = 0.88
+    said[:, 3, :4], said[:, 2, :4] = 0.7, 0.2
+    found = parts_of(np.zeros((*SIZE, 3), np.uint8), [person(100, 60, 80)], PartNetwork(LSP6, (64, 64), lambda _: said))
+    parts = found.of(0)
+    assert parts is not None
+    assert parts.maps is not None
+    np.testing.assert_allclose(parts.maps[:, 85, 100], [0, 0, 0, 1, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(parts.maps[:, 35, 100], [0, 0, 2 / 9, 7 / 9, 0, 0, 0], atol=1e-6)
 
 
 def test_too_many_values_are_kept_as_labels(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,10 +73,10 @@ def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:
 
 def _drawn(person: FoundPerson, window: Window) -> np.ndarray:
     """The mask at the centres of a window's pixels."""
-    return draw_maps(torch.from_numpy(person.mask)[None], person.crop, window)[0][0]
+    return spread_maps(torch.from_numpy(person.mask)[None], person.crop, window)[0][0]
 
 
-def draw_maps(
+def spread_maps(
     maps: torch.Tensor, crop: TurnedCrops, window: Window, *, mode: str = "bilinear"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Maps across one crop, at the centres of the picture's pixels.
