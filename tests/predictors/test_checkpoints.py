@@ -74,10 +74,10 @@ def test_names_match_whatever_their_spelling(segformer: Path, tmp_path: Path) ->
         load_part_network(str(folder), "lip20")
 
 
-def test_sapiens2(tmp_path: Path) -> None:
-    network = load_part_network(str(tiny_sapiens2(tmp_path, class_names("sapiens29"))))
+def test_sapiens2(tmp_path: Path, device: str) -> None:
+    network = load_part_network(str(tiny_sapiens2(tmp_path, class_names("sapiens29"))), device=device)
     assert (network.labels.name, network.size, network.stretch) == ("sapiens29", (64, 48), 1.0)
-    assert network.predict(torch.rand(1, 3, 64, 48)).shape[:2] == (1, 29)
+    assert network.predict(torch.rand(1, 3, 64, 48, device=device)).shape[:2] == (1, 29)
 
 
 def test_colours_are_those_of_the_image_processor(segformer: Path) -> None:
@@ -140,11 +140,11 @@ def test_keypoints_have_the_format_of_their_number(vitpose: Path, tmp_path: Path
         load_keypoint_network(str(odd))
 
 
-def test_experts_and_whole_bodies(tmp_path: Path) -> None:
-    network = load_keypoint_network(str(knowing_vitpose(tmp_path, [(2, 3)] * 133, experts=6)))
+def test_experts_and_whole_bodies(tmp_path: Path, device: str) -> None:
+    network = load_keypoint_network(str(knowing_vitpose(tmp_path, [(2, 3)] * 133, experts=6)), device=device)
     assert skeleton(network.skeleton).name == "wholebody133"
     with torch.no_grad():
-        assert network.predict(torch.rand(1, 3, 256, 192)).shape == (1, 133, 3)
+        assert network.predict(torch.rand(1, 3, 256, 192, device=device)).shape == (1, 133, 3)
 
 
 def test_checkpoints_that_are_refused(segformer: Path, vitpose: Path, tmp_path: Path) -> None:
