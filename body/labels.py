@@ -260,6 +260,20 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
         raise InputError(f"{where}: {error}") from error
 
 
+def label_sets_of(names: Mapping[int, str]) -> list[LabelSet]:
+    """Known label sets whose ids have these class names, whatever their case, blanks and punctuation."""
+
+    def plain(given: Mapping[int, str]) -> dict[int, str]:
+        return {source: re.sub("[^a-z0-9]", "", name.lower()) for source, name in given.items() if source != IGNORE}
+
+    found = plain(names)
+    return [
+        labels
+        for labels in LABEL_SETS.values()
+        if found == plain({source: labels.class_names.get(source, group) for source, group in labels.ids.items()})
+    ]
+
+
 def regroup(source: LabelSet, target: LabelSet) -> np.ndarray:
     """Table from group ids of one set to those of a coarser one, shape (256,), uint8; 0 and 255 stay.
 

@@ -35,6 +35,7 @@ LEVELS = (
     "clothing",
     "network",
     "detection",
+    "predictors",
     "refinement",
     "fit",
     "scenes",

@@ -13,7 +13,7 @@ from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, OutOption, PersonFiles, SettingOptions, take_whole
+from .options import CameraOptions, DeviceOption, OutOption, PhotoFiles, SettingOptions, take_whole
 from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
 
 if TYPE_CHECKING:
@@ -49,17 +49,23 @@ registration.json. Older ones are replaced.
 the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`.
 """
 
-_QUALITY_HELP = "fast, balanced or accurate: part F1 0.86, 0.88, 0.89 on PartBench in 0.5, 1, 1.15 of the time."
-_START_HELP = "network (a search where that ends far off) or search."
+# Of these, the default stands in the text: typer would give each a line of its own.
+_MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
+_QUALITY_HELP = (
+    "fast, balanced (default) or accurate: part F1 0.86, 0.88, 0.89 on PartBench in 0.5, 1, 1.15 of the time."
+)
+_START_HELP = "network (default; a search if that ends far off) or search."
 
 
 def fit(
-    files: PersonFiles,
+    files: PhotoFiles,
     photo: Annotated[Path | None, Argument(help="The picture; with keypoints optional.", metavar="PHOTO")] = None,
     out: OutOption = Path("out"),
-    model: Annotated[str, Option(help=f"Detailed model: {MODEL_HELP}; none skips it.", metavar="NAME")] = "anny",
-    quality: Annotated[QualityName, Option(help=_QUALITY_HELP, metavar="NAME")] = QualityName.balanced,
-    start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME")] = StartName.network,
+    model: Annotated[str, Option(help=_MODEL_HELP, metavar="NAME", show_default=False)] = "anny",
+    quality: Annotated[
+        QualityName, Option(help=_QUALITY_HELP, metavar="NAME", show_default=False)
+    ] = QualityName.balanced,
+    start: Annotated[StartName, Option(help=_START_HELP, metavar="NAME", show_default=False)] = StartName.network,
     device: DeviceOption = "auto",
     explain: Annotated[
         bool, Option("--explain", help="First say what is modelled, what is left out, and why.")

@@ -10,7 +10,7 @@ import typer
 from ..errors import InputError
 from ..inputs.part_labels import read_photo
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, PersonFiles
+from .options import CameraOptions, PhotoFiles
 from .register import read_model
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def fit_everyone(
-    files: PersonFiles,
+    files: PhotoFiles,
     photo: Path | None,
     out: Path,
     device: str,
@@ -29,7 +29,7 @@ def fit_everyone(
     """Fit bodies to everyone in a photo, or to one of them.
 
     Args:
-        files: Without keypoints.
+        files: Without keypoints; networks for them or for labels, if there are any.
         photo: The photo.
         out: Folder for the results.
         device: As the option says.
@@ -39,9 +39,7 @@ def fit_everyone(
     """
     if photo is None:
         raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
-    for name, given in (("--parts", files.parts), ("--format", files.keypoint_format), ("--labels", files.labels)):
-        if given is not None:
-            raise InputError(f"{name}: {given}, without --keypoints; expected them with it")
+    _check_files(files)
     picture = read_photo(photo)
 
     from ..fit.photo import fit_photo
@@ -57,13 +55,14 @@ def fit_everyone(
     set_num_threads(threads)
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
+    networks = _networks(files, where)
     camera = view.read((picture.shape[0], picture.shape[1]), photo)
     detailed = read_model(model, where)
     with FitProgress() as progress:
         load_kernels(where, options, with_labels=True)
         load_mesh_kernels(where)
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
-        fit = fit_photo(picture, person=files.person, progress=progress, **how)
+        fit = fit_photo(picture, person=files.person, progress=progress, **networks, **how)
         progress("writing results", 0, 1)
         report = save_photo_fit(fit, out, photo=picture)
     for person in report["people"]:
@@ -73,3 +72,29 @@ def fit_everyone(
         about = "" if camera is not None else "about "
         typer.echo(f"{person['folder']}: score {person['score']:.2f}, {about}{person['distance_m']:.1f} m away{hidden}")
     typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")
+
+
+def _check_files(files: PhotoFiles) -> None:
+    """Raise InputError if there is something of the keypoints' person, or that no network needs."""
+    needs = "without --keypoints; expected them with it"
+    if files.parts is not None:
+        raise InputError(f"--parts: {files.parts}, {needs}")
+    for name, given, other, network in (
+        ("--format", files.keypoint_format, "--keypoints-from", files.keypoints_from),
+        ("--labels", files.labels, "--parts-from", files.parts_from),
+    ):
+        if given is not None and network is None:
+            raise InputError(f"{name}: {given}, without --keypoints or {other}; expected one of them with it")
+
+
+def _networks(files: PhotoFiles, device: str) -> dict[str, Any]:
+    """Networks that were asked for, as arguments of ``fit_photo``."""
+    from ..predictors.checkpoints import load_keypoint_network, load_part_network
+
+    found: dict[str, Any] = {}
+    if files.parts_from is not None:
+        found["parts_from"] = load_part_network(files.parts_from, files.labels, device=device, say=typer.echo)
+    if files.keypoints_from is not None:
+        form = files.keypoint_format
+        found["keypoints_from"] = load_keypoint_network(files.keypoints_from, form, device=device, say=typer.echo)
+    return found

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")]
 OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
 LabelsOption = Annotated[
-    str | None, Option("--labels", help="Label set, or a JSON file of one; default: labels.json there.", metavar="NAME")
+    str | None, Option("--labels", help="Label set, or its JSON file; default: labels.json there.", metavar="NAME")
 ]
 SetOption = Annotated[
     list[str] | None, Option("--set", help="Change one setting; may be given again.", metavar="KEY=VALUE")
@@ -86,6 +86,25 @@ class PersonFiles:
         chosen = choose_person(people, groups, self.person)
         check_inside(chosen, sizes[0] or sizes[1])
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
+
+
+@dataclass(frozen=True)
+class PhotoFiles(PersonFiles):
+    """The same, or networks that see the people of a photo."""
+
+    parts_from: Annotated[
+        str | None, Option(help="Network for a photo's part labels: folder or hf:ORG/NAME.", metavar="NAME")
+    ] = None
+    keypoints_from: Annotated[
+        str | None, Option(help="ViTPose for its keypoints, likewise (docs/inputs.md).", metavar="NAME")
+    ] = None
+
+    def read(self, photo: Path | None) -> PersonInputs:
+        """The person of the files, of whom no network is asked."""
+        for name, given in (("--parts-from", self.parts_from), ("--keypoints-from", self.keypoints_from)):
+            if given is not None:
+                raise InputError(f"{name}: {given}, with --keypoints; expected a photo alone")
+        return super().read(photo)
 
 
 @dataclass(frozen=True)

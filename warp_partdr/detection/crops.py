@@ -1,4 +1,4 @@
-"""Turned square crops of pictures: cut out for a network, and the way back into the picture.
+"""Turned crops of pictures: cut out for a network, and the way back into the picture.
 
 Within a crop, (0, 0) is its top left corner and (1, 1) its bottom right one, as the crop is turned. Places in a picture
 are in pixels, pixel (row v, column u) having its centre at (u + 0.5, v + 0.5).
@@ -24,35 +24,42 @@ _STRIP = 512  # rows that are halved at a time, even
 
 @dataclass(frozen=True)
 class TurnedCrops:
-    """N square crops of pictures.
+    """N crops of pictures, square unless ``aspect`` says else.
 
     Attributes:
         centres: [px], shape (N, 2), float64.
-        sides: Lengths of the sides [px], shape (N,).
+        sides: Heights [px], shape (N,).
         angles: Turn of the crop's x axis from the picture's, clockwise as seen [rad], shape (N,).
         pictures: Index of the picture that each is of, shape (N,), int64.
+        aspect: Width of all, as a share of the height.
     """
 
     centres: np.ndarray
     sides: np.ndarray
     angles: np.ndarray
     pictures: np.ndarray
+    aspect: float = 1.0
 
     def __len__(self) -> int:
         return len(self.sides)
 
     def __getitem__(self, rows: slice | np.ndarray) -> TurnedCrops:
-        return TurnedCrops(self.centres[rows], self.sides[rows], self.angles[rows], self.pictures[rows])
+        return TurnedCrops(self.centres[rows], self.sides[rows], self.angles[rows], self.pictures[rows], self.aspect)
 
     def to_picture(self, places: np.ndarray) -> np.ndarray:
         """Places in the crops, shape (N, K, 2), to places in the pictures [px]."""
-        offsets = self.sides[:, None, None] * (places - 0.5)
+        offsets = self._extents * (places - 0.5)
         return self.centres[:, None] + np.einsum("nij,nkj->nki", self._turns, offsets)
 
     def from_picture(self, places: np.ndarray) -> np.ndarray:
         """Places in the pictures [px], shape (N, K, 2), to places in the crops."""
         offsets = np.einsum("nji,nkj->nki", self._turns, places - self.centres[:, None])
-        return offsets / self.sides[:, None, None] + 0.5
+        return offsets / self._extents + 0.5
+
+    @property
+    def _extents(self) -> np.ndarray:
+        """Widths and heights [px], shape (N, 1, 2)."""
+        return self.sides[:, None, None] * np.array([self.aspect, 1.0])
 
     @property
     def _turns(self) -> np.ndarray:
@@ -74,9 +81,10 @@ def crops_of_people(centres: np.ndarray, tops: np.ndarray, pictures: np.ndarray)
 
 
 def join_crops(parts: Sequence[TurnedCrops]) -> TurnedCrops:
-    """All of the crops in a row."""
+    """All of the crops, which are square, in a row."""
     fields = ("centres", "sides", "angles", "pictures")
-    return TurnedCrops(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
+    centres, sides, angles, pictures = (np.concatenate([getattr(part, name) for part in parts]) for name in fields)
+    return TurnedCrops(centres, sides, angles, pictures)
 
 
 def no_crops() -> TurnedCrops:
@@ -136,7 +144,9 @@ def _halved(values: torch.Tensor) -> torch.Tensor:
     return F.avg_pool2d(values, 2)
 
 
-def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int, *, beyond: str = "zeros") -> torch.Tensor:
+def cut_crops(
+    pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int | tuple[int, int], *, beyond: str = "zeros"
+) -> torch.Tensor:
     """Crops as pictures.
 
     Each is read bilinearly from a halved picture, of which a crop's pixel is at most 2.83 wide.
@@ -144,29 +154,31 @@ def cut_crops(pyramids: Sequence[Pyramid], crops: TurnedCrops, size: int, *, bey
     Args:
         pyramids: The pictures.
         crops: N crops of them.
-        size: Side [px] that the crops get.
+        size: (H, W) [px] that the crops get, or the side of a square.
         beyond: "zeros": it is black beyond the picture; "border": the border goes on.
 
     Returns:
-        0 to 1, shape (N, 3, size, size).
+        0 to 1, shape (N, 3, H, W).
     """
     device = pyramids[0].device
-    cut = torch.zeros(len(crops), 3, size, size, device=device)
-    levels = np.floor(np.log2(np.maximum(crops.sides / size, 2**_SHARPER)) - _SHARPER).astype(int)
+    height, width = size if isinstance(size, tuple) else (size, size)
+    cut = torch.zeros(len(crops), 3, height, width, device=device)
+    coarsest = crops.sides * max(1 / height, crops.aspect / width)  # pixels of the picture to one of a crop
+    levels = np.floor(np.log2(np.maximum(coarsest, 2**_SHARPER)) - _SHARPER).astype(int)
     for picture, level in sorted(set(zip(crops.pictures.tolist(), levels.tolist(), strict=True))):
         rows = np.flatnonzero((crops.pictures == picture) & (levels == level))
         values, level = pyramids[picture].level(level)
-        grid = _grids(crops[rows], size, (values.shape[-1] << level, values.shape[-2] << level), device)
+        grid = _grids(crops[rows], (height, width), (values.shape[-1] << level, values.shape[-2] << level), device)
         cut[torch.from_numpy(rows).to(device)] = F.grid_sample(
             values.expand(len(rows), -1, -1, -1), grid, padding_mode=beyond, align_corners=False
         )
     return cut
 
 
-def _grids(crops: TurnedCrops, size: int, extent: tuple[int, int], device: torch.device) -> torch.Tensor:
-    """Places of the crops' pixels, from -1 to 1 across ``extent`` [px], shape (N, size, size, 2)."""
+def _grids(crops: TurnedCrops, size: tuple[int, int], extent: tuple[int, int], device: torch.device) -> torch.Tensor:
+    """Places of the pixels of crops of (H, W), from -1 to 1 across ``extent`` [px], shape (N, H, W, 2)."""
     corners = crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(crops), 3, 2)))
     places = torch.from_numpy((corners / extent * 2 - 1).astype(np.float32)).to(device)
-    steps = (torch.arange(size, device=device) + 0.5) / size
+    down_steps, across_steps = ((torch.arange(count, device=device) + 0.5) / count for count in size)
     start, across, down = places[:, None, None].unbind(-2)
-    return start + (across - start) * steps[:, None] + (down - start) * steps[:, None, None]
+    return start + (across - start) * across_steps[:, None] + (down - start) * down_steps[:, None, None]

@@ -15,6 +15,8 @@ from .person import FoundPerson
 
 _STRIP = 256  # rows that are drawn at a time
 
+Window = tuple[slice, slice]  # rows and columns of a picture
+
 
 def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
     """Probability that a pixel of the picture shows the person, 0 outside the crop.
@@ -27,8 +29,8 @@ def draw_mask(person: FoundPerson, size: tuple[int, int]) -> np.ndarray:
         Shape (H, W), float32.
     """
     full = np.zeros(check_image_size(size), dtype=np.float32)
-    rows, columns = _window(person.crop, full.shape)
-    full[rows, columns] = _drawn(person, rows, columns)
+    window = crop_window(person.crop, full.shape)
+    full[window] = _drawn(person, window)
     return full
 
 
@@ -50,16 +52,16 @@ def instance_map(people: Sequence[FoundPerson], size: tuple[int, int], *, thresh
     owners = np.zeros(check_image_size(size), dtype=np.int32)
     strongest = np.full(owners.shape, threshold, dtype=np.float32)
     for number, person in enumerate(people, start=1):
-        window = _window(person.crop, owners.shape)
-        mask = _drawn(person, *window)
+        window = crop_window(person.crop, owners.shape)
+        mask = _drawn(person, window)
         stronger = mask > strongest[window]
         owners[window][stronger] = number
         strongest[window][stronger] = mask[stronger]
     return owners
 
 
-def _window(crop: TurnedCrops, size: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of the picture that the crop meets."""
+def crop_window(crop: TurnedCrops, size: tuple[int, ...]) -> Window:
+    """Rows and columns of a picture of (H, W) that the one crop meets."""
     corners = crop.to_picture(np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]]))[0]
     low = np.floor(corners.min(axis=0)).astype(int)
     high = np.ceil(corners.max(axis=0)).astype(int)
@@ -69,17 +71,37 @@ def _window(crop: TurnedCrops, size: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def _drawn(person: FoundPerson, rows: slice, columns: slice) -> np.ndarray:
+def _drawn(person: FoundPerson, window: Window) -> np.ndarray:
     """The mask at the centres of a window's pixels."""
-    drawn = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
-    mask = torch.from_numpy(person.mask)[None, None]
-    for first in range(0, len(drawn) if drawn.size else 0, _STRIP):
-        strip = drawn[first : first + _STRIP]
+    return spread_maps(torch.from_numpy(person.mask)[None], person.crop, window)[0][0]
+
+
+def spread_maps(
+    maps: torch.Tensor, crop: TurnedCrops, window: Window, *, mode: str = "bilinear"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Maps across one crop, at the centres of the picture's pixels.
+
+    Args:
+        maps: Shape (C, h, w), on CPU.
+        crop: Of which they are.
+        window: The rows and columns of the picture to draw, of ``crop_window``.
+        mode: "bilinear" or "nearest".
+
+    Returns:
+        The maps, 0 outside the crop, shape (C, R, S), float32; and the pixels within it, shape (R, S), bool.
+    """
+    rows, columns = window
+    drawn = np.zeros((len(maps), rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
+    within = np.zeros(drawn.shape[1:], dtype=bool)
+    for first in range(0, len(within) if within.size else 0, _STRIP):
+        strip = slice(first, min(first + _STRIP, len(within)))
         corners = np.array([columns.start, rows.start + first]) + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
-        places = person.crop.from_picture(corners[None])[0].astype(np.float32)
+        places = crop.from_picture(corners[None])[0].astype(np.float32)
         start, across, down = torch.from_numpy(places * 2 - 1)
-        x, y = torch.arange(strip.shape[1])[:, None], torch.arange(strip.shape[0])[:, None, None]
+        x, y = torch.arange(within.shape[1])[:, None], torch.arange(strip.stop - first)[:, None, None]
         grid = start + (across - start) * x + (down - start) * y
-        values = F.grid_sample(mask, grid[None], align_corners=False, padding_mode="border")[0, 0]
-        strip[:] = torch.where((grid.abs() <= 1).all(dim=-1), values, 0.0).numpy()
-    return drawn
+        values = F.grid_sample(maps[None], grid[None], mode=mode, align_corners=False, padding_mode="border")[0]
+        inside = (grid.abs() <= 1).all(dim=-1)
+        drawn[:, strip] = torch.where(inside, values, 0.0).numpy()
+        within[strip] = inside.numpy()
+    return drawn, within

@@ -1,12 +1,13 @@
 """Fit of everyone in a photo that comes with nothing else: people are found by the packaged networks.
 
 Their masks are not cut into parts: with a mask of the whole body, the label network and the mesh stage end nearer to
-the truth than with parts guessed by the nearest bones.
+the truth than with parts guessed by the nearest bones. A user's networks may give parts, and keypoints, instead.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,16 +15,21 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE, label_set
 from ..cameras import Perspective
 from ..clothing.model import DetailedModel
+from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
 from ..detection.people import find_people
 from ..detection.person import FoundPerson
-from ..errors import InputError, check_whole
+from ..errors import InputError, check_type, check_whole
+from ..inputs.evidence import weigh_evidence
+from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
+from ..predictors.keypoints import find_keypoints
+from ..predictors.networks import KeypointNetwork, PartNetwork
+from ..predictors.parts import PeopleParts
 from .fitting import Progress, fit_body
 from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
-from .stages import Quality
 
 MASK_LABELS = label_set("full1")
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
@@ -34,7 +40,7 @@ class PhotoFit:
     """Everyone in a photo, largest person first.
 
     Attributes:
-        people: As they were found.
+        people: As they were found, with the keypoints that were fitted.
         fits: Bodies, by the place of their person in ``people``: of all, or of the one who was asked for.
         owners: Whom each pixel shows: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
     """
@@ -54,9 +60,10 @@ class PhotoFit:
 def fit_photo(
     photo: np.ndarray,
     *,
+    parts_from: PartNetwork | None = None,
+    keypoints_from: KeypointNetwork | None = None,
     person: int | None = None,
     min_score: float = 0.5,
-    quality: Quality = "balanced",
     options: FitOptions | None = None,
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
@@ -67,18 +74,23 @@ def fit_photo(
 
     Args:
         photo: RGB, shape (H, W, 3), uint8, of ``read_photo``.
+        parts_from: Network for part labels instead of masks, of ``load_part_network`` or of your own.
+        keypoints_from: Network for keypoints instead of the packaged one's, likewise.
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
         min_score: Least confidence that there is a person, 0 to 1.
-        quality: As of ``fit_body``; the outline stage, from before which the mesh stage goes on, is left out.
-        options: Stages and weights of your own, instead of those of ``quality``.
+        options: Such as ``FitOptions.at("fast")``; the outline stage, from before which the mesh stage goes on, is left
+            out.
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
         camera: The photo's, as of ``fit_body``.
 
     Raises:
-        InputError: If nobody is found, or not so many people.
+        InputError: If nobody is found, or not so many people, or a network gives something else than it says.
+        TypeError: If a network is of another type.
     """
+    check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
+    check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
     found = find_people(photo, device=device, min_score=min_score)
@@ -86,14 +98,60 @@ def fit_photo(
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
     owners = instance_map(found, photo.shape[:2])
     chosen = range(len(found)) if person is None else [_checked(person, len(found))]
-    options = (options or FitOptions.at(quality)).without_outline()
+    options = (options or FitOptions.at("balanced")).without_outline()
+    evidence = _PeopleEvidence(found, owners, Pyramid(photo, device), parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
     for done, index in enumerate(chosen):
         tell("bodies", done, len(chosen))
-        parts = mask_labels(owners, index)
-        results.append(fit_body(found[index].keypoints, parts, options=options, device=device, camera=camera))
+        keypoints, parts, warnings = evidence.of(index)
+        found[index] = replace(found[index], keypoints=keypoints)
+        result = fit_body(keypoints, parts, options=options, device=device, camera=camera)
+        results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_meshes(results, model, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
+
+
+class _PeopleEvidence:
+    """Keypoints and labels of people: those of the given networks, or, where they see nothing, of the packaged ones."""
+
+    def __init__(
+        self,
+        people: Sequence[FoundPerson],
+        owners: np.ndarray,
+        picture: Pyramid,
+        parts_from: PartNetwork | None,
+        keypoints_from: KeypointNetwork | None,
+        count: int,
+    ) -> None:
+        self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
+        self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
+
+    def of(self, place: int) -> tuple[Keypoints2D, PartLabels | None, list[str]]:
+        """Keypoints and labels of one of them, and a sentence for each network that was of no use."""
+        warnings: list[str] = []
+        keypoints, mask = self._people[place].keypoints, mask_labels(self._owners, place)
+        if self._keypoints_from is not None:
+            given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
+            if given is None or not _on_labels(given, mask):
+                warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
+            else:
+                keypoints = given
+        if self._parts is None:
+            return keypoints, mask, warnings
+        parts = self._parts.of(place)
+        if parts is None or not _on_labels(keypoints, parts):
+            warnings.append("labels: none of the given network along the bones; the mask taken")
+            parts = mask
+        return keypoints, parts, warnings
+
+
+def _on_labels(keypoints: Keypoints2D, parts: PartLabels | None) -> bool:
+    """True if some of the labels, where there are any, lie along the bones, as ``fit_body`` asks."""
+    try:
+        weigh_evidence(keypoints, parts)
+    except InputError:
+        return False
+    return True
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:

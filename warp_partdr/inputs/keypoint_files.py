@@ -106,7 +106,7 @@ def parse_keypoints(
     Raises:
         InputError: If it can't be understood, or nobody in it has usable keypoints.
     """
-    given = None if keypoint_format is None else _given_format(keypoint_format)
+    given = None if keypoint_format is None else given_format(keypoint_format)
     entries = _people(data, name)
     if not entries:
         raise InputError(f"{name}: nobody in it; expected keypoints of at least one person")
@@ -133,11 +133,30 @@ def parse_keypoints(
     return [people[index] for index in sorted(people)]
 
 
-def _given_format(given: str | Path | Skeleton) -> Skeleton:
-    """Skeleton that a user names, or describes in a JSON file."""
+def given_format(given: str | Path | Skeleton) -> Skeleton:
+    """Skeleton that a user names, or describes in a JSON file.
+
+    Raises:
+        InputError: If there is no such format or file.
+    """
     if isinstance(given, Skeleton) or Path(given).suffix == ".json":
         return skeleton(given)
     return _named_format(given, "keypoint format", ", or a JSON file")
+
+
+def format_of(count: int, given: Skeleton | None, where: str) -> Skeleton:
+    """Format of so many keypoints a person: the given one, or else the one that the number tells.
+
+    Raises:
+        InputError: If the number tells none, or is not the given format's; ``where`` begins it.
+    """
+    if given is None and count not in _BY_COUNT:
+        counts = ", ".join(f"{known} ({form.name})" for known, form in sorted(_BY_COUNT.items()))
+        raise InputError(f"{where}: {count} keypoints; expected {counts}, or a format")
+    form = given or _BY_COUNT[count]
+    if count != form.count:
+        raise InputError(f"{where}: {count} keypoints; expected {form.count} of {form.name}")
+    return form
 
 
 def _named_format(text: Any, where: str, also: str = "") -> Skeleton:
@@ -215,13 +234,7 @@ def _person(entry: Mapping[str, Any], given: Skeleton | None, where: str) -> tup
     if form is None and entry.get("format") is not None:
         form = _named_format(entry["format"], f"{where}: format")
     rows = _rows(values, form, where)
-    if form is None:
-        if len(rows) not in _BY_COUNT:
-            counts = ", ".join(f"{count} ({known.name})" for count, known in sorted(_BY_COUNT.items()))
-            raise InputError(f"{where}: {len(rows)} keypoints; expected {counts}, or a format")
-        form = _BY_COUNT[len(rows)]
-    if len(rows) != form.count:
-        raise InputError(f"{where}: {len(rows)} keypoints; expected {form.count} of {form.name}")
+    form = format_of(len(rows), form, where)
     scores = entry.get("keypoint_scores")
     if scores is not None:
         if not isinstance(scores, list) or len(scores) != len(rows):

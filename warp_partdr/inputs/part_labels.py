@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set
+from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set, label_sets_of
 from ..errors import InputError, cause
 from ..files.array_files import Header, read_npy
 from ..files.json_files import read_json
@@ -78,14 +78,20 @@ def described_label_set(path: Path) -> LabelSet:
     data = read_json(path, "ids and their names")
     if isinstance(data, dict) and "groups" in data:
         return label_set(path)
-    for labels in LABEL_SETS.values():
-        names = {str(source): labels.class_names.get(source, group) for source, group in labels.ids.items()}
-        if data == names:
-            return labels
+    names = _class_names(data)
+    if names is not None and len(known := label_sets_of(names)) == 1:
+        return known[0]
     raise InputError(
         f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
         "ids (docs/inputs.md)"
     )
+
+
+def _class_names(data: Any) -> dict[int, str] | None:
+    """Class name of each id from a JSON object; None if it is something else."""
+    if not isinstance(data, dict) or not all(isinstance(name, str) for name in data.values()):
+        return None
+    return {int(key): name for key, name in data.items()} if all(map(str.isdecimal, map(str, data))) else None
 
 
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
@@ -281,7 +287,11 @@ def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> Part
         raise InputError(
             f"{where}: class probabilities add up to {totals.min():g} to {totals.max():g}; expected 1 at each pixel"
         )
-    maps = labels.to_group_maps(array)
+    return parts_from_maps(labels.to_group_maps(array), labels)
+
+
+def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
+    """Labels from probabilities of background and groups, (G + 1, H, W); the rest to 1 is of what is ignored."""
     ignored = 1.0 - maps.sum(axis=0)
     groups = maps.argmax(axis=0).astype(np.uint8)
     groups[ignored > maps.max(axis=0)] = IGNORE

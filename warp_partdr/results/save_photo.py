@@ -115,7 +115,7 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "distance_m": round(placed[1], 2),
         "distance": "measured" if isinstance(mesh.camera, Perspective) else "for a focal length of the diagonal",
         "hidden_by": fit.hidden_by(place),
-        "format": person.keypoints.skeleton,
+        "format": person.keypoints.format.name,
         "keypoints": keypoints.astype(float).tolist(),
         **describe_body(mesh.ellipbody),
         "warnings": list(mesh.ellipbody.warnings),

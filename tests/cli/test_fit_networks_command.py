@@ -1,0 +1,95 @@
+"""``partdr fit PHOTO --parts-from --keypoints-from``, with tiny networks in folders."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import commands
+from scenes.checkpoints import class_names, knowing_vitpose, tiny_segformer
+from scenes.commands import EVERY_FILE, Run
+from scenes.files import EXAMPLE
+
+from warp_partdr.detection.people import find_people
+from warp_partdr.inputs.keypoint_files import read_keypoints
+from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.predictors.networks import upright_crop
+
+pytest.importorskip("transformers", reason="needs the extra photo")
+
+files, run = commands.files, commands.run  # fixtures
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a SegFormer and a ViTPose that sees the example's keypoints, as near as its cells are."""
+    folder = tmp_path_factory.mktemp("networks")
+    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    person = find_people(read_photo(EXAMPLE / "photo.png"))[0]
+    places = upright_crop(person, (256, 192)).from_picture(truth.points[None].astype(float))[0]
+    cells = np.floor(places * [12, 16]).astype(int).clip(1, [10, 14])
+    knowing_vitpose(folder / "vitpose", [(row, column) for column, row in cells.tolist()])
+    tiny_segformer(folder / "segformer", class_names("atr18"))
+    return folder
+
+
+def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> None:
+    shutil.copy(EXAMPLE / "photo.png", "whole.png")
+    line = f"fit whole.png --parts-from {networks}/segformer --keypoints-from {networks}/vitpose --out out --device cpu"
+    code, said, _ = run(line)
+    assert code == 0
+    parts, keypoints, person, last = said.splitlines()
+    assert parts.startswith(f"parts from {networks}/segformer: SegformerForSemanticSegmentation, 0.014 million param")
+    assert keypoints.startswith(f"keypoints from {networks}/vitpose: VitPoseForPoseEstimation, ")
+    assert keypoints.endswith(", keypoints coco17")
+    assert person.startswith("person0: score 0.")
+    assert "people.json" in last
+    assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
+    (told,) = json.loads(Path("out", "people.json").read_text())["people"]
+    assert told["format"] == "coco17"
+    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    seen = np.array(told["keypoints"])
+    assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("photo.png --parts-from nowhere/net", ["nowhere/net: no such folder", "hf:ORG/NAME"]),
+        (
+            "photo.png --parts-from VIT",
+            ["vitpose: a vitpose; expected a network of semantic segmentation"],
+        ),
+        ("photo.png --keypoints-from SEG", ["segformer: a segformer; expected a vitpose"]),
+        (
+            "photo.png --parts-from SEG --labels lip20",
+            ["--labels: lip20, of 20 classes; expected one of"],
+        ),
+        ("photo.png --keypoints-from VIT --format lsp14", ["vitpose: 17 keypoints; expected 14 of lsp14"]),
+        (
+            "photo.png --parts-from SEG --format coco17",
+            ["--format: coco17, without --keypoints or --key"],
+        ),
+        (
+            "photo.png --keypoints-from VIT --labels lip20",
+            ["--labels: lip20, without --keypoints or --par"],
+        ),
+        ("photo.png --keypoints-from VIT --parts p.png", ["--parts: p.png, without --keypoints;"]),
+        (
+            "photo.png --keypoints k.json --parts-from NET",
+            ["--parts-from: NET, with --keypoints; expected a photo alone"],
+        ),
+        ("photo.png --keypoints k.json --keypoints-from NET", ["--keypoints-from: NET, with --keypoints"]),
+        ("--parts-from SEG", ["PHOTO: missing"]),
+    ],
+)
+def test_faults_are_one_line(run: Run, files: Path, networks: Path, line: str, words: list[str]) -> None:
+    line = line.replace("SEG", f"{networks}/segformer").replace("VIT", f"{networks}/vitpose")
+    code, said, complaint = run(f"fit {line} --device cpu")
+    assert (code, said) == (2, "")
+    (told,) = complaint.splitlines()
+    assert all(word in told for word in words), told
+    assert not Path("out").exists()
