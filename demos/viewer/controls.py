@@ -18,7 +18,7 @@ from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
 from .buttons import Button
 from .recording import FILM, Film
-from .scene import Scene
+from .scene import PlottedScene
 from .settings import CHOICES, QUALITIES
 from .sliders import PAGES
 from .state import DemoState
@@ -45,7 +45,9 @@ class Controls:
     The folder to save to is made when it is needed; the next random body takes the seed after ``seed``.
     """
 
-    def __init__(self, state: DemoState, scene: Scene, folder: Path, redraw: Callable[[], None], seed: int) -> None:
+    def __init__(
+        self, state: DemoState, scene: PlottedScene, folder: Path, redraw: Callable[[], None], seed: int
+    ) -> None:
         self._state, self._scene, self._folder, self._redraw, self._seed = state, scene, folder, redraw, seed
         self.playing = False
         self.page = 0  # of ``PAGES``

@@ -17,7 +17,7 @@ from ..errors import InputError
 from .style import PAPER
 
 if TYPE_CHECKING:
-    from .scene import Scene
+    from .scene import PlottedScene
 
 _PAUSE = 12  # times the last picture is shown at the end
 _MILLISECONDS = 80  # a picture
@@ -29,7 +29,7 @@ _MOST = 400  # pictures of a film, of 0.8 MB each
 _WIDEST = 640  # [px] of a film
 
 
-def frames(scene: Scene, steps: int) -> Iterator[np.ndarray]:
+def frames(scene: PlottedScene, steps: int) -> Iterator[np.ndarray]:
     """The start, then a picture after each two steps, and the last: RGB, (height, width, 3), uint8."""
     yield scene.screenshot()
     for done in range(1, steps + 1):

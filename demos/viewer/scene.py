@@ -1,6 +1,6 @@
 """The demo as one PyVista picture: the body in 3D on the left, images, gradient and loss on the right.
 
-Everything is made once; ``Scene.update`` changes numbers in place, which is what keeps a change fast.
+Everything is made once; ``PlottedScene.update`` changes numbers in place, which is what keeps a change fast.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _TITLES = {
 }
 
 
-class Scene:
+class PlottedScene:
     """A plotter with everything in it; ``update`` looks at the state again.
 
     ``smooth`` outlines (multisampling) without a GPU take four times as long. An InputError says that VTK can't draw.

@@ -14,7 +14,7 @@ from ..errors import InputError
 from .buttons import Button, Panel
 from .controls import Controls
 from .recording import FILM
-from .scene import Scene
+from .scene import PlottedScene
 from .settings import QUALITIES
 from .sliders import Page, SliderColumn, make_page
 from .state import DemoState
@@ -33,7 +33,7 @@ class Window:
 
     def __init__(self, state: DemoState, folder: Path, *, off_screen: bool = False, seed: int = 0) -> None:
         self.state, self.folder = state, folder
-        self.scene = Scene(state, off_screen=off_screen, smooth=False)
+        self.scene = PlottedScene(state, off_screen=off_screen, smooth=False)
         self.tradeoff = Tradeoff(state)
         self.controls = Controls(state, self.scene, folder, self.refresh, seed)
         self.keys = self.controls.keys

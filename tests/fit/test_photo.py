@@ -60,7 +60,7 @@ def test_half_a_body_of_a_real_photo(device):
     drawn = mesh.draw(photo.shape[:2]).labels[0].cpu().numpy() > 0
     seen = found.owners == 1
     assert (drawn & seen).sum() / (drawn | seen).sum() > 0.85
-    nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None])[0, 0].tolist()
+    nose = mesh.ellipbody.camera.project(torch.from_numpy(mesh.landmarks(("nose",)))[None].to(device))[0, 0].tolist()
     assert abs(nose[0] - 226) < 30
     assert abs(nose[1] - 112) < 30
 

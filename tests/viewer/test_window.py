@@ -15,7 +15,7 @@ from scenes.viewer import SMALL, click, image, make_state, middle, play, read_ta
 from warp_partdr.body.template import LENGTH_NAMES, PART_NAMES
 from warp_partdr.errors import InputError
 from warp_partdr.results.palette import PART_COLOURS
-from warp_partdr.viewer.scene import Scene
+from warp_partdr.viewer.scene import PlottedScene
 from warp_partdr.viewer.settings import QUALITIES
 from warp_partdr.viewer.sliders import PAGES
 from warp_partdr.viewer.state import DemoState
@@ -42,7 +42,7 @@ def test_a_slider_changes_what_it_should(window):
 
 
 def test_pictures_are_upright_and_not_mirrored(can_draw):
-    scene = Scene(make_state("t-pose", "t-pose"), smooth=False)
+    scene = PlottedScene(make_state("t-pose", "t-pose"), smooth=False)
     shown = scene.screenshot().astype(int)
     scene.close()
     for columns in (slice(0, 640), slice(640, 960), slice(960, 1280)):  # in 3D with the wall, body, target
@@ -378,7 +378,7 @@ def test_no_opengl_is_one_line(monkeypatch):
     with pytest.raises(
         InputError, match=r"^demo: VTK can't draw here \(no OpenGL\); expected OpenGL: .* needs neither$"
     ):
-        Scene(make_state())
+        PlottedScene(make_state())
 
 
 def test_the_network_starts_near_the_target(window):

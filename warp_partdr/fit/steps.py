@@ -12,7 +12,7 @@ from ..interop.graph_cache import graphs
 from .mesh_options import MeshOptions
 
 
-class People(Protocol):
+class Copyable(Protocol):
     """Starts and observations, all of whose tensors a captured graph may copy from others."""
 
     def tensors(self) -> list[torch.Tensor]:
@@ -22,9 +22,9 @@ class People(Protocol):
         """Copies of all tensors."""
 
 
-P = TypeVar("P", bound=People)
+P = TypeVar("P", bound=Copyable)
 U = TypeVar("U")
-_P = TypeVar("_P", bound=People, contravariant=True)
+_P = TypeVar("_P", bound=Copyable, contravariant=True)
 
 
 class StepEnergy(Protocol[_P, U]):
