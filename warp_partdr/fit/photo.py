@@ -19,12 +19,14 @@ from ..detection.people import find_people
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_whole
 from ..inputs.part_labels import PartLabels
+from ..inputs.person import PersonInputs
 from .fitting import Progress, fit_body
 from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
 from .stages import Quality
 
+MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
@@ -55,7 +57,7 @@ def fit_photo(
     photo: np.ndarray,
     *,
     person: int | None = None,
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     quality: Quality = "balanced",
     options: FitOptions | None = None,
     model: DetailedModel | None = None,
@@ -81,10 +83,7 @@ def fit_photo(
     """
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
-    found = find_people(photo, device=device, min_score=min_score)
-    if not found:
-        raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
-    owners = instance_map(found, photo.shape[:2])
+    found, owners = _everyone(photo, min_score, device)
     chosen = range(len(found)) if person is None else [_checked(person, len(found))]
     options = (options or FitOptions.at(quality)).without_outline()
     results: list[FitResult] = []
@@ -94,6 +93,25 @@ def fit_photo(
         results.append(fit_body(found[index].keypoints, parts, options=options, device=device, camera=camera))
     fits = refine_meshes(results, model, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
+
+
+def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
+    """The input of one person's fit as ``fit_photo`` finds it; 0 = largest.
+
+    Raises:
+        InputError: If nobody is found, or not so many people.
+    """
+    found, owners = _everyone(photo, MIN_SCORE, "cpu")
+    index = _checked(person, len(found))
+    return PersonInputs(found[index].keypoints, (), mask_labels(owners, index), photo)
+
+
+def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
+    """The people in a photo, and whom each pixel shows."""
+    found = find_people(photo, device=device, min_score=min_score)
+    if not found:
+        raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
+    return found, instance_map(found, photo.shape[:2])
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
