@@ -7,6 +7,7 @@ The detector, which is slower and sees new people, looks every few frames, and w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ _LED = 0.2  # likeness that is added for one who was found just where their last
 _REACH = 0.5  # sides of their crop that one who is lost moves from one look of the detector to the next, at most
 _RATIO = 0.6  # least ratio of the sides of one person's crops, before they were lost and after
 _GRID = 48  # points a side at which two masks are compared
+_LEVELS = 2  # of the detector: a film's many frames should not take long
 _PATIENCE = 3  # looks of the detector that one who was lost may be away for
 
 
@@ -76,7 +78,8 @@ class PeopleTracker:
         return dict(followed)
 
     def _find(self, picture: np.ndarray, previous: list[FoundPerson]) -> list[FoundPerson]:
-        return find_people(picture, device=self._device, min_score=self._min_score, previous=previous)
+        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score}
+        return find_people(picture, levels=_LEVELS, previous=previous, **how)
 
     def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
         """Those of the people who were lost, and are where they may have got to since."""

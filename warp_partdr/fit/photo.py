@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, label_set
-from ..cameras import Perspective
+from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection.masks import instance_map
 from ..detection.people import find_people
@@ -28,6 +28,7 @@ from .stages import Quality
 
 MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
+_COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
 
@@ -47,8 +48,11 @@ class PhotoFit:
 
     def hidden_by(self, place: int) -> list[int]:
         """Places of those whose masks lie before a person's body."""
-        drawn = self.fits[place].draw(self.owners.shape).labels[0].cpu().numpy() > 0
-        counts = np.bincount(self.owners[drawn], minlength=len(self.people) + 1)[1:]
+        zoom = min(1.0, _COMPARED / max(self.owners.shape))
+        rows, columns = (_nearest(side, zoom) for side in self.owners.shape)
+        size, mesh = (len(rows), len(columns)), self.fits[place]
+        drawn = mesh.draw(size, camera=zoomed(mesh.camera, zoom, size)).labels[0].cpu().numpy() > 0
+        counts = np.bincount(self.owners[rows[:, None], columns][drawn], minlength=len(self.people) + 1)[1:]
         counts[place] = 0
         return np.flatnonzero(counts > _HIDDEN * max(drawn.sum(), 1)).tolist()
 
@@ -119,6 +123,11 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
     groups[owners == index + 1] = 1
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def _nearest(side: int, zoom: float) -> np.ndarray:
+    """Pixels of a picture's side that lie under those of the same side made smaller."""
+    return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
 
 
 def _checked(person: int, count: int) -> int:
