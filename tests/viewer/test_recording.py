@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 from scenes import viewer
+from scenes.files import EXAMPLE
 from scenes.viewer import click
 from typer.testing import CliRunner
 
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
+from warp_partdr.fit.photo import person_in_photo
 from warp_partdr.viewer.recording import Film, check_format
+from warp_partdr.viewer.targets import person_target
 
 one_thread, open_window, window = viewer.one_thread, viewer.open_window, viewer.window  # fixtures
 
@@ -31,6 +35,30 @@ def test_record(can_draw, tmp_path, name):
         page = (tmp_path / name).read_text()
         assert page.count("data:image/webp;base64,") == 3
         assert "http" not in page  # it needs no network
+
+
+def test_a_photo_is_enough(can_draw, tmp_path):
+    """The second largest of the people in it is the target, with photo and mask."""
+    photo = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    both = Image.new("RGB", (2 * photo.width, photo.height), photo.getpixel((5, 5)))
+    both.paste(photo, (0, 0))
+    both.paste(photo.resize((photo.width // 2, photo.height // 2)), (photo.width + 60, 120))
+    both.save(tmp_path / "both.png")
+    line = ["demo", str(tmp_path / "both.png"), "--record", str(tmp_path / "out.gif"), "--set", "steps=2"]
+    done = CliRunner().invoke(app, [*line, "--person", "1", "--start", "network"])
+    assert done.exit_code == 0, done.output
+    target = person_target(person_in_photo(np.asarray(both), 1))
+    assert target.label_set.name == "full1"
+    assert target.photo is not None
+    seen = target.observation.labels.numpy() == 1
+    shirt = np.asarray(Image.fromarray(target.photo).resize(seen.shape[::-1]))[seen].mean(axis=0)
+    assert 0.05 < seen.mean() < 0.5
+    assert shirt[0] > shirt[2] + 10  # the person, not the background, which is bluish
+    for arguments in ([*line, "--person", "2"], ["demo", str(tmp_path / "gray.png"), *line[2:]]):
+        Image.new("RGB", (200, 200)).save(tmp_path / "gray.png")
+        refused = CliRunner().invoke(app, arguments).exception
+        assert isinstance(refused, InputError)
+        assert re.match("person: 2; expected 0 to 1|photo: nobody found", str(refused))
 
 
 def test_record_checks_the_name(tmp_path, monkeypatch):
@@ -52,7 +80,9 @@ def test_record_checks_the_name(tmp_path, monkeypatch):
         (["--web", "--record", "out.gif"], "--web, --record, --profile: more than one; expected one"),
         (["--set", "port=80"], "port: without --web; expected both, or neither"),
         (["--set", "browser=false"], "browser: without --web"),
-        (["--record", "out.gif", "--photo", "photo.png"], "--keypoints: none with --photo"),
+        (["photo.png", "--record", "out.gif"], "photo.png: No such file"),
+        (["photo.png", "--record", "out.gif", "--parts", "parts.png"], "--keypoints: none with --parts"),
+        (["--record", "out.gif", "--person", "1"], "--person: 1, without a photo or keypoints"),
         (["--record", "out.gif", "--target", "dancing"], "'dancing'; expected one of"),
         (["--record", "out.gif", "--start", "nowhere.npz"], "nowhere.npz: No such file"),
     ],

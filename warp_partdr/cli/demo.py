@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Option
+from typer import Argument, Option
 
 from ..errors import InputError
 from ..files.sections import check_keys, read_section
+from ..inputs.part_labels import read_photo
 from .options import OutOption, PersonFiles, SettingOptions, take_whole
 
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
@@ -24,7 +25,8 @@ Examples: `partdr demo`, then the space bar; in a browser, `partdr demo --web`; 
 Left, the body in 3D; right, its labels, the target's, what differs, where the loss pulls each part, and the loss.
 Point at a button for what it does and its key. Bodies by name: t-pose, walking, crossed arms, sitting, random.
 
-**A person of your own**: --keypoints and, for more than those, --parts with --labels, as `partdr fit` takes them.
+**A person of your own**: `partdr demo photo.jpg`, the largest person in it, or --person N; or --keypoints and, for more
+than those, --parts with --labels, as `partdr fit` takes them.
 
 **Settings** for --set and --config, with their defaults: `supervision=parts` (or silhouette, keypoints),
 `renderer=exact` (or the meshes E0 to E3), `gradient=partdr` (or coverage, edges), `depth_gradient=true`, `size=256`
@@ -48,7 +50,9 @@ class WebAddress:
 
 def demo(
     files: PersonFiles,
-    photo: Annotated[Path | None, Option(help="Picture of the person to reach, to be shown.", metavar="FILE")] = None,
+    photo: Annotated[
+        Path | None, Argument(help="Picture of the person to reach, alone or with keypoints.", metavar="PHOTO")
+    ] = None,
     start: Annotated[
         str,
         Option(
@@ -132,8 +136,14 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     targets = _viewer("targets")
     if files.keypoints is not None:
         goal = targets.person_target(files.read(photo))
-    elif any(given is not None for given in (photo, files.parts, files.labels)):
-        raise InputError("--keypoints: none with --photo, --parts or --labels; expected 2D keypoints, FILE.json")
+    elif any(given is not None for given in (files.parts, files.labels, files.keypoint_format)):
+        raise InputError("--keypoints: none with --parts, --labels or --format; expected 2D keypoints, FILE.json")
+    elif photo is not None:
+        from ..fit.photo import person_in_photo
+
+        goal = targets.person_target(person_in_photo(read_photo(photo), files.person or 0))
+    elif files.person is not None:
+        raise InputError(f"--person: {files.person}, without a photo or keypoints; expected one of them")
     else:
         goal = targets.body_target(targets.body_of(target, seed + 1))  # another than a random start
     if start.endswith(".npz"):

@@ -1,9 +1,22 @@
-"""Progress of a fit on the terminal."""
+"""Progress of a fit on the terminal, and of pictures that pass."""
 
 from __future__ import annotations
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+_SPEED_OVER = 20.0  # [s] of which rate and remaining time are measured
 
 
 class FitProgress(Progress):
@@ -25,3 +38,38 @@ class FitProgress(Progress):
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show that ``done`` of ``total`` iterations are over."""
         self.update(self._task, description=stage, completed=done, total=total)
+
+
+class PictureProgress(Progress):
+    """A bar on stderr for pictures and frames that pass, with their rate and the time that remains."""
+
+    def __init__(self, total: int | None) -> None:
+        console = Console(stderr=True)
+        super().__init__(
+            TextColumn("{task.description:24}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            _Rate(),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
+            speed_estimate_period=_SPEED_OVER,
+        )
+        self._task = self.add_task("loading networks", total=total)
+
+    def __call__(self, name: str, count: int = 1) -> None:
+        """Show that ``count`` more have passed, the last of them from the file ``name``."""
+        self.update(self._task, description=name, advance=count)
+
+    def say(self, line: str) -> None:
+        """Print a line on stderr, above the bar."""
+        self.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+class _Rate(ProgressColumn):
+    """Pictures a second."""
+
+    def render(self, task: Task) -> Text:
+        """Draw it."""
+        return Text("" if task.speed is None else f"{task.speed:.1f}/s")

@@ -9,7 +9,7 @@ import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
 from ..interop.torch_threads import one_torch_thread
-from .asset import packaged_people_networks
+from .asset import PeopleNetworks, packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
 from .detector import detect_people
 from .look import FoundLandmarks, look
@@ -17,6 +17,8 @@ from .person import FoundPerson
 from .same_person import first_of_each, similarity
 
 _TOGETHER = 64  # people whose masks are made at a time
+_FEWEST, _MOST = 2, 4  # levels where the pictures decide
+_SMALL = 1.4  # side of the crop about the smallest person that a level finds, in quarters of the level's tiles
 
 
 def find_people(
@@ -24,7 +26,7 @@ def find_people(
     *,
     device: torch.device | str = "cpu",
     min_score: float = 0.5,
-    levels: int = 2,
+    levels: int | None = None,
     previous: Sequence[FoundPerson] = (),
 ) -> list[FoundPerson]:
     """Find everyone in a picture.
@@ -35,7 +37,8 @@ def find_people(
         min_score: Least confidence that there is a person, of the detector and of the landmarks, 0 to 1.
         levels: 1 looks at the whole picture alone, where people of a quarter of its longer side and more are found;
             each further level, at overlapping tiles of half the size, finds people half as large. Tiles smaller than
-            the detector's 224 pixels are left out.
+            the detector's 224 pixels are left out. None: 2, and more where people are so small that there may be
+            smaller ones, or where nobody is found.
         previous: The people of a film's last frame. Where they are given, only they are followed, and the detector
             doesn't run; nobody new is found.
 
@@ -57,7 +60,7 @@ def find_people_in(
     *,
     device: torch.device | str = "cpu",
     min_score: float = 0.5,
-    levels: int = 2,
+    levels: int | None = None,
     previous: Sequence[Sequence[FoundPerson]] | None = None,
 ) -> list[list[FoundPerson]]:
     """The same for several pictures of any sizes, in batches.
@@ -73,7 +76,7 @@ def find_people_in(
         The people of each picture.
     """
     _check_pictures(pictures)
-    levels = check_whole("levels", levels, 1)
+    fixed = None if levels is None else check_whole("levels", levels, 1)
     if not 0 <= min_score < 1:
         raise ValueError(f"min_score: {shown(min_score)}; expected a number from 0 to below 1")
     before = [()] * len(pictures) if previous is None else previous
@@ -83,6 +86,40 @@ def find_people_in(
         check_each("previous", people, FoundPerson, "of find_people")
     networks = packaged_people_networks(str(device))
     pyramids = [Pyramid(picture, networks.device) for picture in pictures]
+    everyone = _find(networks, pyramids, before, min_score, fixed or _FEWEST)
+    for more in range(_FEWEST + 1, 1 + (_MOST if fixed is None else 0)):
+        again = [
+            index
+            for index, people in enumerate(everyone)
+            if not before[index] and _look_closer(people, max(pyramids[index].size), more, networks.detector.size)
+        ]
+        closer = _find(networks, [pyramids[index] for index in again], [()] * len(again), min_score, more)
+        for index, people in zip(again, closer, strict=True):
+            everyone[index] = max(everyone[index], people, key=len)
+    return everyone
+
+
+def _look_closer(people: Sequence[FoundPerson], longer: int, levels: int, least: int) -> bool:
+    """True if one more level, the last of so many, may find people in a picture of this longer side [px].
+
+    Tiles have ``least`` pixels a side at least.
+    """
+    if longer / 2 ** (levels - 1) < least:
+        return False
+    if not people:
+        return levels == _FEWEST + 1
+    smallest = min(float(person.next_crop.sides[0]) for person in people)
+    return smallest < _SMALL / 4 * longer / 2 ** (levels - _FEWEST - 1)
+
+
+def _find(
+    networks: PeopleNetworks,
+    pyramids: Sequence[Pyramid],
+    before: Sequence[Sequence[FoundPerson]],
+    min_score: float,
+    levels: int,
+) -> list[list[FoundPerson]]:
+    """The people of each picture, those who were in the frame before it or else new ones."""
     new = [index for index, people in enumerate(before) if not people]
     crops, detected = detect_people(networks, pyramids, new, min_score, levels)
     first = look(networks, pyramids, crops)
@@ -96,7 +133,7 @@ def find_people_in(
     rows = rows[np.argsort(-found.next_crops.sides[rows], kind="stable")]
     pictured = found.crops.pictures[rows]
     sizes = np.array([pyramid.size for pyramid in pyramids]).reshape(-1, 2)[pictured]
-    people_of: list[list[FoundPerson]] = [[] for _ in pictures]
+    people_of: list[list[FoundPerson]] = [[] for _ in pyramids]
     for start in range(0, len(rows), _TOGETHER):
         some = slice(start, start + _TOGETHER)
         for picture, person in zip(

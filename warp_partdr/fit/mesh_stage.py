@@ -67,10 +67,10 @@ class MeshFit(Movable):
         """Landmarks in the camera frame, shape (L, 3) [m]."""
         return self.body.model.landmarks(self.body.detailed, names)[0].cpu().numpy()
 
-    def draw(self, image_size: tuple[int, int]) -> PartImage:
-        """Its 20 parts, clothed, in the full picture of (H, W) pixels."""
+    def draw(self, image_size: tuple[int, int], *, camera: Camera | None = None) -> PartImage:
+        """Its 20 parts, clothed, in the full picture of (H, W) pixels, or in another camera's."""
         clothed = self.body.clothed(self.clothes)
-        return draw_mesh(clothed.vertices, detailed_mesh(self.body.model), self.camera, image_size)
+        return draw_mesh(clothed.vertices, detailed_mesh(self.body.model), camera or self.camera, image_size)
 
 
 def refine_mesh(

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE, label_set
-from ..cameras import Perspective
+from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
@@ -23,6 +23,7 @@ from ..errors import InputError, check_type, check_whole
 from ..inputs.evidence import weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
+from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
 from ..predictors.parts import PeopleParts
@@ -31,7 +32,9 @@ from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
 
+MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
+_COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
 
@@ -51,8 +54,11 @@ class PhotoFit:
 
     def hidden_by(self, place: int) -> list[int]:
         """Places of those whose masks lie before a person's body."""
-        drawn = self.fits[place].draw(self.owners.shape).labels[0].cpu().numpy() > 0
-        counts = np.bincount(self.owners[drawn], minlength=len(self.people) + 1)[1:]
+        zoom = min(1.0, _COMPARED / max(self.owners.shape))
+        rows, columns = (_nearest(side, zoom) for side in self.owners.shape)
+        size, mesh = (len(rows), len(columns)), self.fits[place]
+        drawn = mesh.draw(size, camera=zoomed(mesh.camera, zoom, size)).labels[0].cpu().numpy() > 0
+        counts = np.bincount(self.owners[rows[:, None], columns][drawn], minlength=len(self.people) + 1)[1:]
         counts[place] = 0
         return np.flatnonzero(counts > _HIDDEN * max(drawn.sum(), 1)).tolist()
 
@@ -63,7 +69,7 @@ def fit_photo(
     parts_from: PartNetwork | None = None,
     keypoints_from: KeypointNetwork | None = None,
     person: int | None = None,
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     options: FitOptions | None = None,
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
@@ -93,10 +99,7 @@ def fit_photo(
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
-    found = find_people(photo, device=device, min_score=min_score)
-    if not found:
-        raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
-    owners = instance_map(found, photo.shape[:2])
+    found, owners = _everyone(photo, min_score, device)
     chosen = range(len(found)) if person is None else [_checked(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
     evidence = _PeopleEvidence(found, owners, Pyramid(photo, device), parts_from, keypoints_from, len(chosen))
@@ -154,11 +157,35 @@ def _on_labels(keypoints: Keypoints2D, parts: PartLabels | None) -> bool:
     return True
 
 
+def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
+    """The input of one person's fit as ``fit_photo`` finds it; 0 = largest.
+
+    Raises:
+        InputError: If nobody is found, or not so many people.
+    """
+    found, owners = _everyone(photo, MIN_SCORE, "cpu")
+    index = _checked(person, len(found))
+    return PersonInputs(found[index].keypoints, (), mask_labels(owners, index), photo)
+
+
+def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
+    """The people in a photo, and whom each pixel shows."""
+    found = find_people(photo, device=device, min_score=min_score)
+    if not found:
+        raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
+    return found, instance_map(found, photo.shape[:2])
+
+
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     """Labels of the set "full1" of one of the owners, others' pixels ignored; None if no pixel shows the person."""
     groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
     groups[owners == index + 1] = 1
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def _nearest(side: int, zoom: float) -> np.ndarray:
+    """Pixels of a picture's side that lie under those of the same side made smaller."""
+    return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
 
 
 def _checked(person: int, count: int) -> int:

@@ -57,21 +57,38 @@ def shade_mesh(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
     light = _LIGHT / np.linalg.norm(_LIGHT)
     brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ light, 0, 1)
-    index, labels = image.face_index[0].numpy(), image.labels[0].numpy()
-    rgba = np.zeros((*labels.shape, 4), dtype=np.float32)
-    rgba[..., :3] = colours[labels] * brightness[index][..., None]
-    rgba[..., 3] = 255.0 * (labels > 0)
+    rgba = np.zeros((height, width, 4), dtype=np.uint8)
+    seen = _seen(image.labels[0].numpy() > 0, _SAMPLES)  # most of a photo shows no body
+    fine_rows, fine_columns = (slice(each.start * _SAMPLES, each.stop * _SAMPLES) for each in seen)
+    index, labels = (each[0].numpy()[fine_rows, fine_columns] for each in (image.face_index, image.labels))
     # Colours count by how much of them is there, or outlines would turn dark.
-    blocks = rgba.reshape(height, _SAMPLES, width, _SAMPLES, 4)
-    alpha = blocks[..., 3].sum((1, 3))
-    colour = (blocks[..., :3] * blocks[..., 3:]).sum((1, 3)) / np.maximum(alpha, 1)[..., None]
-    return np.concatenate([colour, alpha[..., None] / _SAMPLES**2], axis=-1).clip(0, 255).astype(np.uint8)
+    covered = (labels > 0)[..., None].astype(np.float32)
+    colour = colours[labels] * brightness[index][..., None].astype(np.float32) * covered
+    colour, alpha = (
+        each.reshape(labels.shape[0] // _SAMPLES, _SAMPLES, labels.shape[1] // _SAMPLES, _SAMPLES, each.shape[-1]).sum(
+            (1, 3)
+        )
+        for each in (colour, covered)
+    )
+    shaded = np.concatenate([colour / np.maximum(alpha, 1), alpha * 255.0 / _SAMPLES**2], axis=-1)
+    rgba[seen] = shaded.clip(0, 255).astype(np.uint8)
+    return rgba
+
+
+def _seen(shown: np.ndarray, step: int) -> tuple[slice, slice]:
+    """Rows and columns of ``step`` pixels each that hold what is shown, (H, W)."""
+    rows, columns = (np.flatnonzero(shown.any(axis)) // step for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def blend(photo: np.ndarray, rgba: np.ndarray, opacity: float) -> np.ndarray:
     """``rgba`` over ``photo``, shape (H, W, 3), uint8."""
-    alpha = rgba[..., 3:].astype(np.float32) / 255 * opacity
-    return (photo * (1 - alpha) + rgba[..., :3] * alpha).astype(np.uint8)
+    blended, seen = photo.copy(), _seen(rgba[..., 3] > 0, 1)
+    alpha = rgba[seen][..., 3:].astype(np.float32) / 255 * opacity
+    blended[seen] = (photo[seen] * (1 - alpha) + rgba[seen][..., :3] * alpha).astype(np.uint8)
+    return blended
 
 
 def draw_keypoints(image: Image, keypoints: Keypoints2D) -> None:

@@ -53,7 +53,7 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
     Args:
         result: Of ``fit_body``.
         folder: Made if it is not there.
-        photo: The picture, shape (H, W, 3), uint8, if there was one.
+        photo: The picture, shape (H, W, 3), uint8, if there was one; beside labels, it may have been made smaller.
 
     Returns:
         The report.
@@ -70,7 +70,7 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
     if evidence.picture is not None:
         label_set = evidence.picture.label_set
         # In the picture or, if that is large, a smaller one.
-        zoom, scored = _shown_at(size)
+        zoom, scored = shown_at(size)
         drawn = result.draw(scored, camera=zoomed(result.camera, zoom, scored)).labels[0].cpu().numpy()
         shown, target = label_set.part_groups[drawn], evidence.target(scored)
         report |= score_labels(shown, target, label_set)
@@ -91,7 +91,7 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:
     """(H, W) of the picture; without photo and labels, what holds all keypoints."""
-    for image in (photo, None if parts is None else parts.groups):
+    for image in (None if parts is None else parts.groups, photo):
         if image is not None:
             return int(image.shape[0]), int(image.shape[1])
     width, height = np.ceil(keypoints.points[keypoints.visible].max(0) * 1.1 + 1).astype(int)
@@ -136,7 +136,7 @@ def save_registered(
             name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
         }
     if evidence is not None and evidence.picture is not None:
-        label_set, (zoom, scored) = evidence.picture.label_set, _shown_at(size)
+        label_set, (zoom, scored) = evidence.picture.label_set, shown_at(size)
         vertices = shown.detailed.vertices[:1].detach()
         seen = zoomed(first_of(camera).to(vertices.device), zoom, scored)
         image = draw_mesh(vertices, detailed_mesh(model), seen, scored)
@@ -173,7 +173,7 @@ def _over(
     """Shading over the photo, or over gray, as it is shown, and its pixels a pixel of the picture."""
     from PIL import Image
 
-    zoom, (height, width) = _shown_at(size)
+    zoom, (height, width) = shown_at(size)
     canvas = Image.new("RGB", (width, height), (235, 235, 235)) if photo is None else Image.fromarray(photo)
     if canvas.size != (width, height):
         canvas = canvas.resize((width, height), Image.Resampling.LANCZOS)
@@ -181,7 +181,7 @@ def _over(
     return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
 
 
-def _shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
+def shown_at(size: tuple[int, int]) -> tuple[float, tuple[int, int]]:
     """Zoom and (H, W) at which a picture of this size is shown and compared: at most ``OVERLAY_SIDE`` px a side."""
     zoom = min(1.0, OVERLAY_SIDE / max(size))
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 from .pictures import draw_keypoints
 from .result_sets import PEOPLE_REPORT, replacing
-from .save import DETAILED_FILES, RESULT_FILES, describe_body, draw_detailed, save_fit, save_registered
+from .save import DETAILED_FILES, RESULT_FILES, describe_body, draw_detailed, save_fit, save_registered, shown_at
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,20 +48,21 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
     placed = {place: _place(each, size) for place, each in fit.fits.items()}
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
-    overlay = photo
+    small = _as_shown(photo)  # once for all, which takes long
+    overlay = small
     for place in sorted(fit.fits, key=lambda place: -placed[place][1]):  # the farthest first
         overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
     with replacing(folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
         _picture(overlay).save(temporary / "overlay.png")
-        draw_people(fit, photo).save(temporary / "people.png")
+        draw_people(fit, small).save(temporary / "people.png")
         _scene({place: fit.fits[place].vertices + offset for place, (offset, _) in placed.items()}, fit).export(
             temporary / "scene.glb"
         )
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
-        save_fit(found, own, photo=photo)
+        save_fit(found, own, photo=small if found.evidence.picture is not None else photo)
         save_registered(
-            mesh.body, own, found.camera, size, photo=photo, evidence=found.evidence, clothes=mesh.clothes,
+            mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3),
         )  # fmt: skip
     _remove_others(folder, {_name(place) for place in fit.fits})
@@ -68,15 +70,28 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
 
 
 def draw_people(fit: PhotoFit, photo: np.ndarray) -> Image:
-    """The photo with the people as they were found: masks in colours, and keypoints."""
-    picture = photo.astype(np.float32)
-    for place in range(len(fit.people)):
-        mask = fit.owners == place + 1
-        picture[mask] = (1 - _TINT) * picture[mask] + _TINT * PART_COLOURS[1 + place % (len(PART_COLOURS) - 1)]
-    image = _picture(picture.astype(np.uint8))
+    """The photo with the people as they were found: masks in colours, and keypoints; not larger than shown."""
+    from PIL import Image
+
+    zoom, (height, width) = shown_at(fit.owners.shape)
+    owners = np.asarray(Image.fromarray(fit.owners).resize((width, height), Image.Resampling.NEAREST))
+    places = 1 + np.arange(len(fit.people)) % (len(PART_COLOURS) - 1)
+    tints = np.concatenate([PART_COLOURS[:1], PART_COLOURS[places]]).astype(np.float32)
+    share = (_TINT * (owners > 0))[..., None].astype(np.float32)
+    image = _picture(((1 - share) * _as_shown(photo) + share * tints[owners]).astype(np.uint8))
     for person in fit.people:
-        draw_keypoints(image, person.keypoints)
+        draw_keypoints(image, replace(person.keypoints, points=person.keypoints.points * zoom))
     return image
+
+
+def _as_shown(photo: np.ndarray) -> np.ndarray:
+    """The photo, made smaller if it is large."""
+    from PIL import Image
+
+    _, (height, width) = shown_at((photo.shape[0], photo.shape[1]))
+    if photo.shape[:2] == (height, width):
+        return photo
+    return np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def _picture(pixels: np.ndarray) -> Image:

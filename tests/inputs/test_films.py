@@ -1,0 +1,149 @@
+"""Films: frames in order, upright, with their times; what is no film is one line."""
+
+from __future__ import annotations
+
+import struct
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.films import av, write_film
+
+from warp_partdr.errors import InputError
+from warp_partdr.inputs import films
+from warp_partdr.inputs.films import film_facts, is_film, read_frames
+
+
+def shades(count: int, height: int = 32, width: int = 64) -> list[np.ndarray]:
+    """Pictures that grow brighter; their left half is red."""
+    pictures = []
+    for index in range(count):
+        picture = np.full((height, width, 3), 20 + 10 * index, np.uint8)
+        picture[:, : width // 2] = [250, 0, 0]
+        pictures.append(picture)
+    return pictures
+
+
+def test_frames_come_in_order_with_their_times(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mp4", shades(12), rate=10)
+    frames = list(read_frames(path))
+    assert [frame.index for frame in frames] == list(range(12))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(12) / 10, atol=1e-6)
+    for frame, picture in zip(frames, shades(12), strict=True):
+        assert frame.picture.dtype == np.uint8
+        assert frame.picture.flags.c_contiguous
+        np.testing.assert_allclose(frame.picture[:, 40:].mean(), picture[:, 40:].mean(), atol=3)
+    assert frames[0].picture[:, :20, 0].mean() > 220 > 60 > frames[0].picture[:, :20, 2].mean()  # RGB, not BGR
+    facts = film_facts(path)
+    assert (facts.rate, facts.frames) == (10.0, 12)
+
+
+def test_times_are_the_film_s_and_begin_at_0(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mkv", shades(4), rate=10, times=[20, 21, 25, 40])
+    np.testing.assert_allclose([frame.time for frame in read_frames(path)], [0, 0.1, 0.5, 2.0], atol=2e-3)
+
+
+@pytest.mark.parametrize(("turned", "red"), [(90, "bottom"), (-90, "top"), (180, "right")])
+def test_films_stand_upright(tmp_path: Path, turned: int, red: str) -> None:
+    path = write_film(tmp_path / "film.mp4", shades(2), turned=turned)
+    picture = next(iter(read_frames(path))).picture[..., 0].astype(float)
+    halves = {"top": np.s_[:24], "bottom": np.s_[-24:], "right": np.s_[:, -24:]}
+    assert picture.shape == ((32, 64) if turned == 180 else (64, 32))
+    assert picture[halves.pop(red)].mean() > 220
+    assert picture.mean() < 150
+
+
+def test_a_phone_s_matrix_is_read_as_players_do(tmp_path: Path) -> None:
+    """A phone held upright writes that its film is to be turned clockwise: what was left becomes the top."""
+    path = write_film(tmp_path / "film.mp4", shades(2), turned=90)
+    data = path.read_bytes()
+    place = data.index(b"tkhd") + 4 + 4 + 20 + 16
+    path.write_bytes(data[:place] + struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30) + data[place + 36 :])
+    picture = next(iter(read_frames(path))).picture
+    assert picture.shape == (64, 32, 3)
+    assert picture[:24, :, 0].mean() > 220
+    assert picture[40:, :, 0].mean() < 60
+
+
+def test_wide_pixels_become_square(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "wide.mkv"), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 32, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(3, 2)
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(shades(1)[0], format="rgb24")))
+        container.mux(stream.encode())
+    (frame,) = read_frames(tmp_path / "wide.mkv")
+    assert frame.picture.shape == (32, 96, 3)
+
+
+def test_a_frame_at_a_time_is_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_film(tmp_path / "film.mp4", shades(12))
+    made = []
+    turn = np.rot90
+    monkeypatch.setattr(films.np, "rot90", lambda *values: made.append(1) or turn(*values))
+    frames = read_frames(path)
+    next(frames), next(frames)
+    assert len(made) == 2
+
+
+def test_names_tell_films() -> None:
+    assert all(map(is_film, ("a.mp4", "b/C.MOV", Path("d.webm"))))
+    assert not any(map(is_film, ("a.jpg", "mp4", "a.mp4.png")))
+
+
+def test_what_is_no_film_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.mp4").write_text("not a film")
+    with av.open(str(tmp_path / "sound.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=8000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        sound.sample_rate = 8000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode())
+    for name, words in {
+        "none.mp4": "No such file; expected a film",
+        "text.mp4": "Invalid data found when processing input; expected a film",
+        "sound.mp4": "no pictures in it; expected a film",
+        "": "No such file; expected a film",
+    }.items():
+        with pytest.raises(InputError, match=words) as refused:
+            next(read_frames(tmp_path / name))
+        assert str(refused.value).startswith(str(tmp_path / name))
+        with pytest.raises(InputError, match=words):
+            film_facts(tmp_path / name)
+
+
+def test_frames_before_a_fault_are_given(tmp_path: Path, rng: np.random.Generator) -> None:
+    pictures = [rng.integers(0, 255, (32, 64, 3), dtype=np.uint8) for _ in range(40)]
+    path = write_film(tmp_path / "film.mp4", pictures)
+    data = bytearray(path.read_bytes())
+    third = len(data) // 3
+    data[third : 2 * third] = b"\xff" * third
+    path.write_bytes(data)
+    given: list[int] = []
+    with pytest.raises(InputError, match=r"film\.mp4: Invalid data .*; expected a film"):
+        given.extend(frame.index for frame in read_frames(path))
+    assert 3 < len(given) < 30
+
+
+def test_a_film_without_frames(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mkv", shades(3))
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(b"\x1f\x43\xb6\x75")])  # Matroska's first cluster
+    with pytest.raises(InputError, match=r"film\.mkv: no frames; expected a film"):
+        list(read_frames(path))
+
+
+def test_without_pyav_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_film(tmp_path / "film.mp4", shades(2))
+    monkeypatch.setattr(films, "find_spec", lambda name: None)
+    for read in (film_facts, lambda path: next(read_frames(path))):
+        with pytest.raises(InputError, match=r"without PyAV; expected it: pip install 'warp-partdr\[film\]'"):
+            read(path)
+
+
+def test_larger_frames_than_photos_may_be_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_film(tmp_path / "film.mp4", shades(2))
+    monkeypatch.setattr(films, "LARGEST_PICTURE", 1000)
+    with pytest.raises(InputError, match="frames of 64x32; expected smaller ones"):
+        next(read_frames(path))

@@ -1,0 +1,366 @@
+"""``partdr predict`` of photos and films alone: people are found by the packaged networks."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+
+from ..errors import InputError
+from ..inputs.films import check_pyav, film_facts, is_film, read_frames
+from ..inputs.part_labels import read_photo
+from .options import CameraOptions
+from .predict import finish, people_at_a_time, say_people
+
+if TYPE_CHECKING:
+    from ..cameras import Crop
+    from ..detection.person import FoundPerson
+    from ..inputs.observation import Observation
+    from ..network.label_network import LabelNetwork
+    from .progress import PictureProgress
+
+_PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+_PIXELS = 2**24  # of photos that are in memory at a time
+_LOOKS = 3  # a second, of the detector in films
+_SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Options of whom to take.
+
+    Attributes:
+        person: The one of each photo or film, 0 = first; None: all.
+        min_score: Least confidence that there is a person.
+        batch: People in one pass of the network; None: as the device likes.
+    """
+
+    person: int | None
+    min_score: float
+    batch: int | None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_score < 1:
+            raise InputError(f"--min-score: {self.min_score}; expected 0 to below 1")
+        if self.person is not None and self.person < 0:
+            raise InputError(f"--person: {self.person}; expected 0 or more")
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A photo or film, and how its results are named."""
+
+    path: Path
+    name: str
+
+    @property
+    def film(self) -> bool:
+        return is_film(self.path)
+
+
+@dataclass
+class _Seen:
+    """A person in a picture, before the network has looked; ``row`` is a film's, as far as it is known."""
+
+    source: _Source
+    number: int
+    row: np.ndarray
+    size: tuple[int, int]
+    cut: tuple[Observation, Crop]
+
+
+def predict_found(
+    paths: Sequence[Path], out: Path, network: Path | None, device: str, view: CameraOptions, choice: Choice
+) -> None:
+    """Find people in photos and films, and predict their bodies.
+
+    Args:
+        paths: Photos, films, or folders of them.
+        out: Folder for the results.
+        network: File of a label network; None: the packaged one.
+        device: As the option says.
+        view: The camera.
+        choice: Whom to take.
+    """
+    sources = _sources(paths)
+    total = _count(sources)
+    _check_view(view, sources)
+
+    from ..body.template import JOINT_NAMES
+    from ..detection.person import SKELETON
+    from ..interop.devices import choose_device
+    from ..network.checkpoint import load_label_network
+    from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
+    from .progress import PictureProgress
+
+    where = choose_device(device)
+    check_folder(out)
+    report: dict[str, Any] = {"network": None if network is None else str(network)}
+    report |= {"joints": list(JOINT_NAMES), "keypoints": SKELETON, "people": []}
+    with PictureProgress(total) as progress, replacing(out, PREDICTIONS_REPORT, report) as temporary:
+        model = load_label_network(network, device=where)
+        run = _Run(temporary, model, view, choice, progress, where, alone=len(sources) == 1)
+        started = time.perf_counter()
+        for films, some in _grouped(sources):
+            if films:
+                for source in some:
+                    run.film(source)
+            else:
+                run.photos(some)
+        seconds = time.perf_counter() - started
+        report |= {"people": run.people, "nobody_in": run.empty, "unreadable": run.failed}
+        if not run.people:
+            raise InputError(run.complaint or f"nobody found in any of {len(sources)} files; expected people")
+        if run.complaint:
+            progress.say(f"partdr: {run.complaint}")
+    passed = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in run.passed.items() if count]
+    speed = f"{sum(run.passed.values()) / seconds:.1f} a second"
+    typer.echo(f"{say_people(len(run.people))} in {' and '.join(passed)}; {speed}, {where}")
+    typer.echo(f"{out / PREDICTIONS_REPORT} names the files of their bodies")
+    finish(len(run.failed))
+
+
+@dataclass
+class _Run:
+    """Bodies of the people that were seen so far; those of a batch wait for the network."""
+
+    folder: Path
+    model: LabelNetwork
+    view: CameraOptions
+    choice: Choice
+    progress: PictureProgress
+    device: str
+    alone: bool  # whether there is one file only: then its fault is the command's
+    people: list[dict[str, Any]] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+    complaint: str = ""
+    passed: Counter[str] = field(default_factory=Counter)
+    _waiting: list[_Seen] = field(default_factory=list)
+    _rows: dict[int, list[np.ndarray]] = field(default_factory=dict)  # of the present film, by track
+
+    def photos(self, sources: Iterable[_Source]) -> None:
+        """Take photos, as many at a time as memory should hold."""
+        held: list[tuple[_Source, np.ndarray]] = []
+        for source in sources:
+            try:
+                held.append((source, read_photo(source.path)))
+            except InputError as error:
+                self._fail(source, error)
+                self.progress(source.path.name)
+            if sum(picture.size for _, picture in held) >= 3 * _PIXELS:
+                self._take_photos(held)
+                held = []
+        self._take_photos(held)
+        self._predict()
+
+    def _take_photos(self, held: list[tuple[_Source, np.ndarray]]) -> None:
+        from ..detection.people import find_people_in
+
+        pictures = [picture for _, picture in held]
+        everyone = find_people_in(pictures, device=self.device, min_score=self.choice.min_score)
+        for (source, picture), people in zip(held, everyone, strict=True):
+            chosen = dict(enumerate(people))
+            if not people:
+                self._nobody(source, "nobody found in it")
+            elif (wanted := self.choice.person) is not None:
+                if wanted >= len(people):
+                    self._nobody(source, f"no person {wanted}, but {say_people(len(people))} in it")
+                chosen = {number: each for number, each in chosen.items() if number == wanted}
+            self.passed["photo"] += 1
+            try:
+                self._add(source, picture, dict(enumerate(people)), set(chosen), 0, 0.0)
+            except InputError as error:
+                self._fail(source, error)
+            self.progress(source.path.name)
+
+    def film(self, source: _Source) -> None:
+        """Take a film, frame by frame."""
+        from ..detection.tracks import PeopleTracker
+
+        size, count = (0, 0), 0
+        try:
+            every = max(round(film_facts(source.path).rate / _LOOKS), 1)
+            tracker = PeopleTracker(device=self.device, min_score=self.choice.min_score, every=every)
+            for frame in read_frames(source.path):
+                found, size, count = tracker.find(frame.picture), frame.picture.shape[:2], count + 1
+                self._add(source, frame.picture, found, set(found), frame.index, frame.time)
+                self.passed["frame"] += 1
+                self.progress(source.path.name)
+        except InputError as error:
+            self._fail(source, error)
+        self._predict()
+        tracks, self._rows = [np.concatenate(rows) for rows in self._rows.values()], {}
+        tracks = [rows for rows in tracks if len(rows) >= min(_SHORTEST, count)]
+        if tracks:
+            self._save_film(source, tracks, (size[0], size[1]))
+        elif count:
+            self._nobody(source, f"nobody found in {count} frames")
+
+    def _save_film(self, source: _Source, tracks: list[np.ndarray], size: tuple[int, int]) -> None:
+        """Write a film's people, the most and largest seen first."""
+        from ..results.predictions import FilmBodies
+
+        tracks.sort(key=lambda rows: -_areas(rows["boxes"]).sum())
+        wanted = self.choice.person
+        if wanted is not None and wanted >= len(tracks):
+            self._nobody(source, f"no person {wanted}, but {say_people(len(tracks))} in it")
+        for number, rows in enumerate(tracks):
+            if wanted in (None, number):
+                file = f"{source.name}.person{number}.npz"
+                FilmBodies(rows, size, self.view.given).save(self.folder / file)
+                self.people.append(
+                    {
+                        "file": file,
+                        "film": source.path.name,
+                        "track": number,
+                        "score": round(float(rows["scores"].mean()), 3),
+                        "frames": len(rows),
+                        "first_frame": int(rows["frames"][0]),
+                        "last_frame": int(rows["frames"][-1]),
+                    }
+                )
+
+    def _add(
+        self,
+        source: _Source,
+        picture: np.ndarray,
+        found: Mapping[int, FoundPerson],
+        chosen: set[int],
+        frame: int,
+        at: float,
+    ) -> None:
+        """Cut people out of a picture, who then wait for the network."""
+        from ..detection.masks import instance_map
+        from ..fit.photo import mask_labels
+        from ..inputs.evidence import weigh_evidence
+        from ..inputs.observation import crop_evidence
+        from ..results.predictions import ROW
+
+        if not chosen:
+            return
+        size = (picture.shape[0], picture.shape[1])
+        camera = self.view.read(size, None if source.film else source.path)
+        owners = instance_map(list(found.values()), size)
+        for index, (number, person) in enumerate(found.items()):
+            if number not in chosen:
+                continue
+            evidence = weigh_evidence(person.keypoints, mask_labels(owners, index))[0]
+            cut = crop_evidence(evidence, device=self.device, camera=camera)
+            row = np.zeros(1, ROW)
+            keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
+            for name, value in zip(
+                ("frames", "times", "scores", "boxes", "keypoints"),
+                (frame, at, person.score, person.box, keypoints),
+                strict=True,
+            ):
+                row[name] = value
+            self._waiting.append(_Seen(source, number, row, size, cut))
+            if len(self._waiting) >= people_at_a_time(self.choice.batch, self.device):
+                self._predict()
+
+    def _predict(self) -> None:
+        """Ask the network about those who wait."""
+        from ..results.predictions import predict_files
+
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        files = predict_files([seen.cut for seen in waiting], [seen.size for seen in waiting], self.model)
+        for seen, body in zip(waiting, files, strict=True):
+            if seen.source.film:
+                for name in set(seen.row.dtype.names or ()) & set(vars(body)):
+                    seen.row[name] = getattr(body, name)
+                self._rows.setdefault(seen.number, []).append(seen.row)
+                continue
+            file = f"{seen.source.name}.person{seen.number}.npz"
+            body.save(self.folder / file)
+            box = [round(float(edge), 1) for edge in seen.row["boxes"][0]]
+            score = round(float(seen.row["scores"][0]), 3)
+            self.people.append(
+                {"file": file, "picture": seen.source.path.name, "person": seen.number, "score": score, "box": box}
+            )
+
+    def _nobody(self, source: _Source, told: str) -> None:
+        self.empty.append(source.path.name)
+        self._tell(f"{source.path}: {told}")
+
+    def _fail(self, source: _Source, error: InputError) -> None:
+        self.failed.append(source.path.name)
+        self._tell(str(error) if str(error).startswith(str(source.path)) else f"{source.path}: {error}")
+
+    def _tell(self, line: str) -> None:
+        line = " ".join(line.split())
+        if self.alone:
+            self.complaint = self.complaint or line
+        else:
+            self.progress.say(f"partdr: {line}")
+
+
+def _areas(boxes: np.ndarray) -> np.ndarray:
+    return (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+
+
+def _sources(paths: Sequence[Path]) -> list[_Source]:
+    """Photos and films, those of folders by name; two of one name are told apart by their endings."""
+    files: dict[Path, None] = {}
+    for path in paths:
+        if path.is_dir():
+            there = [each for each in sorted(path.iterdir()) if _is_picture(each)]
+            if not there:
+                raise InputError(f"{path}: no photos or films in it; expected some: {', '.join(_PHOTOS)}, .mp4 ...")
+            files |= dict.fromkeys(there)
+        elif path.is_file():
+            files[path] = None
+        else:
+            raise InputError(f"{path}: No such file or folder; expected a photo, a film, or a folder of them")
+    stems = Counter(path.stem for path in files)
+    sources = [_Source(path, path.stem if stems[path.stem] == 1 else path.name) for path in files]
+    for name, count in Counter(source.name for source in sources).items():
+        if count > 1:
+            raise InputError(f"{name}: in two of the folders; expected different names, or one folder at a time")
+    return sources
+
+
+def _is_picture(path: Path) -> bool:
+    return path.is_file() and not path.name.startswith(".") and (path.suffix.lower() in _PHOTOS or is_film(path))
+
+
+def _count(sources: Iterable[_Source]) -> int | None:
+    """Photos and frames in all; None where a film does not tell."""
+    total = 0
+    for source in sources:
+        if not source.film:
+            total += 1
+            continue
+        check_pyav(source.path)
+        try:
+            frames = film_facts(source.path).frames
+        except InputError:
+            continue  # told when its turn comes
+        if not frames:
+            return None
+        total += frames
+    return total
+
+
+def _check_view(view: CameraOptions, sources: Sequence[_Source]) -> None:
+    """Find faults of the options before people are looked for."""
+    if view.focal == "exif":
+        if films := [source.path for source in sources if source.film]:
+            raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
+    elif view.given:
+        alone = view.focal is None and view.fov is None
+        replace(view, principal=view.principal if alone else None).read((480, 640), None)
+
+
+def _grouped(sources: Iterable[_Source]) -> Iterator[tuple[bool, list[_Source]]]:
+    """Photos together first, then films."""
+    ordered = {film: [source for source in sources if source.film == film] for film in (False, True)}
+    yield from ((film, some) for film, some in ordered.items() if some)

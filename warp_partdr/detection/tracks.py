@@ -1,0 +1,149 @@
+"""People of a film, who keep their numbers from frame to frame.
+
+Whoever was in the last frame is looked for about the same place, which needs one run of the landmark network a person.
+The detector, which is slower and sees new people, looks every few frames, and whenever somebody was lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..errors import check_whole
+from .crops import TurnedCrops
+from .people import find_people
+from .person import FoundPerson
+from .same_person import similarity
+
+_SAME = 0.5  # Likeness above which two findings are one person.
+_LED = 0.2  # likeness that is added for one who was found just where their last frame led to
+_REACH = 0.5  # sides of their crop that one who is lost moves from one look of the detector to the next, at most
+_RATIO = 0.6  # least ratio of the sides of one person's crops, before they were lost and after
+_GRID = 48  # points a side at which two masks are compared
+_LEVELS = 2  # of the detector: a film's many frames should not take long
+_PATIENCE = 3  # looks of the detector that one who was lost may be away for
+
+
+class PeopleTracker:
+    """People of a film, frame by frame; each has a number that stays, from 0 on as they come.
+
+    Args:
+        device: Device to run on.
+        min_score: As of ``find_people``.
+        every: Frames from one look of the detector to the next; others only follow those who are there.
+    """
+
+    def __init__(self, *, device: torch.device | str = "cpu", min_score: float = 0.5, every: int = 10) -> None:
+        self._device, self._min_score = device, min_score
+        self._every = check_whole("every", every, 1)
+        self._here: dict[int, FoundPerson] = {}
+        self._lost: dict[int, tuple[FoundPerson, int]] = {}  # and the frames they have been away
+        self._since = self._every  # frames since the detector's last look
+        self._known = 0  # numbers that were given
+
+    def find(self, picture: np.ndarray) -> dict[int, FoundPerson]:
+        """Find the people of the next frame.
+
+        Args:
+            picture: RGB, shape (H, W, 3), uint8, of one size in all frames.
+
+        Returns:
+            People by their numbers.
+        """
+        before, self._since = self._here, self._since + 1
+        followed: dict[int, FoundPerson] = {}
+        if before:
+            people = self._find(picture, list(before.values()))
+            followed = _assign(people, before, lambda person, number: _followed(person, before[number]))
+        self._forget(before, followed)
+        if self._since >= self._every or len(followed) < len(before):
+            self._since = 0
+            new: list[FoundPerson] = []
+            for person in sorted(self._find(picture, []), key=lambda person: -person.score):
+                if all(likeness(person, one) < _SAME for one in (*followed.values(), *new)):
+                    new.append(person)
+            back = self._come_back(new)
+            for number in back:
+                del self._lost[number]
+            known = {id(person) for person in back.values()}
+            for person in new:
+                if id(person) not in known:
+                    back[self._known] = person
+                    self._known += 1
+            followed |= back
+        self._here = followed
+        return dict(followed)
+
+    def _find(self, picture: np.ndarray, previous: list[FoundPerson]) -> list[FoundPerson]:
+        how: dict[str, Any] = {"device": self._device, "min_score": self._min_score}
+        return find_people(picture, levels=_LEVELS, previous=previous, **how)
+
+    def _come_back(self, people: list[FoundPerson]) -> dict[int, FoundPerson]:
+        """Those of the people who were lost, and are where they may have got to since."""
+        reach = {number: _REACH * (frames + 1) / self._every for number, (_, frames) in self._lost.items()}
+
+        def value(person: FoundPerson, number: int) -> float:
+            last = self._lost[number][0]
+            return max(_nearness(person.next_crop, last.next_crop, reach[number]), likeness(person, last) - _SAME)
+
+        return _assign(people, self._lost, value)
+
+    def _forget(self, before: Mapping[int, FoundPerson], followed: Mapping[int, FoundPerson]) -> None:
+        """Keep in mind who was lost, but not for long: soon enough, somebody else may stand there."""
+        away = {number: (person, frames + 1) for number, (person, frames) in self._lost.items()}
+        away |= {number: (person, 0) for number, person in before.items() if number not in followed}
+        self._lost = {number: each for number, each in away.items() if each[1] <= _PATIENCE * self._every}
+
+
+def likeness(one: FoundPerson, other: FoundPerson) -> float:
+    """Overlap of two people, 0 to 1: of their keypoints, or of their masks where that is larger."""
+    ours, theirs = (
+        (each.keypoints.points[None], each.keypoints.confidence[None], each.next_crop.sides) for each in (one, other)
+    )
+    return max(float(similarity(ours, theirs)[0]), _mask_overlap(one, other))
+
+
+def _mask_overlap(one: FoundPerson, other: FoundPerson) -> float:
+    """Intersection over union of two masks."""
+    low, high = np.minimum(one.box[:2], other.box[:2]), np.maximum(one.box[2:], other.box[2:])
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    places = low + (high - low) * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    first, second = (_shown(person, places) for person in (one, other))
+    return float((first & second).sum() / max((first | second).sum(), 1))
+
+
+def _shown(person: FoundPerson, places: np.ndarray) -> np.ndarray:
+    """True where the mask shows the person at places in the picture (N, 2), shape (N,)."""
+    side = len(person.mask)
+    column, row = np.floor(person.crop.from_picture(places[None])[0] * side).astype(int).T
+    inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
+    return inside & (person.mask[row.clip(0, side - 1), column.clip(0, side - 1)] > 0.5)
+
+
+def _followed(person: FoundPerson, last: FoundPerson) -> float:
+    """Likeness of a person to one of the last frame; also above 0 if they are found just where that one led to."""
+    led = person.crop.centres == last.next_crop.centres
+    return likeness(person, last) + _LED * bool(led.all())
+
+
+def _nearness(crop: TurnedCrops, last: TurnedCrops, reach: float) -> float:
+    """1 for the same place, 0 or less beyond ``reach`` of the crops' sides, or for another size."""
+    (small, large), apart = np.sort([crop.sides[0], last.sides[0]]), np.linalg.norm(crop.centres - last.centres)
+    return float(1 - apart / (reach * large)) if small > _RATIO * large else 0.0
+
+
+def _assign(
+    people: list[FoundPerson], numbers: Iterable[int], value: Callable[[FoundPerson, int], float]
+) -> dict[int, FoundPerson]:
+    """Numbers of people: the pair of the greatest value first, each once, as long as it is above 0."""
+    pairs = [(value(person, number), -number, index) for index, person in enumerate(people) for number in numbers]
+    assigned: dict[int, FoundPerson] = {}
+    taken: set[int] = set()
+    for worth, number, index in sorted(pairs, reverse=True):
+        if worth > 0 and -number not in assigned and index not in taken:
+            assigned[-number] = people[index]
+            taken.add(index)
+    return {number: assigned[number] for number in sorted(assigned)}

@@ -1,0 +1,134 @@
+"""Bodies that the label network says at once, without refinement: of one picture, or of a person through a film.
+
+A film's ``NAME.personN.npz`` has a row a frame in which the person was found, T in all:
+
+| key | shape | what |
+|---|---|---|
+| format | () | "warp-partdr film 1" |
+| frames, times | (T,) | index of each frame, 0 = the film's first, and its time since then [s] |
+| scores, boxes | (T,), (T, 4) | confidence that there is a person; left, top, right, bottom of their mask [px] |
+| keypoints | (T, 33, 3) | "blazepose33": x, y [px] and confidence |
+| joints | (T, 21, 3) | ``joint_names`` in the camera frame, as ``translation`` says where that is [m] |
+| global_orient, translation, rotations, lengths, thicknesses | (T, ...) | as ``body.npz`` |
+| camera_scale, camera_translation | (T), (T, 2) | as ``body.npz`` |
+| image_size, camera_perspective, part_names, joint_names | | of all frames; the first three as ``body.npz`` |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..body.lens import find_camera, turn_to_rays
+from ..body.posing import pose
+from ..body.template import BODY_SHAPES, JOINT_NAMES, PART_NAMES
+from ..cameras import Crop
+from ..errors import InputError
+from ..files.array_files import read_npz
+from ..inputs.observation import Observation
+from ..network.label_network import LabelNetwork
+from ..network.predict import predict_bodies
+from .body_file import BODY_ARRAYS, BodyFile
+from .result_sets import check_result
+from .save import body_file
+
+FORMAT = "warp-partdr film 1"
+_BODY = {**BODY_SHAPES, "camera_scale": (), "camera_translation": (2,)}
+_SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
+    "frames": (np.int64, ()),
+    "times": (np.float64, ()),
+    "scores": (np.float32, ()),
+    "boxes": (np.float32, (4,)),
+    "keypoints": (np.float32, (33, 3)),
+}
+ROW = np.dtype([(name, *kind) for name, kind in _SEEN.items()] + [(name, np.float32, _BODY[name]) for name in _BODY])
+
+
+def predict_files(
+    seen: Sequence[tuple[Observation, Crop]], sizes: Sequence[tuple[int, int]], network: LabelNetwork
+) -> list[BodyFile]:
+    """Bodies of people as ``body.npz`` holds them, in one pass of the network.
+
+    Args:
+        seen: Of ``crop_evidence``, one or more people.
+        sizes: (H, W) of each one's picture [px].
+        network: On the observations' device.
+    """
+    bodies, files = predict_bodies([observation for observation, _ in seen], network), []
+    for row, ((observation, crop), size) in enumerate(zip(seen, sizes, strict=True)):
+        body, lens = bodies.select(slice(row, row + 1)), observation.lens
+        if lens is not None:
+            body = turn_to_rays(body, lens)
+        camera, pelvis = find_camera(body, lens, crop.size[0])
+        files.append(body_file(body, camera.in_full(crop), size, None if pelvis is None else pelvis[0]))
+    return files
+
+
+@dataclass(frozen=True)
+class FilmBodies:
+    """One person through a film.
+
+    Attributes:
+        rows: A row a frame, of dtype ``ROW``, in order.
+        image_size: (H, W) of the film [px].
+        perspective: Whether the camera is known, and of perspective.
+    """
+
+    rows: np.ndarray
+    image_size: tuple[int, int]
+    perspective: bool
+
+    def body(self, row: int) -> BodyFile:
+        """The body of a row, as ``body.npz`` holds it."""
+        arrays = {name: self.rows[name][row] for name in _BODY}
+        return BodyFile(
+            **arrays, image_size=np.array(self.image_size), camera_perspective=np.array(self.perspective * 1)
+        )
+
+    def joints(self) -> np.ndarray:
+        """``JOINT_NAMES`` in the camera frame [m], shape (T, 21, 3)."""
+        posed = pose(*(torch.from_numpy(np.ascontiguousarray(self.rows[name])) for name in BODY_ARRAYS))
+        return posed.joints.numpy()
+
+    def save(self, path: str | Path) -> None:
+        """Write the file."""
+        arrays: dict[str, Any] = {name: self.rows[name] for name in ROW.names or ()}
+        np.savez_compressed(
+            path,
+            format=np.array(FORMAT),
+            image_size=np.array(self.image_size),
+            camera_perspective=np.array(int(self.perspective)),
+            part_names=np.array(PART_NAMES),
+            joint_names=np.array(JOINT_NAMES),
+            joints=self.joints(),
+            **arrays,
+        )
+
+
+def load_film_bodies(path: str | Path) -> FilmBodies:
+    """Read what ``FilmBodies.save`` wrote; nothing in it is ever unpickled.
+
+    Raises:
+        InputError: If the file is missing, no such file, holds wrong shapes, NaN or infinity, or is of another run than
+            the report beside it.
+    """
+    names = ROW.names or ()
+    whole = {"image_size": (2,), "camera_perspective": ()}
+    data = read_npz(path, (*names, *whole, "format"), expected="a film's NAME.personN.npz of partdr predict")
+    check_result(path)
+    if str(data["format"]) != FORMAT:
+        raise InputError(f"{path}: format {str(data['format'])[:40]!r}; expected {FORMAT!r}")
+    rows = np.zeros(data["frames"].shape[:1], ROW)
+    for name in (*names, *whole):
+        values, shape = data[name], whole[name] if name in whole else rows[name].shape
+        if values.shape != shape or values.dtype.kind not in "iuf" or not len(rows) or not np.isfinite(values).all():
+            raise InputError(f"{path}: {name}: {values.dtype} {values.shape}; expected finite numbers {shape}")
+        if name in names:
+            rows[name] = values
+    height, width = data["image_size"].tolist()
+    return FilmBodies(rows, (height, width), bool(data["camera_perspective"]))
