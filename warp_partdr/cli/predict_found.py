@@ -238,8 +238,7 @@ class _Run:
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
         from ..detection.masks import instance_map
-        from ..fit.photo import mask_labels
-        from ..inputs.evidence import weigh_evidence
+        from ..fit.photo import person_evidence
         from ..inputs.observation import crop_evidence
         from ..results.predictions import ROW
 
@@ -251,7 +250,7 @@ class _Run:
         for index, (number, person) in enumerate(found.items()):
             if number not in chosen:
                 continue
-            evidence = weigh_evidence(person.keypoints, mask_labels(owners, index))[0]
+            evidence, _ = person_evidence(person.keypoints, owners, index)
             cut = crop_evidence(evidence, device=self.device, camera=camera)
             row = np.zeros(1, ROW)
             keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])

@@ -18,6 +18,8 @@ from ..detection.masks import instance_map
 from ..detection.people import find_people
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_whole
+from ..inputs.evidence import Evidence, weigh_evidence
+from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.person import PersonInputs
 from .fitting import Progress, fit_body
@@ -93,7 +95,7 @@ def fit_photo(
     results: list[FitResult] = []
     for done, index in enumerate(chosen):
         tell("bodies", done, len(chosen))
-        parts = mask_labels(owners, index)
+        parts = person_evidence(found[index].keypoints, owners, index)[1]
         results.append(fit_body(found[index].keypoints, parts, options=options, device=device, camera=camera))
     fits = refine_meshes(results, model, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
@@ -107,7 +109,8 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
     """
     found, owners = _everyone(photo, MIN_SCORE, "cpu")
     index = _checked(person, len(found))
-    return PersonInputs(found[index].keypoints, (), mask_labels(owners, index), photo)
+    keypoints = found[index].keypoints
+    return PersonInputs(keypoints, (), person_evidence(keypoints, owners, index)[1], photo)
 
 
 def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
@@ -123,6 +126,19 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
     groups[owners == index + 1] = 1
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> tuple[Evidence, PartLabels | None]:
+    """One of the people of a photo: evidence, and labels as of ``mask_labels``; of nearly hidden ones, keypoints alone.
+
+    Raises:
+        InputError: If the keypoints can't be used.
+    """
+    parts = mask_labels(owners, index)
+    try:
+        return weigh_evidence(keypoints, parts)[0], parts
+    except InputError:  # others' masks left pixels far from the bones
+        return weigh_evidence(keypoints)[0], None
 
 
 def _nearest(side: int, zoom: float) -> np.ndarray:
