@@ -53,6 +53,16 @@ def take_whole(values: dict[str, Any], name: str) -> int:
     return value
 
 
+def people_at_a_time(batch: int | None, device: str) -> int:
+    """The option --batch of networks; a CPU's caches hold less."""
+    return batch or (16 if device == "cpu" else 64)
+
+
+def say_people(count: int) -> str:
+    """Count people in words."""
+    return "1 person" if count == 1 else f"{count} people"
+
+
 @dataclass(frozen=True)
 class PersonFiles:
     """Options for the files of one person."""

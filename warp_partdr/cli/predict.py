@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from typer import Argument, Option
 
 from ..errors import InputError
@@ -30,7 +29,7 @@ out; the exit code is then 1.
 
 
 def predict(
-    paths: Annotated[list[Path], Argument(help="Photos, films, or folders of them.", metavar="PATH...")],
+    paths: Annotated[list[Path], Argument(help="Photos, films, or folders of them.", metavar="PATH")],
     labels: LabelsOption = None,
     out: Annotated[Path, Option(help="Folder for the bodies.", metavar="FOLDER")] = Path("out"),
     network: Annotated[
@@ -68,19 +67,3 @@ def predict(
     if labels is not None:
         raise InputError(f"--labels: {labels}, without a folder of keypoints; expected them with it")
     predict_found(paths, out, network, device, view, Choice(person, 0.5 if min_score is None else min_score, batch))
-
-
-def people_at_a_time(batch: int | None, device: str) -> int:
-    """The option --batch; a CPU's caches hold less."""
-    return batch or (16 if device == "cpu" else 64)
-
-
-def say_people(count: int) -> str:
-    """Count people in words."""
-    return "1 person" if count == 1 else f"{count} people"
-
-
-def finish(failed: int) -> None:
-    """Leave with the exit code that tells that something was left out, if anything was."""
-    if failed:
-        raise typer.Exit(1)

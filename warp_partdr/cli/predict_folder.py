@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..inputs.part_labels import read_photo
-from .options import CameraOptions
+from .options import CameraOptions, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Perspective
@@ -50,7 +50,6 @@ def predict_folder(
     from ..results.predictions import predict_files
     from ..results.result_sets import PREDICTIONS_REPORT, check_folder, replacing
     from ..results.save import image_size
-    from .predict import people_at_a_time, say_people
     from .progress import PictureProgress
 
     where = choose_device(device)

@@ -15,8 +15,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import check_pyav, film_facts, is_film, read_frames
 from ..inputs.part_labels import read_photo
-from .options import CameraOptions
-from .predict import finish, people_at_a_time, say_people
+from .options import CameraOptions, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Crop
@@ -123,7 +122,8 @@ def predict_found(
     speed = f"{sum(run.passed.values()) / seconds:.1f} a second"
     typer.echo(f"{say_people(len(run.people))} in {' and '.join(passed)}; {speed}, {where}")
     typer.echo(f"{out / PREDICTIONS_REPORT} names the files of their bodies")
-    finish(len(run.failed))
+    if run.failed:
+        raise typer.Exit(1)
 
 
 @dataclass
@@ -238,8 +238,7 @@ class _Run:
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
         from ..detection.masks import instance_map
-        from ..fit.photo import mask_labels
-        from ..inputs.evidence import weigh_evidence
+        from ..fit.photo import person_evidence
         from ..inputs.observation import crop_evidence
         from ..results.predictions import ROW
 
@@ -251,7 +250,7 @@ class _Run:
         for index, (number, person) in enumerate(found.items()):
             if number not in chosen:
                 continue
-            evidence = weigh_evidence(person.keypoints, mask_labels(owners, index))[0]
+            evidence, _ = person_evidence(person.keypoints, owners, index)
             cut = crop_evidence(evidence, device=self.device, camera=camera)
             row = np.zeros(1, ROW)
             keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])

@@ -20,7 +20,7 @@ from ..detection.masks import instance_map
 from ..detection.people import find_people
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_type, check_whole
-from ..inputs.evidence import weigh_evidence
+from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..inputs.person import PersonInputs
@@ -132,7 +132,8 @@ class _PeopleEvidence:
     def of(self, place: int) -> tuple[Keypoints2D, PartLabels | None, list[str]]:
         """Keypoints and labels of one of them, and a sentence for each network that was of no use."""
         warnings: list[str] = []
-        keypoints, mask = self._people[place].keypoints, mask_labels(self._owners, place)
+        keypoints = self._people[place].keypoints
+        _, mask = person_evidence(keypoints, self._owners, place)
         if self._keypoints_from is not None:
             given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
             if given is None or not _on_labels(given, mask):
@@ -165,7 +166,8 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
     """
     found, owners = _everyone(photo, MIN_SCORE, "cpu")
     index = _checked(person, len(found))
-    return PersonInputs(found[index].keypoints, (), mask_labels(owners, index), photo)
+    keypoints = found[index].keypoints
+    return PersonInputs(keypoints, (), person_evidence(keypoints, owners, index)[1], photo)
 
 
 def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
@@ -181,6 +183,19 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     groups = np.where(owners == BACKGROUND, BACKGROUND, IGNORE).astype(np.uint8)
     groups[owners == index + 1] = 1
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
+
+
+def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> tuple[Evidence, PartLabels | None]:
+    """One of the people of a photo: evidence, and labels as of ``mask_labels``; of nearly hidden ones, keypoints alone.
+
+    Raises:
+        InputError: If the keypoints can't be used.
+    """
+    parts = mask_labels(owners, index)
+    try:
+        return weigh_evidence(keypoints, parts)[0], parts
+    except InputError:  # others' masks left pixels far from the bones
+        return weigh_evidence(keypoints)[0], None
 
 
 def _nearest(side: int, zoom: float) -> np.ndarray:
