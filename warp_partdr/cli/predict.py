@@ -51,7 +51,7 @@ def predict(
 ) -> None:
     """Predict bodies; see ``PREDICT_HELP``."""
     from .predict_folder import predict_folder
-    from .predict_found import Choice, predict_found
+    from .predict_found import Taken, predict_found
 
     if batch is not None and batch < 1:
         raise InputError(f"--batch: {batch}; expected 1 or more")
@@ -66,4 +66,4 @@ def predict(
         return
     if labels is not None:
         raise InputError(f"--labels: {labels}, without a folder of keypoints; expected them with it")
-    predict_found(paths, out, network, device, view, Choice(person, 0.5 if min_score is None else min_score, batch))
+    predict_found(paths, out, network, device, view, Taken(person, 0.5 if min_score is None else min_score, batch))

@@ -31,7 +31,7 @@ _SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
 
 
 @dataclass(frozen=True)
-class Choice:
+class Taken:
     """Options of whom to take.
 
     Attributes:
@@ -75,7 +75,7 @@ class _Seen:
 
 
 def predict_found(
-    paths: Sequence[Path], out: Path, network: Path | None, device: str, view: CameraOptions, choice: Choice
+    paths: Sequence[Path], out: Path, network: Path | None, device: str, view: CameraOptions, choice: Taken
 ) -> None:
     """Find people in photos and films, and predict their bodies.
 
@@ -133,7 +133,7 @@ class _Run:
     folder: Path
     model: LabelNetwork
     view: CameraOptions
-    choice: Choice
+    choice: Taken
     progress: PictureProgress
     device: str
     alone: bool  # whether there is one file only: then its fault is the command's
