@@ -81,10 +81,10 @@ def _best_exchange(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns,
     if len(tries) == 1:
         return None
     factors = bodies.new_tensor([[each.get(person, 1.0) for person in range(len(bodies))] for each in tries])
-    grown = bodies * factors[..., None, None]
+    tried = bodies * factors[..., None, None]
     target = people.target[frame : frame + 1]
     loss, _ = mesh_label_loss(
-        grown.flatten(1, 2), energy.mesh, crop_cameras(people.target_lens[frame : frame + 1], target.shape[-1]), target
+        tried.flatten(1, 2), energy.mesh, crop_cameras(people.target_lens[frame : frame + 1], target.shape[-1]), target
     )
     best = int(loss.argmin())
     return tries[best] if float(loss[best]) < (1 - _LEAST_GAIN) * float(loss[0]) else None

@@ -51,10 +51,6 @@ class View:
         """Points of the world (..., 3) in the camera's frame [m]."""
         return points @ self.rotation.to(points).mT + self.translation.to(points)
 
-    def to_world(self, points: torch.Tensor) -> torch.Tensor:
-        """Points of the camera's frame (..., 3) in the world [m]."""
-        return (points - self.translation.to(points)) @ self.rotation.to(points)
-
 
 @dataclass(frozen=True)
 class Sight:
