@@ -175,7 +175,7 @@ def _serve(window: Any, address: WebAddress) -> None:
 def _record(shown: Any, path: Path, steps: int) -> None:
     from .progress import FitProgress
 
-    scene = _viewer("scene").Scene(shown)
+    scene = _viewer("scene").PlottedScene(shown)
     try:
         pictures = []
         with FitProgress() as progress:
