@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from ..cameras import Camera, WeakPerspective
+from ..cameras import Camera, Perspective, WeakPerspective
 from .parameters import BodyParameters
 from .posing import Posed
 from .rotations import rotation_between, rotation_to_6d
@@ -39,8 +39,13 @@ def through_lens(camera: WeakPerspective, lens: torch.Tensor | None, size: int) 
     """As ``find_camera``, of a crop's weak-perspective cameras; ``lens`` may be one a body, shape (B, 3)."""
     if lens is None:
         return camera, None
-    lens = lens.to(camera.scale).expand(len(camera.scale), 3)
-    return camera.to_perspective(lens[:, 0] * size / 2, (lens[:, 1:] + 1) * size / 2)
+    seen = lens_camera(lens.to(camera.scale).expand(len(camera.scale), 3), size)
+    return camera.to_perspective(seen.focal[:, 0], seen.centre)
+
+
+def lens_camera(lens: torch.Tensor, size: int) -> Perspective:
+    """Cameras of crops of ``size`` pixels a side, from their lenses, shape (B, 3)."""
+    return Perspective(lens[:, :1].expand(-1, 2) * size / 2, (lens[:, 1:] + 1) * size / 2)
 
 
 def move_pelvises(parameters: BodyParameters, lens: torch.Tensor | None, moves: torch.Tensor) -> BodyParameters:
@@ -53,13 +58,16 @@ def move_pelvises(parameters: BodyParameters, lens: torch.Tensor | None, moves: 
     if lens is None:
         return replace(parameters, shift=parameters.shift + scale[:, None] * moves[:, :2])
     lens = lens.to(scale).expand(len(scale), 3)
+    place = torch.cat([parameters.shift - lens[:, 1:], lens[:, :1]], dim=1) / scale[:, None] + moves
+    log_scale, shift = seen_at(place, lens)
+    return replace(parameters, log_scale=log_scale, shift=shift)
+
+
+def seen_at(pelvises: torch.Tensor, lens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """``log_scale`` (B,) and ``shift`` (B, 2) of pelvises before the camera, (B, 3) [m], by lenses (B, 3)."""
     focal, middle = lens[:, :1], lens[:, 1:]
-    place = torch.cat([parameters.shift - middle, focal], dim=1) / scale[:, None] + moves
-    return replace(
-        parameters,
-        log_scale=(focal / place[:, 2:])[:, 0].log(),
-        shift=middle + focal * place[:, :2] / place[:, 2:],
-    )
+    log_scale = (focal / pelvises[:, 2:])[:, 0].log()
+    return log_scale, middle + focal * pelvises[:, :2] / pelvises[:, 2:]
 
 
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:

@@ -90,7 +90,7 @@ def test_a_pair_in_the_wrong_order_is_exchanged(device):
         people, looks = order_people(energy, model, sample.scene, wrong)
         pelvises = energy.pelvises(people, energy.at_rest(people)).cpu()
         assert int(sample.scene.views[0].to_camera(pelvises)[:, 2].argmin()) == front
-        assert exchange(energy, people, energy.at_rest(people), looks, (0,)) is None
+        assert exchange(energy, people, energy.at_rest(people), looks) is None
 
 
 def test_people_are_drawn_together():

@@ -81,7 +81,7 @@ def test_sapiens2(tmp_path: Path, device: str) -> None:
 
 
 def test_colours_are_those_of_the_image_processor(segformer: Path) -> None:
-    """What the library's own processor makes of a picture goes into the network."""
+    """The picture that the library's own processor makes goes into the network."""
     picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     processor = transformers.AutoImageProcessor.from_pretrained(segformer, local_files_only=True)
     model = transformers.SegformerForSemanticSegmentation.from_pretrained(segformer, local_files_only=True).eval()

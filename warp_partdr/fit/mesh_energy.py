@@ -31,6 +31,7 @@ from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .mesh_options import MeshOptions
 from .result import FitResult
+from .steps import Tensors
 
 # Where no network said how sure it is, and of joints that it says nothing of: depth [m] and turns [rad].
 _DEPTH_SPREAD, _TURN_SPREAD, _LOCKED_SPREAD = 0.1, 0.3, 0.05
@@ -40,7 +41,7 @@ _ROW = 32  # keypoints: people have so many, or a multiple, so that few sizes of
 
 
 @dataclass(frozen=True)
-class Starts(Movable):
+class Starts(Tensors):
     """Starts and observations of B people.
 
     Attributes:
@@ -72,14 +73,6 @@ class Starts(Movable):
     turn_spreads: torch.Tensor
     target: torch.Tensor | None
     lens: torch.Tensor | None
-
-    def tensors(self) -> list[torch.Tensor]:
-        """All that are there."""
-        return [tensor for tensor in vars(self).values() if tensor is not None]
-
-    def copied(self) -> Starts:
-        """Copies of all tensors."""
-        return Starts(*(None if value is None else value.clone() for value in vars(self).values()))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Generic, Protocol, Self, TypeVar
 
 import torch
@@ -9,22 +10,25 @@ import torch
 from ..interop.adam import Adam
 from ..interop.captured_step import CapturedStep
 from ..interop.graph_cache import graphs
+from ..interop.movable import Movable
 from .mesh_options import MeshOptions
 
 
-class Copyable(Protocol):
-    """Starts and observations, all of whose tensors a captured graph may copy from others."""
+class Tensors(Movable):
+    """Mixin for a dataclass of tensors, or None: starts, which a captured graph copies from others."""
 
     def tensors(self) -> list[torch.Tensor]:
         """All that are there."""
+        return [tensor for tensor in vars(self).values() if tensor is not None]
 
     def copied(self) -> Self:
         """Copies of all tensors."""
+        return replace(self, **{name: None if value is None else value.clone() for name, value in vars(self).items()})
 
 
-P = TypeVar("P", bound=Copyable)
+P = TypeVar("P", bound=Tensors)
 U = TypeVar("U")
-_P = TypeVar("_P", bound=Copyable, contravariant=True)
+_P = TypeVar("_P", bound=Tensors, contravariant=True)
 
 
 class StepEnergy(Protocol[_P, U]):

@@ -7,16 +7,17 @@ neither keypoints nor outlines, and no small step mends it: pairs are exchanged,
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import torch
 
+from ..body.lens import lens_camera
 from ..clothing.model import DetailedModel
 from ..fit.mesh_energy import Unknowns
 from ..render.mesh import mesh_label_loss
-from .energy import SceneEnergy, SceneStarts, crop_cameras
+from .energy import SceneEnergy, SceneStarts
 from .scene import Scene
 from .start import Looked, gather_scene
 
@@ -31,12 +32,17 @@ def order_people(
     """Starts with pairs exchanged where the labels of their picture say so, and their sights."""
     looks = list(looks)
     people = gather_scene(energy, model, scene, looks)
+    if not _tells_order(energy, people):
+        return people, looks
+    bodies = _drawn(energy, people, energy.at_rest(people))
     for frame in range(scene.num_frames):
         for _ in range(_MOST_EXCHANGES * scene.num_people):
-            found = exchange(energy, people, energy.at_rest(people), looks, (frame,))
-            if found is None:
+            factors = _best_exchange(energy, people, bodies, frame)
+            if factors is None:
                 break
-            looks, people = found, gather_scene(energy, model, scene, found)
+            looks = _exchanged(looks, {frame: factors})
+            people = gather_scene(energy, model, scene, looks)
+            bodies = _drawn(energy, people, energy.at_rest(people))
     return people, looks
 
 
@@ -45,30 +51,42 @@ def exchange(
     people: SceneStarts,
     unknowns: Unknowns,
     looks: Sequence[Looked],
-    frames: Sequence[int],
 ) -> list[Looked] | None:
-    """Sights after the best exchange of two people in each frame, as bodies are now; None if none helps.
-
-    Of one view alone, for several know the depth.
-    """
-    if energy.mesh is None or len(people.shape) < 2 or len(people.view_rotations) > 1:
+    """Sights after the best exchange of two people in each frame, as bodies are now; None if none helps."""
+    if not _tells_order(energy, people):
         return None
-    found = {frame: _best_exchange(energy, people, unknowns, frame) for frame in frames}
-    if not any(found.values()):
-        return None
-    return [grown(look, (found.get(look.sight.frame) or {}).get(look.sight.person, 1.0)) for look in looks]
+    bodies = _drawn(energy, people, unknowns)
+    tried = {frame: _best_exchange(energy, people, bodies, frame) for frame in range(len(bodies))}
+    found = {frame: factors for frame, factors in tried.items() if factors is not None}
+    return _exchanged(looks, found) if found else None
 
 
-def _best_exchange(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns, frame: int) -> dict[int, float] | None:
-    """How much two people of a frame grow, by their numbers, as they are exchanged; None if no exchange helps."""
+def _tells_order(energy: SceneEnergy, people: SceneStarts) -> bool:
+    """True if labels can say who stands in front; several views know the depth."""
+    return energy.mesh is not None and len(people.shape) > 1 and len(people.view_rotations) == 1
+
+
+def _drawn(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
+    """Vertices of the people in each picture, in its camera's frame, shape (T, P, n, 3)."""
+    return energy.pictured(people, energy.vertices(people, unknowns)).unflatten(1, (len(people.shape), -1))
+
+
+def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float]]) -> list[Looked]:
+    """Sights whose bodies grow by factors, by frame and person."""
+    return [grown(look, factors.get(look.sight.frame, {}).get(look.sight.person, 1.0)) for look in looks]
+
+
+def _best_exchange(
+    energy: SceneEnergy, people: SceneStarts, drawn: torch.Tensor, frame: int
+) -> dict[int, float] | None:
+    """Factors by which two people of a frame grow as they are exchanged, by person; None if no exchange helps."""
     assert energy.mesh is not None
     assert people.target is not None
     assert people.target_lens is not None
-    every = energy.pictured(people, energy.vertices(people, unknowns))[frame]
-    bodies = every.unflatten(0, (len(people.shape), -1))  # (P, n, 3)
+    bodies = drawn[frame]
     shown = people.shown.unflatten(0, (len(bodies), -1))[:, frame, 0].tolist()
     distances = bodies[..., 2].mean(1).tolist()
-    camera = crop_cameras(people.target_lens[frame : frame + 1], 2)
+    camera = lens_camera(people.target_lens[frame : frame + 1], 2)
     seen = [camera.project(body[None])[0, :, :2] for body in bodies]
     boxes = [(points.amin(0), points.amax(0)) for points in seen]
     tries: list[dict[int, float]] = [{}]
@@ -84,7 +102,7 @@ def _best_exchange(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns,
     tried = bodies * factors[..., None, None]
     target = people.target[frame : frame + 1]
     loss, _ = mesh_label_loss(
-        tried.flatten(1, 2), energy.mesh, crop_cameras(people.target_lens[frame : frame + 1], target.shape[-1]), target
+        tried.flatten(1, 2), energy.mesh, lens_camera(people.target_lens[frame : frame + 1], target.shape[-1]), target
     )
     best = int(loss.argmin())
     return tries[best] if float(loss[best]) < (1 - _LEAST_GAIN) * float(loss[0]) else None

@@ -9,21 +9,20 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..body.lens import through_lens
+from ..body.lens import lens_camera, through_lens
 from ..body.parameters import crop_camera
-from ..cameras import Perspective
 from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
 from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
+from ..fit.steps import Tensors
 from ..inputs.observation import REFERENCE_SIZE
-from ..interop.movable import Movable
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .options import SceneOptions
 
 
 @dataclass(frozen=True)
-class SceneStarts(Movable):
+class SceneStarts(Tensors):
     """Starts and observations of P people in T frames, seen by V views; N = P T bodies, frames of a person in a row.
 
     Attributes:
@@ -70,15 +69,6 @@ class SceneStarts(Movable):
     target: torch.Tensor | None
     target_lens: torch.Tensor | None
 
-    def tensors(self) -> list[torch.Tensor]:
-        """All that are there."""
-        return [tensor for tensor in vars(self).values() if tensor is not None]
-
-    def copied(self) -> SceneStarts:
-        """Copies of all tensors."""
-        values = vars(self).values()
-        return SceneStarts(*(None if value is None else value.clone() for value in values))  # type: ignore[arg-type]
-
 
 @dataclass(frozen=True, eq=False)
 class SceneEnergy:
@@ -103,7 +93,7 @@ class SceneEnergy:
         seen = self._seen(people, points)
         lenses = people.lenses.flatten(0, 1)
         marks = seen.flatten(0, 1).gather(1, people.places.flatten(0, 1)[..., None].expand(-1, -1, 3))
-        pixels = crop_cameras(lenses, REFERENCE_SIZE).project(marks)[..., :2].view_as(people.points)
+        pixels = lens_camera(lenses, REFERENCE_SIZE).project(marks)[..., :2].view_as(people.points)
         apart = pixels - (people.points + 1) * (REFERENCE_SIZE / 2)
         moved = one.depths(seen) - people.depths
         spread = people.turn_spreads.square()
@@ -119,7 +109,7 @@ class SceneEnergy:
             loss, _ = mesh_label_loss(
                 self.pictured(people, posed.vertices + pelvises),
                 self.mesh,
-                crop_cameras(people.target_lens, people.target.shape[-1]),
+                lens_camera(people.target_lens, people.target.shape[-1]),
                 people.target,
                 gradient=options.gradient,
                 max_distance=options.max_distance,
@@ -169,12 +159,8 @@ class SceneEnergy:
     @staticmethod
     def pelvises(people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
         """Pelvises in the world [m], shape (N, 3)."""
-        _, there = through_lens(
-            crop_camera(unknowns.log_scale, unknowns.shift, REFERENCE_SIZE), people.lens, REFERENCE_SIZE
-        )
-        assert there is not None
-        rotations, translations = people.view_rotations[people.first], people.view_translations[people.first]
-        return ((there - translations)[:, None] @ rotations)[:, 0]
+        views = people.view_rotations[people.first], people.view_translations[people.first]
+        return pelvises_in_world(unknowns.log_scale, unknowns.shift, people.lens, *views)
 
     def _sizes(self, people: SceneStarts) -> list[int]:
         """Numbers of moves: of bodies, shapes and clothes."""
@@ -202,6 +188,14 @@ class SceneEnergy:
         return each.permute(1, 2, 0, 3, 4).flatten(2, 3).flatten(0, 1)
 
 
-def crop_cameras(lens: torch.Tensor, size: int) -> Perspective:
-    """Cameras of square crops, from lenses (B, 3)."""
-    return Perspective(lens[:, :1].expand(-1, 2) * (size / 2), (lens[:, 1:] + 1) * (size / 2))
+def pelvises_in_world(
+    log_scale: torch.Tensor,
+    shift: torch.Tensor,
+    lens: torch.Tensor,
+    rotations: torch.Tensor,
+    translations: torch.Tensor,
+) -> torch.Tensor:
+    """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
+    _, there = through_lens(crop_camera(log_scale, shift, REFERENCE_SIZE), lens, REFERENCE_SIZE)
+    assert there is not None
+    return ((there - translations)[:, None] @ rotations)[:, 0]

@@ -116,7 +116,7 @@ def fit_scene(
             steps.step(rate_share(iteration, iterations))
             tell("scene", iteration + 1, iterations)
         with torch.no_grad():
-            again = exchange(energy, people, steps.unknowns, looks, range(scene.num_frames)) if left else None
+            again = exchange(energy, people, steps.unknowns, looks) if left else None
             if again is None:
                 break
             looks, people = again, gather_scene(energy, model, scene, again)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..body.labels import BACKGROUND, IGNORE
-from ..body.lens import through_lens, turn_to_rays
+from ..body.lens import seen_at, through_lens, turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Crop
@@ -23,7 +23,7 @@ from ..network.checkpoint import packaged_network
 from ..network.predict import ask_network
 from ..network.predicted import Predicted
 from ..network.uncertainty import Uncertainty
-from .energy import SceneEnergy, SceneStarts
+from .energy import SceneEnergy, SceneStarts, pelvises_in_world
 from .scene import Scene, Sight, View
 
 _TOGETHER = 64  # sights that the network looks at at a time
@@ -54,7 +54,7 @@ class Looked:
 
 
 def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
-    """What the network says of each sight, in the order of people, frames and views."""
+    """Bodies that the network sees in each sight, in the order of people, frames and views."""
     network = packaged_network(str(device))
     sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
     pictures: dict[tuple[int, int], list[Sight]] = {}
@@ -113,31 +113,30 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     turned = turned[:, one.turning].clone()
     turned[:, 0] = to_world @ turned[:, 0]
 
+    seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True)
     log_scale, shift, smooth = body.log_scale, body.shift, None
     lenses = torch.stack([look.seen.lens for look in looks if look.seen.lens is not None])
     at = torch.tensor(homes, device=like.device)
     if num_frames > 1 and energy.options.smoothing > 0:
         width = energy.options.smoothing * scene.frame_rate
-        seen = torch.zeros(count, dtype=torch.bool, device=like.device).index_fill(0, rows, True).view(-1, num_frames)
-        shares = time_shares(seen, width).to(like)
+        shares = time_shares(seen.view(-1, num_frames), width).to(like)
         each = turned.unflatten(0, (scene.num_people, -1))
         turned = _nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
         there = rotations[first], translations[first], lenses[at]
         log_scale, shift = _smooth_places(shares, body, *there)
-        smooth = time_shares(torch.ones_like(seen[:1]), width).to(like)[0]
+        smooth = time_shares(seen.new_ones(1, num_frames), width).to(like)[0]
 
     places, points, votes = gather_keypoints(one.model, [look.seen for look in looks])
     depth_spreads, turn_spreads = gather_spreads(one, [look.uncertainty for look in looks], like)
-    bridged = torch.ones(count, dtype=torch.bool, device=like.device).index_fill(0, rows, False)
-    turn_spreads = torch.where(bridged[:, None], _UNSEEN_SPREAD, turn_spreads[at])
+    turn_spreads = torch.where(seen[:, None], turn_spreads[at], _UNSEEN_SPREAD)
 
-    def table(values: torch.Tensor, fill: float = 0.0) -> torch.Tensor:
+    def table(values: torch.Tensor) -> torch.Tensor:
         """Rows of sights by body and view, (N, V, ...)."""
-        full = values.new_full((count, num_views, *values.shape[1:]), fill)
+        full = values.new_full((count, num_views, *values.shape[1:]), 0)
         full[rows, views] = values
         return full
 
-    looked = torch.cat([look.body.posed().joints[:, 1:, 2] - look.body.posed().joints[:, :1, 2] for look in looks])
+    depths = BodyParameters.joined([look.body for look in looks]).posed().joints[..., 2]
     target = lens = None
     if energy.mesh is not None:
         target, lens = _targets(energy, scene, looks, like)
@@ -158,7 +157,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         points=table(points),
         votes=table(votes),
         lenses=torch.where(shown[..., None], table(lenses), no_lens),
-        depths=table(looked),
+        depths=table(depths[:, 1:] - depths[:, :1]),
         depth_weights=table(1 / depth_spreads.square()),
         shown=shown,
         smooth=smooth,
@@ -185,13 +184,10 @@ def _smooth_places(
     lenses: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``log_scale`` and ``shift`` of bodies whose pelvises move smoothly in the world."""
-    _, there = through_lens(body.camera(REFERENCE_SIZE), lenses, REFERENCE_SIZE)
-    assert there is not None
-    world = ((there - translations)[:, None] @ rotations)[:, 0]
+    world = pelvises_in_world(body.log_scale, body.shift, lenses, rotations, translations)
     smooth = (shares @ world.unflatten(0, (len(shares), -1))).flatten(0, 1)
     there = (smooth[:, None] @ rotations.mT)[:, 0] + translations
-    scale = lenses[:, 0] / there[:, 2].clamp_min(_NEAREST)
-    return scale.log(), lenses[:, 1:] + there[:, :2] * scale[:, None]
+    return seen_at(torch.cat([there[:, :2], there[:, 2:].clamp_min(_NEAREST)], dim=1), lenses)
 
 
 def _homes(looks: Sequence[Looked], rows: Sequence[int], scene: Scene) -> list[int]:
@@ -253,9 +249,8 @@ def _met(
     lens = home.seen.lens
     assert lens is not None
     if pelvis[2] > _NEAREST:  # else rays do not meet before the camera
-        scale = lens[0] / pelvis[2]
-        shift = lens[1:] + pelvis[:2] * scale
-        body = replace(body, log_scale=scale.log()[None], shift=shift[None])
+        log_scale, shift = seen_at(pelvis[None], lens[None])
+        body = replace(body, log_scale=log_scale, shift=shift)
     return replace(
         body,
         orientation=rotation_to_6d(orientation)[None],

@@ -75,7 +75,7 @@ def make_pair(index: int, level: str = "realistic") -> SceneSample:
     (one, first), (other, second) = _draw_body(index), _draw_body(index + 1)
     # Both stand on the same ground.
     ground = float(one.vertices[..., 1].max() - other.vertices[..., 1].max())
-    mesh, size = people.anny_mesh().repeated(2, NUM_PARTS, anny().num_vertices), _SIZE
+    mesh = people.anny_mesh().repeated(2, NUM_PARTS, anny().num_vertices)
     while True:
         beside = rng.uniform(*_BESIDE) * rng.choice((-1, 1))
         behind = rng.uniform(*_BEHIND) * rng.choice((-1, 1))
@@ -83,8 +83,10 @@ def make_pair(index: int, level: str = "realistic") -> SceneSample:
         every = torch.cat([one.vertices, beyond.vertices])
         view = _place_view(every.numpy(), 0.0, rng)
         seen = view.to_camera(every)
-        both = draw_mesh(seen.flatten(0, 1)[None], mesh, view.camera, size).labels[0]
-        counts = [int((draw_mesh(body[None], people.anny_mesh(), view.camera, size).labels > 0).sum()) for body in seen]
+        both = draw_mesh(seen.flatten(0, 1)[None], mesh, view.camera, _SIZE).labels[0]
+        counts = [
+            int((draw_mesh(body[None], people.anny_mesh(), view.camera, _SIZE).labels > 0).sum()) for body in seen
+        ]
         left = int((both > NUM_PARTS).sum()) if behind > 0 else int(((both > 0) & (both <= NUM_PARTS)).sum())
         if _HIDDEN[0] <= 1 - left / counts[int(behind > 0)] <= _HIDDEN[1]:
             break
@@ -144,7 +146,7 @@ def _see(
     rng: np.random.Generator,
     frame_rate: float = 30.0,
 ) -> SceneSample:
-    """What cameras see of P people in T frames."""
+    """Scene of P people in T frames, as cameras see them."""
     model, mesh = anny(), people.anny_mesh()
     both = mesh.repeated(len(bodies), NUM_PARTS, model.num_vertices)
     sights: list[Sight] = []
