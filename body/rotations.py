@@ -112,6 +112,14 @@ def rotation_to_axis_angle(rotation: torch.Tensor) -> torch.Tensor:
     return xyz * factor[..., None]
 
 
+def nearest_rotation(matrices: torch.Tensor) -> torch.Tensor:
+    """Rotations nearest to matrices (..., 3, 3) by the squares of their entries; to a sum of rotations, their mean."""
+    u, _, v = torch.linalg.svd(matrices)
+    signs = torch.ones_like(u[..., 0])
+    signs[..., 2] = torch.linalg.det(u @ v)
+    return u * signs[..., None, :] @ v
+
+
 def _normalise_or(vector: torch.Tensor, fallback: torch.Tensor) -> torch.Tensor:
     """Unit vectors; ``fallback``'s direction where there is none."""
     # Scale by the largest entry first: squares of 1e-30 or 1e30 would leave float32.

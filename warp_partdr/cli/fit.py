@@ -12,6 +12,7 @@ from typer import Argument, Option
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
 from ..errors import InputError
+from ..inputs.films import is_film
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import CameraOptions, DeviceOption, OutOption, PhotoFiles, SettingOptions, take_whole
 from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
@@ -77,6 +78,15 @@ def fit(
     """Fit a body to one person; see ``FIT_HELP``."""
     # Loaded here, so that --help is quick, and torch after the files, so that faults in them are found at once.
     values = settings.read()
+    if photo is not None and is_film(photo):
+        from .fit_film import fit_motions
+
+        if explain:
+            raise InputError("--explain: with a film; expected a photo")
+        if quality is not QualityName.balanced or start is not StartName.network:
+            raise InputError("--quality, --start: with a film; expected none, or --set mesh.iterations=30, for example")
+        fit_motions(files, photo, out, device, model, view, values)
+        return
     if files.keypoints is None:
         from .fit_photo import fit_everyone
 

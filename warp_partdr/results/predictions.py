@@ -1,6 +1,7 @@
 """Bodies that the label network says at once, without refinement: of one picture, or of a person through a film.
 
-A film's ``NAME.personN.npz`` has a row a frame in which the person was found, T in all:
+A film's ``NAME.personN.npz`` has a row a frame in which the person was found, T in all. ``save_film`` adds arrays of
+the detailed body, and rows in which the person is hidden: their scores and confidences are 0.
 
 | key | shape | what |
 |---|---|---|
@@ -28,6 +29,7 @@ from ..body.lens import find_camera, turn_to_rays
 from ..body.posing import pose
 from ..body.template import BODY_SHAPES, JOINT_NAMES, PART_NAMES
 from ..cameras import Crop
+from ..detection.film_people import SEEN
 from ..errors import InputError
 from ..files.array_files import read_npz
 from ..inputs.observation import Observation
@@ -39,14 +41,7 @@ from .save import body_file
 
 FORMAT = "warp-partdr film 1"
 _BODY = {**BODY_SHAPES, "camera_scale": (), "camera_translation": (2,)}
-_SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
-    "frames": (np.int64, ()),
-    "times": (np.float64, ()),
-    "scores": (np.float32, ()),
-    "boxes": (np.float32, (4,)),
-    "keypoints": (np.float32, (33, 3)),
-}
-ROW = np.dtype([(name, *kind) for name, kind in _SEEN.items()] + [(name, np.float32, _BODY[name]) for name in _BODY])
+ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [(name, np.float32, _BODY[name]) for name in _BODY])
 
 
 def predict_files(
@@ -95,9 +90,9 @@ class FilmBodies:
         posed = pose(*(torch.from_numpy(np.ascontiguousarray(self.rows[name])) for name in BODY_ARRAYS))
         return posed.joints.numpy()
 
-    def save(self, path: str | Path) -> None:
-        """Write the file."""
-        arrays: dict[str, Any] = {name: self.rows[name] for name in ROW.names or ()}
+    def save(self, path: str | Path, **more: np.ndarray) -> None:
+        """Write the file, with arrays of other names if there are some."""
+        arrays: dict[str, Any] = {name: self.rows[name] for name in ROW.names or ()} | more
         np.savez_compressed(
             path,
             format=np.array(FORMAT),

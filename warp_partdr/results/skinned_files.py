@@ -1,4 +1,4 @@
-"""Registered detailed bodies as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH of the pose.
+"""Registered detailed bodies as files for other tools: GLB with skeleton and skin, OBJ, PLY, and BVH; motions, too.
 
 All have y up, stand on y = 0, seen from the camera's side, as ``ellipbody_files`` has EllipBody; metres, but for BVH:
 centimetres. trimesh writes no skins, so the GLB is written here (glTF 2.0): its joints hold the pose, so that a viewer
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from .palette import PART_COLOURS
 SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
 _DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # glTF's component types
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_USUAL_RATE = 30.0  # poses a second of a file with one
+_STILL = 1e-5  # of a rotation's entries: joints that turn less do not move
 _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 
@@ -41,8 +44,37 @@ def save_detailed(registered: Registered, folder: Path) -> None:
     (folder / "detailed.bvh").write_text(bvh(registered))
 
 
-def glb(registered: Registered) -> bytes:
-    """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose."""
+@dataclass(frozen=True)
+class Poses:
+    """Poses of a body, one after another, evenly in time.
+
+    Attributes:
+        rotations: Local rotation of each joint, shape (T, J, 3, 3).
+        translation: Position of the root joint in the camera frame [m], shape (T, 3).
+        rate: Poses a second.
+        lowest: Of all, the y of the lowest vertex, y up [m].
+    """
+
+    rotations: torch.Tensor
+    translation: torch.Tensor
+    rate: float
+    lowest: float
+
+    @classmethod
+    def first(cls, registered: Registered) -> Poses:
+        """The pose of the first body."""
+        lowest = float(_upright(registered)[1])
+        return cls(registered.rotations[:1], registered.translation[:1], _USUAL_RATE, lowest)
+
+    def numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """``rotations`` and ``translation`` in double precision."""
+        rotations, translation = (each.detach().cpu().double().numpy() for each in (self.rotations, self.translation))
+        return rotations, translation
+
+
+def glb(registered: Registered, poses: Poses | None = None) -> bytes:
+    """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose; of several poses, an animation."""
+    poses = poses or Poses.first(registered)
     model, faces = registered.model, registered.model.faces.cpu().numpy()
     rest, transforms = _first(registered.rest().joints), _first(registered.detailed.transforms)
     weights, joints = model.skin_weights.cpu().double().topk(min(SKIN_WEIGHTS, model.num_joints), dim=1)
@@ -60,10 +92,12 @@ def glb(registered: Registered) -> bytes:
     rotations, translation = _first(registered.rotations), _first(registered.translation)
     for joint, (name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
-        nodes.append({"name": name, "translation": offset.tolist(), "rotation": _quaternion(rotations[joint])})
+        nodes.append(
+            {"name": name, "translation": offset.tolist(), "rotation": _quaternions(rotations[joint][None])[0].tolist()}
+        )
         if children := _children(model, joint):
             nodes[-1]["children"] = children
-    lift = -float(_upright(registered)[1])
+    lift = -poses.lowest
     # Half a turn about x: from the camera frame to glTF's.
     nodes.append({"name": "body", "rotation": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, lift, 0.0], "children": [0]})
     nodes.append({"name": model.name, "mesh": 0, "skin": 0})
@@ -81,6 +115,7 @@ def glb(registered: Registered) -> bytes:
     material = {"baseColorFactor": [0.6, 0.42, 0.34, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
     body = len(nodes) - 2
+    animation = {"animations": [_animation(buffer, poses)]} if len(poses.rotations) > 1 else {}
     return buffer.glb(
         {
             "asset": {"version": "2.0", "generator": "warp-partdr"},
@@ -90,17 +125,33 @@ def glb(registered: Registered) -> bytes:
             "materials": [{"name": "skin", "pbrMetallicRoughness": material}],
             "meshes": [{"name": model.name, "primitives": [primitive]}],
             "skins": [{"joints": list(range(body)), "inverseBindMatrices": matrices, "skeleton": body}],
+            **animation,
         }
     )
 
 
-def bvh(registered: Registered) -> str:
-    """The first body's skeleton and pose as BVH, one frame, centimetres and degrees."""
-    model = registered.model
-    rest, rotations = 100 * _first(registered.rest().joints), _first(registered.rotations)
-    rotations[0] = GLTF_FROM_CAMERA @ rotations[0]
-    root = GLTF_FROM_CAMERA @ _first(registered.translation)
-    numbers = (100 * (root - [0.0, _upright(registered)[1], 0.0])).tolist()
+def _animation(buffer: _Buffer, poses: Poses) -> dict[str, Any]:
+    """glTF's animation of the joints that move."""
+    rotations, translation = poses.numbers()
+    times = buffer.add((np.arange(len(rotations))[:, None] / poses.rate).astype(np.float32).reshape(-1), bounds=True)
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    values = {(0, "translation"): translation}
+    for joint in range(rotations.shape[1]):
+        if np.ptp(rotations[:, joint], axis=0).max() > _STILL:
+            values[joint, "rotation"] = _quaternions(rotations[:, joint])
+    for (joint, path), track in values.items():
+        channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
+        samplers.append({"input": times, "output": buffer.add(track.astype(np.float32)), "interpolation": "LINEAR"})
+    return {"name": "motion", "channels": channels, "samplers": samplers}
+
+
+def bvh(registered: Registered, poses: Poses | None = None) -> str:
+    """The first body's skeleton and its pose, or several, as BVH, centimetres and degrees."""
+    model, poses = registered.model, poses or Poses.first(registered)
+    rest, (rotations, translation) = 100 * _first(registered.rest().joints), poses.numbers()
+    rotations[:, 0] = GLTF_FROM_CAMERA @ rotations[:, 0]
+    columns = [100 * (translation @ GLTF_FROM_CAMERA.T - [0.0, poses.lowest, 0.0])]
     lines = ["HIERARCHY"]
 
     def describe(joint: int, indent: str) -> None:
@@ -110,7 +161,7 @@ def bvh(registered: Registered) -> str:
         head = f"{'ROOT' if parent < 0 else 'JOINT'} {model.joint_names[joint]}"
         channels = f"  CHANNELS {6 if position else 3} {position}Zrotation Yrotation Xrotation"
         lines.extend(indent + line for line in (head, "{", f"  OFFSET {_numbers(offset)}", channels))
-        numbers.extend(_euler_zyx(rotations[joint]))
+        columns.append(_euler_zyx(rotations[:, joint]))
         children = _children(model, joint)
         for child in children:
             describe(child, indent + "  ")
@@ -118,7 +169,9 @@ def bvh(registered: Registered) -> str:
         lines.extend(indent + line for line in (*end, "}"))
 
     describe(0, "")
-    return "\n".join([*lines, "MOTION", "Frames: 1", "Frame Time: 0.0333333", _numbers(np.array(numbers)), ""])
+    frames = [_numbers(row) for row in np.concatenate(columns, axis=1)]
+    timing = f"Frames: {len(frames)}", f"Frame Time: {1 / poses.rate:.7f}"
+    return "\n".join([*lines, "MOTION", *timing, *frames, ""])
 
 
 class _Buffer:
@@ -170,23 +223,30 @@ def _upright(registered: Registered) -> tuple[np.ndarray, float]:
     return vertices, vertices[:, 1].min()
 
 
-def _quaternion(rotation: np.ndarray) -> list[float]:
-    """(x, y, z, w) of a rotation matrix, of unit length."""
+def _quaternions(rotations: np.ndarray) -> np.ndarray:
+    """(x, y, z, w) of rotation matrices (T, 3, 3), each on the side of the one before, shape (T, 4)."""
     from trimesh.transformations import quaternion_from_matrix
 
-    w, *vector = quaternion_from_matrix(rotation).tolist()
-    return [*vector, w]
+    found = np.stack([quaternion_from_matrix(rotation) for rotation in rotations])
+    turned = (found[1:] * found[:-1]).sum(1) < 0
+    return (np.where(np.cumsum([False, *turned]) % 2, -1.0, 1.0)[:, None] * found)[:, [1, 2, 3, 0]]
 
 
-def _euler_zyx(rotation: np.ndarray) -> list[float]:
-    """Angles [degrees] about z, y and x of ``Rz Ry Rx``; where y is at a right angle, the one about x is 0."""
-    cosine = np.hypot(rotation[0, 0], rotation[1, 0])
-    y = np.arctan2(-rotation[2, 0], cosine)
-    if cosine < 1e-6:
-        z, x = np.arctan2(-rotation[0, 1], rotation[1, 1]), 0.0
-    else:
-        z, x = np.arctan2(rotation[1, 0], rotation[0, 0]), np.arctan2(rotation[2, 1], rotation[2, 2])
-    return np.degrees([z, y, x]).tolist()
+def _euler_zyx(rotations: np.ndarray) -> np.ndarray:
+    """Angles [degrees] about z, y, x of ``Rz Ry Rx``, shape (T, 3); where y is at a right angle, the one about x is 0.
+
+    Angles go on from frame to frame: none jumps by a whole turn.
+    """
+    cosine = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
+    locked = cosine < 1e-6
+    y = np.arctan2(-rotations[:, 2, 0], cosine)
+    z = np.where(
+        locked,
+        np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1]),
+        np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]),
+    )
+    x = np.where(locked, 0.0, np.arctan2(rotations[:, 2, 1], rotations[:, 2, 2]))
+    return np.degrees(np.unwrap(np.stack([z, y, x], axis=1), axis=0))
 
 
 def _any_way(normals: np.ndarray) -> np.ndarray:

@@ -62,8 +62,9 @@ def exchange(
 
 
 def _tells_order(energy: SceneEnergy, people: SceneStarts) -> bool:
-    """True if labels can say who stands in front; several views know the depth."""
-    return energy.mesh is not None and len(people.shape) > 1 and len(people.view_rotations) == 1
+    """True if labels can say who stands in front; several views, or known sizes, tell the depth."""
+    one_view = len(people.view_rotations) == 1
+    return energy.mesh is not None and len(people.shape) > 1 and one_view and bool(people.unknown.any())
 
 
 def _drawn(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:

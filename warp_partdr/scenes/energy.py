@@ -29,6 +29,8 @@ class SceneStarts(Tensors):
         rotations: Of the drawn model's joints where the fit starts, the root's in the world, shape (N, J, 3, 3).
         translation: From the pelvis to the root, in the world [m], shape (N, 3).
         shape: Shape values, shape (P, S).
+        clothes: Thicknesses on parts ``CLOTHED`` [m], shape (P, 8).
+        unknown: 1 for people whose shape and clothes are to be found, 0 for known ones, shape (P, 1).
         log_scale: Of the pelvis in the crop of the body's first view, like ``shift`` as of ``BodyParameters``, (N,).
         shift: Shape (N, 2).
         lens: Of that crop, shape (N, 3).
@@ -51,6 +53,8 @@ class SceneStarts(Tensors):
     rotations: torch.Tensor
     translation: torch.Tensor
     shape: torch.Tensor
+    clothes: torch.Tensor
+    unknown: torch.Tensor
     log_scale: torch.Tensor
     shift: torch.Tensor
     lens: torch.Tensor
@@ -143,8 +147,8 @@ class SceneEnergy:
         turns, log_scale, shift = rows.split([rows.shape[1] - 3, 1, 2], dim=1)
         return Unknowns(
             turns.unflatten(1, (-1, 3)),
-            people.shape + shape.view_as(people.shape),
-            clothes.view(-1, len(CLOTHED)),
+            people.shape + people.unknown * shape.view_as(people.shape),
+            people.clothes + people.unknown * clothes.view_as(people.clothes),
             people.log_scale + log_scale[:, 0],
             people.shift + shift,
         )

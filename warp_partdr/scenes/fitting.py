@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,8 +26,8 @@ from ..render.part_mesh import MAX_LABEL, PartMesh
 from .depth_order import exchange, order_people
 from .energy import SceneEnergy
 from .options import SceneOptions
-from .scene import Scene
-from .start import gather_scene, look_at
+from .scene import PersonShape, Scene
+from .start import Looked, gather_scene, look_at
 
 _ROUNDS = 2  # of refinement, where people turn out to stand in another order
 
@@ -41,6 +42,7 @@ class SceneFit(Movable):
         clothes: Thicknesses of clothes and hair of each person [m], shape (P, 8).
         energy: Weighted terms before the last step, by name.
         seconds: Wall time of each stage.
+        warnings: Faults of sights that were found, a sentence each.
     """
 
     scene: Scene
@@ -48,6 +50,13 @@ class SceneFit(Movable):
     clothes: torch.Tensor
     energy: dict[str, float]
     seconds: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def shapes(self) -> dict[int, PersonShape]:
+        """Shapes of the people, for a scene in which they are known."""
+        values = self._by_person(self.bodies.shape)[:, 0]
+        return {person: PersonShape(*each) for person, each in enumerate(zip(values, self.clothes, strict=True))}
 
     @property
     def joints(self) -> torch.Tensor:
@@ -91,6 +100,7 @@ def fit_scene(
 
     Raises:
         InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
+        ValueError: If a known shape is of another model.
         TypeError: If an argument is of another type.
     """
     check_type("scene", scene, Scene, "such as Scene(views, sights)")
@@ -126,7 +136,16 @@ def fit_scene(
         terms = {name: float(term) for name, term in steps.terms.items()}
         clothes = bounded(found.clothes).clone()
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
-    return SceneFit(scene, bodies, clothes, terms, seconds)
+    return SceneFit(scene, bodies, clothes, terms, seconds, _warnings(looks))
+
+
+def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
+    """What looks wrong with sights, each sentence once, with the first sight that it is about."""
+    first: dict[str, str] = {}
+    for look in looks:
+        for warning in look.evidence.warnings:
+            first.setdefault(warning, f"person {look.sight.person}, frame {look.sight.frame}, view {look.sight.view}")
+    return tuple(f"{where}: {warning}" for warning, where in first.items())
 
 
 @lru_cache(maxsize=8)

@@ -19,16 +19,25 @@ class SceneOptions:
         smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
             [s]; 0 leaves frames to themselves.
         together: Side of the crop in which several people are drawn together [px].
+        window: Frames of a film that are fitted together.
+        overlap: Frames that two windows share, from one to the other.
+        shape_frames: Frames, spread over a film of several windows, in which a person's shape is found.
     """
 
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.035
     together: int = 256
+    window: int = 64
+    overlap: int = 12
+    shape_frames: int = 16
 
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
             raise ValueError(f"smoothing: {self.smoothing}; expected seconds, 0 or more")
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)
+        check_whole("window", self.window, 1)
+        check_whole("overlap", self.overlap, 0, self.window - 1)
+        check_whole("shape_frames", self.shape_frames, 1)
 
     def size_of(self, num_people: int) -> int:
         """Side of drawn crops [px]."""

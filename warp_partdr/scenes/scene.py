@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -72,6 +72,19 @@ class Sight:
 
 
 @dataclass(frozen=True)
+class PersonShape:
+    """Shape of a person who is known from elsewhere.
+
+    Attributes:
+        values: Shape values of the detailed model, shape (S,).
+        clothes: Thicknesses of clothes and hair [m], shape (8,).
+    """
+
+    values: torch.Tensor
+    clothes: torch.Tensor
+
+
+@dataclass(frozen=True)
 class Scene:
     """People in frames seen by views.
 
@@ -80,6 +93,7 @@ class Scene:
         sights: In any order; each person in each picture once at most. Frames in which nobody sees somebody are
             bridged.
         frame_rate: Frames a second.
+        shapes: Of people who are known, by person; the others' are found.
 
     Raises:
         InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, or labels differ
@@ -89,6 +103,7 @@ class Scene:
     views: Sequence[View]
     sights: Sequence[Sight]
     frame_rate: float = 30.0
+    shapes: Mapping[int, PersonShape] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_each("views", self.views, View, "such as View(camera)")
@@ -109,6 +124,10 @@ class Scene:
             seen.add(key)
         if unseen := sorted(set(range(self.num_people)) - {person for person, _, _ in seen}):
             raise InputError(f"sights: person {unseen[0]} in none; expected people 0 to {self.num_people - 1}")
+        for person, shape in self.shapes.items():
+            if not 0 <= person < self.num_people:
+                raise InputError(f"shapes: of person {person}; expected people 0 to {self.num_people - 1}")
+            check_type(f"shapes[{person}]", shape, PersonShape, "of an earlier fit")
         sets = [sight.parts.label_set for sight in self.sights if sight.parts is not None]
         if any(each != sets[0] for each in sets):
             raise InputError("sights: part labels of several sets; expected one")

@@ -11,14 +11,17 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE
 from ..body.lens import seen_at, through_lens, turn_to_rays
 from ..body.parameters import BodyParameters
-from ..body.rotations import rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
+from ..body.rotations import nearest_rotation, rotation_from_axis_angle, rotation_to_6d, rotation_to_axis_angle
 from ..cameras import Crop
+from ..clothing.clothes import CLOTHED
 from ..clothing.model import DetailedModel
 from ..clothing.pose import pose_from_ellipbody
 from ..clothing.registration import shape_from_lengths
+from ..errors import InputError
 from ..fit.mesh_energy import gather_keypoints, gather_spreads
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence, crop_lens, resize_nearest
+from ..interop.checks import FLOATS, check_tensor
 from ..network.checkpoint import packaged_network
 from ..network.predict import ask_network
 from ..network.predicted import Predicted
@@ -63,14 +66,7 @@ def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
     found: list[Looked] = []
     for start in range(0, len(sights), _TOGETHER):
         some = sights[start : start + _TOGETHER]
-        evidence = [
-            weigh_evidence(
-                sight.keypoints,
-                sight.parts,
-                [other.keypoints for other in pictures[sight.frame, sight.view] if other is not sight],
-            )[0]
-            for sight in some
-        ]
+        evidence = [_weighed(sight, pictures[sight.frame, sight.view]) for sight in some]
         pairs = [
             crop_evidence(each, device=device, camera=scene.views[sight.view].camera)
             for each, sight in zip(evidence, some, strict=True)
@@ -83,6 +79,18 @@ def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
             unsure = None if said.uncertainty is None else said.uncertainty.select(own)
             found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
     return found
+
+
+def _weighed(sight: Sight, picture: Sequence[Sight]) -> Evidence:
+    """Evidence of a sight; where labels lie nowhere along its bones, of keypoints alone."""
+    others = [other.keypoints for other in picture if other is not sight]
+    try:
+        return weigh_evidence(sight.keypoints, sight.parts, others)[0]
+    except InputError as error:
+        if sight.parts is None:
+            raise
+        alone = weigh_evidence(sight.keypoints)[0]
+        return replace(alone, warnings=(f"{error}; keypoints alone taken",))
 
 
 def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks: Sequence[Looked]) -> SceneStarts:
@@ -106,7 +114,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
     body = _joined(looks, homes, rotations, translations, scene)
     posed = body.posed()
     own = torch.arange(0, count, num_frames, device=like.device)
-    shape = shape_from_lengths(model, body.select(own).posed())
+    shape, clothes, unknown = _shapes(model, body.select(own), scene)
     turned, moved = pose_from_ellipbody(model, posed, shape.repeat_interleave(num_frames, 0), trunk_along=True)
     first = torch.tensor([looks[home].sight.view for home in homes], device=like.device)
     to_world = rotations[first].mT
@@ -121,7 +129,7 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         width = energy.options.smoothing * scene.frame_rate
         shares = time_shares(seen.view(-1, num_frames), width).to(like)
         each = turned.unflatten(0, (scene.num_people, -1))
-        turned = _nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
+        turned = nearest_rotation(torch.einsum("pts,ps...->pt...", shares, each).flatten(0, 1))
         there = rotations[first], translations[first], lenses[at]
         log_scale, shift = _smooth_places(shares, body, *there)
         smooth = time_shares(seen.new_ones(1, num_frames), width).to(like)[0]
@@ -146,6 +154,8 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         rotations=turned,
         translation=(to_world @ moved[..., None])[..., 0],
         shape=shape,
+        clothes=clothes,
+        unknown=unknown,
         log_scale=log_scale,
         shift=shift,
         lens=lenses[at],
@@ -164,6 +174,20 @@ def gather_scene(energy: SceneEnergy, model: DetailedModel, scene: Scene, looks:
         target=target,
         target_lens=lens,
     )
+
+
+def _shapes(
+    model: DetailedModel, bodies: BodyParameters, scene: Scene
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """``shape``, ``clothes`` and ``unknown`` of people: known, or of one of their bodies each."""
+    shape = shape_from_lengths(model, bodies.posed())
+    clothes, unknown = shape.new_zeros(len(shape), len(CLOTHED)), shape.new_ones(len(shape), 1)
+    for person, known in scene.shapes.items():
+        unknown[person] = 0
+        for name, table, given in (("values", shape, known.values), ("clothes", clothes, known.clothes)):
+            check_tensor(f"shapes[{person}].{name}", given, table[person].shape, dtypes=FLOATS)
+            table[person] = given.to(table)
+    return shape, clothes, unknown
 
 
 def time_shares(seen: torch.Tensor, width: float) -> torch.Tensor:
@@ -260,15 +284,7 @@ def _met(
 
 def _mean_rotation(rotations: torch.Tensor) -> torch.Tensor:
     """Chordal mean of rotations (..., N, 3, 3), shape (..., 3, 3)."""
-    return _nearest_rotation(rotations.mean(-3))
-
-
-def _nearest_rotation(matrices: torch.Tensor) -> torch.Tensor:
-    """Rotations nearest to matrices (..., 3, 3)."""
-    u, _, v = torch.linalg.svd(matrices)
-    signs = torch.ones_like(u[..., 0])
-    signs[..., 2] = torch.linalg.det(u @ v)
-    return u * signs[..., None, :] @ v
+    return nearest_rotation(rotations.mean(-3))
 
 
 def _meeting_point(group: Sequence[Looked], rotations: torch.Tensor, translations: torch.Tensor) -> torch.Tensor:

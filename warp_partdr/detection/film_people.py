@@ -1,0 +1,146 @@
+"""People of a whole film: who is seen in which frame, kept so small that a film may be long."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..errors import InputError
+from ..inputs.films import film_facts, read_frames
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.person import crop_nearest
+from .masks import instance_map
+from .person import SKELETON, FoundPerson
+from .tracks import PeopleTracker
+
+LOOKS = 3  # a second, of the detector in films
+SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
+_SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
+_USUAL_RATE = 30.0  # frames a second of a film that does not tell
+
+SEEN: dict[str, tuple[type, tuple[int, ...]]] = {
+    "frames": (np.int64, ()),
+    "times": (np.float64, ()),
+    "scores": (np.float32, ()),
+    "boxes": (np.float32, (4,)),
+    "keypoints": (np.float32, (33, 3)),
+}
+_ROW = np.dtype([(name, *kind) for name, kind in SEEN.items()] + [("tracks", np.int64), ("places", np.int64)])
+
+
+@dataclass(frozen=True)
+class FilmPeople:
+    """People of a film.
+
+    Attributes:
+        image_size: (H, W) of the film [px].
+        rate: Frames a second.
+        times: Of the frames since the first [s], shape (F,).
+        rows: A row a sight, of fields ``SEEN``; ``tracks`` is the person, 0 = the most and largest seen, ``places`` the
+            place in ``owners`` of the frame.
+        packed: ``owners`` of the frames, compressed.
+    """
+
+    image_size: tuple[int, int]
+    rate: float
+    times: np.ndarray
+    rows: np.ndarray
+    packed: tuple[bytes, ...]
+
+    @property
+    def num_people(self) -> int:
+        """Number of people."""
+        return int(self.rows["tracks"].max(initial=-1)) + 1
+
+    def owners(self, frame: int) -> np.ndarray:
+        """Whom each pixel shows: 1 for the place 0, 0 for nobody, shape ``kept_size(image_size)``, uint8."""
+        return np.frombuffer(zlib.decompress(self.packed[frame]), np.uint8).reshape(kept_size(self.image_size))
+
+    def of(self, track: int) -> np.ndarray:
+        """Rows of a person."""
+        return self.rows[self.rows["tracks"] == track]
+
+
+def kept_size(size: tuple[int, int]) -> tuple[int, int]:
+    """(H, W) at which it is kept whom the pixels of a film's frames show [px]."""
+    zoom = min(1.0, _SIDE / max(size))
+    return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
+
+
+def row_keypoints(row: np.ndarray) -> Keypoints2D:
+    """Keypoints of a row [px]."""
+    points = row["keypoints"]
+    return Keypoints2D(SKELETON, points[:, :2].copy(), points[:, 2].copy())
+
+
+def find_film_people(
+    path: str | Path,
+    *,
+    min_score: float = 0.5,
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] | None = None,
+) -> FilmPeople:
+    """Find and follow the people of a film, frame by frame.
+
+    Args:
+        path: The film.
+        min_score: Least confidence that there is a person.
+        device: Device to run on.
+        progress: Told frames done and in all.
+
+    Raises:
+        InputError: If the file can't be read as a film, or nobody is found in it.
+    """
+    facts = film_facts(path)
+    rate = facts.rate or _USUAL_RATE
+    tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / LOOKS), 1))
+    rows: list[np.ndarray] = []
+    packed: list[bytes] = []
+    times: list[float] = []
+    size = (0, 0)
+    for frame in read_frames(path):
+        found = tracker.find(frame.picture)
+        size = (frame.picture.shape[0], frame.picture.shape[1])
+        packed.append(_pack(list(found.values()), size))
+        times.append(frame.time)
+        for place, (number, person) in enumerate(found.items()):
+            rows.append(seen_row(person, frame.index, frame.time, number, place))
+        if progress is not None:
+            progress(len(times), max(facts.frames, len(times)))
+    numbered = _by_size(np.concatenate(rows) if rows else np.zeros(0, _ROW), len(times))
+    if not len(numbered):
+        raise InputError(f"{path}: nobody found in {len(times)} frames; expected people")
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed))
+
+
+def seen_row(person: FoundPerson, frame: int, time: float, track: int, place: int) -> np.ndarray:
+    """A row, shape (1,), of somebody in a frame."""
+    keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
+    return np.array([(frame, time, person.score, person.box, keypoints, track, place)], _ROW)
+
+
+def areas(boxes: np.ndarray) -> np.ndarray:
+    """Areas of boxes (N, 4), shape (N,)."""
+    return (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+
+
+def _pack(people: Sequence[FoundPerson], size: tuple[int, int]) -> bytes:
+    height, width = size
+    owners = instance_map(people, size).clip(0, 255).astype(np.uint8)
+    return zlib.compress(crop_nearest(owners, (0.0, 0.0, width, height), kept_size(size), fill=0).tobytes(), 1)
+
+
+def _by_size(rows: np.ndarray, num_frames: int) -> np.ndarray:
+    """Rows of those who are seen long enough, numbered by how much of the film they take."""
+    tracks, counts = np.unique(rows["tracks"], return_counts=True)
+    lasting = tracks[counts >= min(SHORTEST, num_frames)]
+    sizes = [-areas(rows["boxes"][rows["tracks"] == track]).sum() for track in lasting]
+    table = {track: place for place, track in enumerate(lasting[np.argsort(sizes, kind="stable")].tolist())}
+    kept = rows[np.isin(rows["tracks"], lasting)].copy()
+    kept["tracks"] = [table[track] for track in kept["tracks"].tolist()]
+    return kept

@@ -1,0 +1,42 @@
+"""Films as files, of pictures one after another; PyAV writes them, the extra "film"."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from ..inputs.films import check_pyav
+
+_CODECS = ("libx264", "libopenh264", "mpeg4")  # what players know best comes first
+
+
+def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
+    """Write pictures as a film.
+
+    Args:
+        path: Of an .mp4.
+        pictures: RGB, shape (H, W, 3), uint8, all of one size, of which an odd row or column is left out.
+        rate: Pictures a second.
+
+    Raises:
+        InputError: If PyAV is not installed.
+    """
+    check_pyav(path)
+    import av
+    from av.video.stream import VideoStream
+
+    known = next(name for name in _CODECS if name in av.codecs_available)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(known, rate=Fraction(rate).limit_denominator(1001))
+        assert isinstance(stream, VideoStream)
+        stream.pix_fmt = "yuv420p"
+        for number, picture in enumerate(pictures):
+            height, width = (side - side % 2 for side in picture.shape[:2])
+            if not number:
+                stream.width, stream.height = width, height
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
