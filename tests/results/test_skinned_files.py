@@ -8,13 +8,14 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import pytest
 import scenes.bodies
 import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from warp_partdr.clothing.registration import Registered
-from warp_partdr.results.skinned_files import bvh, glb, save_detailed
+from warp_partdr.results.skinned_files import Poses, bvh, glb, save_detailed
 
 registered = scenes.bodies.registered  # a fixture
 
@@ -112,3 +113,50 @@ def test_bvh_has_the_skeleton_where_it_is(registered: Registered) -> None:
     for joint, matrix in world.items():
         expected = 100 * joints[registered.model.joint_names.index(names[joint])]
         assert np.abs(matrix[:3, 3] - expected).max() < 0.01
+
+
+def moving(registered: Registered) -> Poses:
+    """Five poses: the left shoulder turns by a right angle each, and the body goes to the right."""
+    joint = registered.model.joint_names.index(registered.model.joint_names[5])
+    rotations = registered.rotations[:1].repeat(5, 1, 1, 1)
+    for step in range(5):
+        turn = Rotation.from_euler("z", 90 * step, degrees=True).as_matrix()
+        rotations[step, joint] = torch.from_numpy(turn).float().to(rotations) @ rotations[step, joint]
+    steps = torch.arange(5)[:, None].to(rotations) * torch.tensor([0.1, 0.0, 0.0]).to(rotations)
+    return Poses(rotations, registered.translation[:1] + steps, 10.0, Poses.first(registered).lowest)
+
+
+def test_a_motion_s_glb_has_the_poses_over_time(registered: Registered) -> None:
+    poses = moving(registered)
+    document, arrays = read_glb(glb(registered, poses))
+    (animation,) = document["animations"]
+    tracks = {
+        (channel["target"]["node"], channel["target"]["path"]): animation["samplers"][channel["sampler"]]
+        for channel in animation["channels"]
+    }
+    assert tracks.keys() == {(0, "translation"), (5, "rotation")}  # who stands still has no track
+    for sampler in tracks.values():
+        np.testing.assert_allclose(arrays[sampler["input"]][:, 0], np.arange(5) / 10)
+    times = document["accessors"][animation["samplers"][0]["input"]]
+    assert (times["min"], times["max"]) == ([0.0], pytest.approx([0.4]))
+    turns = arrays[tracks[5, "rotation"]["output"]]
+    expected = poses.rotations[:, 5].double().cpu().numpy()
+    np.testing.assert_allclose(Rotation.from_quat(turns).as_matrix(), expected, atol=1e-5)
+    assert ((turns[1:] * turns[:-1]).sum(1) > 0).all()  # or viewers would turn the long way
+    moved = arrays[tracks[0, "translation"]["output"]]
+    np.testing.assert_allclose(moved, poses.translation.cpu().numpy(), atol=1e-6)
+    still, _ = read_glb(glb(registered))
+    assert "animations" not in still
+
+
+def test_a_motion_s_bvh_has_a_row_a_pose_and_no_jumps(registered: Registered) -> None:
+    poses = moving(registered)
+    hierarchy, motion = bvh(registered, poses).split("MOTION\n")
+    first, second, *rows = motion.splitlines()
+    assert (first, second) == ("Frames: 5", "Frame Time: 0.1000000")
+    numbers = np.array([[float(each) for each in row.split()] for row in rows])
+    assert numbers.shape == (5, hierarchy.count("CHANNELS") * 3 + 3)
+    alone = np.array([float(each) for each in bvh(registered).splitlines()[-1].split()])
+    np.testing.assert_allclose(numbers[0], alone, atol=1e-5)
+    np.testing.assert_allclose(np.diff(numbers[:, 0]), 10, atol=1e-3)  # centimetres
+    assert np.abs(np.diff(numbers, axis=0)).max() < 181

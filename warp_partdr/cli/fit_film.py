@@ -66,6 +66,8 @@ def fit_motions(
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
         fit = fit_film(people, person=files.person, progress=progress, **how)
         report = save_film_fit(fit, out, film=film, progress=progress)
+    for warning in report["warnings"]:
+        typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)
     about = "" if camera is not None else "about "
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"

@@ -44,6 +44,7 @@ class FilmPeople:
         rows: A row a sight, of fields ``SEEN``; ``tracks`` is the person, 0 = the most and largest seen, ``places`` the
             place in ``owners`` of the frame.
         packed: ``owners`` of the frames, compressed.
+        fault: Why the film ended before its end; empty if it did not.
     """
 
     image_size: tuple[int, int]
@@ -51,6 +52,7 @@ class FilmPeople:
     times: np.ndarray
     rows: np.ndarray
     packed: tuple[bytes, ...]
+    fault: str = ""
 
     @property
     def num_people(self) -> int:
@@ -94,7 +96,7 @@ def find_film_people(
         progress: Told frames done and in all.
 
     Raises:
-        InputError: If the file can't be read as a film, or nobody is found in it.
+        InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
     """
     facts = film_facts(path)
     rate = facts.rate or _USUAL_RATE
@@ -102,8 +104,18 @@ def find_film_people(
     rows: list[np.ndarray] = []
     packed: list[bytes] = []
     times: list[float] = []
-    size = (0, 0)
-    for frame in read_frames(path):
+    size, fault = (0, 0), ""
+    frames = read_frames(path)
+    while True:
+        try:
+            frame = next(frames)
+        except StopIteration:
+            break
+        except InputError as error:
+            if not times:
+                raise
+            fault = str(error)
+            break
         found = tracker.find(frame.picture)
         size = (frame.picture.shape[0], frame.picture.shape[1])
         packed.append(_pack(list(found.values()), size))
@@ -114,8 +126,8 @@ def find_film_people(
             progress(len(times), max(facts.frames, len(times)))
     numbered = _by_size(np.concatenate(rows) if rows else np.zeros(0, _ROW), len(times))
     if not len(numbered):
-        raise InputError(f"{path}: nobody found in {len(times)} frames; expected people")
-    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed))
+        raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
+    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault)
 
 
 def seen_row(person: FoundPerson, frame: int, time: float, track: int, place: int) -> np.ndarray:

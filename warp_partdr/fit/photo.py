@@ -100,7 +100,7 @@ def fit_photo(
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
     found, owners = _everyone(photo, min_score, device)
-    chosen = range(len(found)) if person is None else [_checked(person, len(found))]
+    chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
     evidence = _PeopleEvidence(found, owners, Pyramid(photo, device), parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
@@ -165,7 +165,7 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
         InputError: If nobody is found, or not so many people.
     """
     found, owners = _everyone(photo, MIN_SCORE, "cpu")
-    index = _checked(person, len(found))
+    index = person_place(person, len(found))
     keypoints = found[index].keypoints
     return PersonInputs(keypoints, (), person_evidence(keypoints, owners, index)[1], photo)
 
@@ -203,7 +203,12 @@ def _nearest(side: int, zoom: float) -> np.ndarray:
     return np.minimum((np.arange(max(round(side * zoom), 1)) + 0.5) / zoom, side - 1).astype(np.int64)
 
 
-def _checked(person: int, count: int) -> int:
+def person_place(person: int, count: int) -> int:
+    """The place of the person who was asked for among those found.
+
+    Raises:
+        InputError: If there are not so many.
+    """
     index = check_whole("person", person, 0)
     if index >= count:
         raise InputError(f"person: {index}; expected 0 to {count - 1}, of the people found")

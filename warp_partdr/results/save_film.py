@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,7 @@ def save_film_fit(
     check_type("fit", fit, FilmFit, "of fit_film")
     tell = progress or (lambda name, done, total: None)
     report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.people.times), "people": []}
+    report |= {"warnings": [fit.people.fault] if fit.people.fault else []}
     with replacing(Path(folder), PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
         for place, (person, motion) in enumerate(fit.motions.items()):
             tell("writing motions", place, len(fit.motions))
@@ -75,7 +77,7 @@ def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
     tracks = {
         person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
     }
-    for frame in read_frames(film):
+    for frame in islice(read_frames(film), len(fit.people.times)):
         picture = np.asarray(Image.fromarray(frame.picture).resize(size[::-1], Image.Resampling.BILINEAR))
         there = {person: rows[frame.index] for person, rows in tracks.items() if frame.index in rows}
         for person in sorted(there, key=lambda one: -float(fit.motions[one].translation[there[one], 2])):

@@ -194,7 +194,11 @@ class _Buffer:
             "count": len(values),
             "type": _KINDS[values.shape[1:]],
         }
-        extent = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if bounds else {}
+        extent = (
+            {name: np.atleast_1d(edge(0)).tolist() for name, edge in (("min", values.min), ("max", values.max))}
+            if bounds
+            else {}
+        )
         self.accessors.append({**accessor, **extent})
         return len(self.accessors) - 1
 

@@ -20,8 +20,8 @@ from ..clothing.anny import anny
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople, kept_size, row_keypoints
-from ..errors import check_type, check_whole
-from ..fit.photo import mask_labels
+from ..errors import check_type
+from ..fit.photo import mask_labels, person_place
 from .fitting import SceneFit, fit_scene
 from .options import SceneOptions
 from .scene import PersonShape, Scene, Sight, View
@@ -98,7 +98,7 @@ def fit_film(
     check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
     options, model = options or SceneOptions(), model or anny(device)
     camera = camera or Perspective.of_picture(people.image_size, focal=math.hypot(*people.image_size))
-    everyone = range(people.num_people) if person is None else [check_whole("person", person, 0, people.num_people - 1)]
+    everyone = range(people.num_people) if person is None else [person_place(person, people.num_people)]
     film = _Film(people, camera, tuple(everyone))
     tell = progress or (lambda name, done, total: None)
 

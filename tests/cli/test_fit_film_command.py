@@ -1,0 +1,97 @@
+"""``partdr fit FILM``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+from scenes import commands
+from scenes.commands import Run
+from scenes.files import EXAMPLE
+from scenes.films import write_film
+
+from warp_partdr.inputs.films import film_facts, read_frames
+from warp_partdr.results.predictions import load_film_bodies
+
+run = commands.run  # a fixture
+QUICK = "--device cpu --set mesh.iterations=3 --set window=4 --set overlap=1 --set shape_frames=2"
+
+
+def photo(side: int) -> Image.Image:
+    image = Image.open(EXAMPLE / "photo.png").convert("RGB")
+    return image.resize((image.width * side // image.height // 2 * 2, side))
+
+
+@pytest.fixture
+def film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return write_film(Path("stand.mp4"), [np.asarray(photo(256))] * 6, rate=10)
+
+
+def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
+    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    assert (code, complaint) == (0, "")
+    first, last = said.splitlines()
+    assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
+    assert Path("out", "person0.glb").as_posix() in last
+    report = json.loads(Path("out", "people.json").read_text())
+    assert report["files"].keys() == {"overlay.mp4", "person0.npz", "person0.glb", "person0.bvh"}
+    assert (report["rate"], report["frames"]) == (10, 6)
+    bodies = load_film_bodies("out/person0.npz")
+    assert bodies.rows["frames"].tolist() == list(range(6))
+    assert bodies.perspective
+    with np.load("out/person0.npz") as data:
+        assert data["detailed_rotations"].shape[0] == 6
+        assert data["detailed_model"] == "anny"
+    # EllipBody's joints are where the person is seen.
+    seen = bodies.body(0).camera().project(torch.from_numpy(bodies.joints()[:1]))[0, :, :2].numpy()
+    keypoints = bodies.rows["keypoints"][0]
+    assert np.abs(seen.mean(0) - keypoints[keypoints[:, 2] > 0.5, :2].mean(0)).max() < 40
+    assert "Frames: 6\nFrame Time: 0.1000000\n" in Path("out/person0.bvh").read_text()
+    assert len(trimesh.load("out/person0.glb").geometry) == 1
+    assert film_facts("out/overlay.mp4").rate == 10
+    pictures = [frame.picture for frame in read_frames("out/overlay.mp4")]
+    assert len(pictures) == 6
+    assert np.abs(pictures[3].astype(int) - np.asarray(photo(256))[:256, : pictures[3].shape[1]]).max() > 60
+
+
+def test_a_film_that_breaks_off_is_fitted_as_far_as_it_goes(run: Run, film: Path) -> None:
+    write_film(film, [np.asarray(photo(256))] * 30)
+    data = bytearray(film.read_bytes())
+    data[len(data) // 2 : len(data) * 3 // 4] = b"\xff" * (len(data) * 3 // 4 - len(data) // 2)
+    film.write_bytes(data)
+    code, said, complaint = run(f"fit stand.mp4 --out out --fov 50 {QUICK} --set window=30")
+    assert code == 0
+    assert complaint.startswith("partdr: warning: stand.mp4: ")
+    assert complaint.endswith("; frames before were fitted\n")
+    assert "about" not in said
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("fit stand.mp4 --parts p.png", ["--parts: p.png, with a film"]),
+        ("fit stand.mp4 --keypoints k.json", ["--keypoints: k.json, with a film"]),
+        ("fit stand.mp4 --explain", ["--explain: with a film"]),
+        ("fit stand.mp4 --quality fast", ["--quality", "mesh.iterations"]),
+        ("fit stand.mp4 --model none", ["--model: none, with a film"]),
+        ("fit stand.mp4 --focal exif", ["--focal: exif, with a film"]),
+        ("fit stand.mp4 --set windw=3", ["windw: unknown; expected one of mesh, smoothing"]),
+        ("fit stand.mp4 --set overlap=64", ["overlap: 64"]),
+        ("fit stand.mp4 --person 3", ["person: 3; expected 0 to 0"]),
+        ("fit gray.mp4", ["gray.mp4: nobody found in 4 frames"]),
+        ("fit none.mp4", ["none.mp4: No such file"]),
+    ],
+)
+def test_faults_are_one_line(run: Run, film: Path, line: str, words: list[str]) -> None:
+    write_film(Path("gray.mp4"), [np.full((64, 96, 3), 90, np.uint8)] * 4)
+    code, said, complaint = run(f"{line} --out out --device cpu")
+    assert (code, said) == (2, "")
+    (told,) = complaint.splitlines()
+    assert all(word in told for word in words), told
+    assert not Path("out").exists()

@@ -1,0 +1,98 @@
+"""Fits of films: windows of frames that share a shape, and what passes from one to the next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scenes.files import EXAMPLE
+from scenes.films import write_film
+
+from warp_partdr.detection.film_people import FilmPeople, find_film_people, kept_size
+from warp_partdr.errors import InputError
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.scenes.film import FilmFit, fit_film, windows
+from warp_partdr.scenes.options import SceneOptions
+
+COUNT, STEP = 14, 3  # frames, and pixels that the person moves to the right a frame
+QUICK = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_frames=3)
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> FilmPeople:
+    photo = read_photo(EXAMPLE / "photo.png")
+    height, width = (side - side % 2 for side in photo.shape[:2])
+    wide = np.pad(photo, [(0, 0), (STEP * COUNT, STEP * COUNT), (0, 0)], mode="edge")
+    starts = [STEP * COUNT - STEP * place for place in range(COUNT)]
+    path = tmp_path_factory.mktemp("film") / "walk.mp4"
+    write_film(path, [np.ascontiguousarray(wide[:height, start : start + width]) for start in starts], rate=30)
+    return find_film_people(path)
+
+
+@pytest.fixture(scope="module")
+def fit(people: FilmPeople) -> FilmFit:
+    return fit_film(people, options=QUICK)
+
+
+def test_people_of_a_film_are_kept_small(people: FilmPeople) -> None:
+    assert people.num_people == 1
+    assert (people.rate, len(people.times), len(people.of(0))) == (30, COUNT, COUNT)
+    np.testing.assert_allclose(people.times, np.arange(COUNT) / 30, atol=1e-6)
+    first, last = people.owners(0), people.owners(COUNT - 1)
+    assert first.shape == kept_size(people.image_size)
+    assert set(np.unique(first)) == {0, 1}
+    columns = [np.flatnonzero(each.any(0)).mean() for each in (first, last)]
+    zoom = first.shape[1] / people.image_size[1]
+    assert columns[1] - columns[0] == pytest.approx(STEP * (COUNT - 1) * zoom, abs=3)
+    assert kept_size((2000, 1000)) == (640, 320)
+
+
+def test_a_motion_is_smooth_across_windows(fit: FilmFit) -> None:
+    motion = fit.motions[0]
+    assert motion.frames.tolist() == list(range(COUNT))
+    assert len(motion.bodies(slice(3, 5)).detailed.vertices) == 2
+    across = motion.translation[:, 0].numpy()
+    away, focal = float(motion.translation[:, 2].mean()), float(fit.camera.focal[0, 0])
+    per_frame = (across[-1] - across[0]) / (COUNT - 1)
+    # What moves STEP pixels a frame, so far away; from frame to frame too, where windows meet.
+    assert per_frame == pytest.approx(STEP * away / focal, rel=0.15)
+    assert np.diff(across).min() > 0
+    turned = motion.rotations[1:] @ motion.rotations[:-1].mT
+    assert float(turned.diagonal(dim1=-2, dim2=-1).sum(-1).min()) > 1 + 2 * np.cos(0.15)
+
+
+def test_one_window_needs_no_shape_before(people: FilmPeople, fit: FilmFit) -> None:
+    told: list[str] = []
+    whole = fit_film(people, options=replace(QUICK, window=64), progress=lambda name, done, total: told.append(name))
+    assert set(told) == {"motions"}
+    joints = [each.motions[0].bodies().detailed.joints for each in (fit, whole)]
+    apart = [each - each[:, :1] for each in joints]
+    assert float((apart[0] - apart[1]).norm(dim=-1).mean()) < 0.04
+
+
+def test_windows_cover_all_frames() -> None:
+    assert windows(5, 9, 8, 3) == [range(5, 9)]
+    assert windows(0, 14, 8, 3) == [range(8), range(5, 13), range(6, 14)]
+    assert windows(0, 13, 8, 3) == [range(8), range(5, 13)]
+
+
+def test_a_person_has_one_shape(fit: FilmFit) -> None:
+    shape = fit.motions[0].shape
+    torch.testing.assert_close(fit.motions[0].bodies(slice(0, 2)).shape, shape.values.expand(2, -1))
+    assert (shape.clothes >= 0).all()
+
+
+def test_faults(people: FilmPeople, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="person: 1; expected 0 to 0"):
+        fit_film(people, person=1)
+    with pytest.raises(TypeError, match="people"):
+        fit_film("walk.mp4")
+    gray = write_film(tmp_path / "gray.mp4", [np.full((64, 96, 3), 90, np.uint8)] * 6)
+    with pytest.raises(InputError, match=r"gray\.mp4: nobody found in 6 frames"):
+        find_film_people(gray)
+    with pytest.raises(ValueError, match="overlap"):
+        SceneOptions(window=8, overlap=8)
