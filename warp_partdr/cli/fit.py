@@ -32,9 +32,9 @@ _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch 
 StartName = StrEnum("StartName", ["network", "search"])
 QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
-FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo: people.json, a folder each.
+FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo or film: people.json.
 
-Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
+Examples: `partdr fit photo.jpg`; `partdr fit film.mp4`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
 **2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
 MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
@@ -44,7 +44,7 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 
 **Results**: overlay.png (look at it first), parts.png, loss.png, body.json (measurements), body.npz, ellipbody.glb
 (for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
-registration.json. Older ones are replaced.
+registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
 the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`.
@@ -60,7 +60,7 @@ _START_HELP = "network (default; a search if that ends far off) or search."
 
 def fit(
     files: PhotoFiles,
-    photo: Annotated[Path | None, Argument(help="The picture; with keypoints optional.", metavar="PHOTO")] = None,
+    photo: Annotated[Path | None, Argument(help="The picture, or a film; with keypoints optional.", metavar="PHOTO")] = None,
     out: OutOption = Path("out"),
     model: Annotated[str, Option(help=_MODEL_HELP, metavar="NAME", show_default=False)] = "anny",
     quality: Annotated[

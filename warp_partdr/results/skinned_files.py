@@ -194,11 +194,8 @@ class _Buffer:
             "count": len(values),
             "type": _KINDS[values.shape[1:]],
         }
-        extent = (
-            {name: np.atleast_1d(edge(0)).tolist() for name, edge in (("min", values.min), ("max", values.max))}
-            if bounds
-            else {}
-        )
+        low, high = (np.atleast_1d(edge(axis=0)).tolist() for edge in (values.min, values.max))
+        extent = {"min": low, "max": high} if bounds else {}
         self.accessors.append({**accessor, **extent})
         return len(self.accessors) - 1
 
