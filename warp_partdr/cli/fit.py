@@ -34,7 +34,7 @@ QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
 FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo or film: people.json.
 
-Examples: `partdr fit photo.jpg`; `partdr fit film.mp4`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
+Examples: `partdr fit photo.jpg`, or `film.mp4`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
 **2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
 MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
@@ -60,7 +60,7 @@ _START_HELP = "network (default; a search if that ends far off) or search."
 
 def fit(
     files: PhotoFiles,
-    photo: Annotated[Path | None, Argument(help="The picture, or a film; with keypoints optional.", metavar="PHOTO")] = None,
+    photo: Annotated[Path | None, Argument(help="Photo or film; with keypoints optional.", metavar="PHOTO")] = None,
     out: OutOption = Path("out"),
     model: Annotated[str, Option(help=_MODEL_HELP, metavar="NAME", show_default=False)] = "anny",
     quality: Annotated[

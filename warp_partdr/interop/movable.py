@@ -14,10 +14,12 @@ class Movable:
     def to(self, device: Any) -> Self:
         """Copy to another device, such as "cpu" or "cuda:0"; what is there already is shared, not copied."""
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
-        return replace(self, **{name: _moved(value, str(device)) for name, value in given.items()})
+        moved = {name: _moved(value, str(device)) for name, value in given.items()}
+        return self if all(moved[name] is value for name, value in given.items()) else replace(self, **moved)
 
 
 def _moved(value: Any, device: str) -> Any:
     if isinstance(value, dict):
-        return {name: _moved(each, device) for name, each in value.items()}
+        moved = {name: _moved(each, device) for name, each in value.items()}
+        return value if all(moved[name] is each for name, each in value.items()) else moved
     return value.to(device) if hasattr(value, "to") else value

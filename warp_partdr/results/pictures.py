@@ -10,7 +10,7 @@ import torch
 
 from ..body.posing import Posed
 from ..body.rotations import rotation_from_axis_angle
-from ..cameras import Camera, WeakPerspective, first_of, zoomed
+from ..cameras import Camera, Crop, WeakPerspective, first_of
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..inputs.keypoints import Keypoints2D
 from ..render.mesh import draw_mesh
@@ -47,20 +47,19 @@ def shade_mesh(
     vertices: torch.Tensor, mesh: PartMesh, camera: Camera, image_size: tuple[int, int], colours: np.ndarray
 ) -> np.ndarray:
     """A mesh with vertices (1, V, 3) in the camera frame [m], in the colours of its labels: RGBA, (H, W, 4), uint8."""
-    height, width = image_size
-    points = vertices.detach().cpu()
-    size = height * _SAMPLES, width * _SAMPLES
-    fine = zoomed(first_of(camera).to("cpu"), _SAMPLES, size)
-    image = draw_mesh(points, mesh, fine, size)
+    points, camera = vertices.detach().cpu(), first_of(camera).to("cpu")
+    rgba = np.zeros((*image_size, 4), dtype=np.uint8)
+    rows, columns = _window(points, camera, image_size)  # most of a photo shows no body
+    size = (rows.stop - rows.start) * _SAMPLES, (columns.stop - columns.start) * _SAMPLES
+    if 0 in size:
+        return rgba
+    image = draw_mesh(points, mesh, camera.in_crop(Crop(columns.start, rows.start, _SAMPLES, size)), size)
     corners = points[0].numpy()[mesh.faces.numpy()]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
     light = _LIGHT / np.linalg.norm(_LIGHT)
     brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ light, 0, 1)
-    rgba = np.zeros((height, width, 4), dtype=np.uint8)
-    seen = _seen(image.labels[0].numpy() > 0, _SAMPLES)  # most of a photo shows no body
-    fine_rows, fine_columns = (slice(each.start * _SAMPLES, each.stop * _SAMPLES) for each in seen)
-    index, labels = (each[0].numpy()[fine_rows, fine_columns] for each in (image.face_index, image.labels))
+    index, labels = (each[0].numpy() for each in (image.face_index, image.labels))
     # Colours count by how much of them is there, or outlines would turn dark.
     covered = (labels > 0)[..., None].astype(np.float32)
     colour = colours[labels] * brightness[index][..., None].astype(np.float32) * covered
@@ -71,13 +70,23 @@ def shade_mesh(
         for each in (colour, covered)
     )
     shaded = np.concatenate([colour / np.maximum(alpha, 1), alpha * 255.0 / _SAMPLES**2], axis=-1)
-    rgba[seen] = shaded.clip(0, 255).astype(np.uint8)
+    rgba[rows, columns] = shaded.clip(0, 255).astype(np.uint8)
     return rgba
 
 
-def _seen(shown: np.ndarray, step: int) -> tuple[slice, slice]:
-    """Rows and columns of ``step`` pixels each that hold what is shown, (H, W)."""
-    rows, columns = (np.flatnonzero(shown.any(axis)) // step for axis in (1, 0))
+def _window(vertices: torch.Tensor, camera: Camera, size: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of a picture of (H, W) pixels that may show a body with these vertices, (1, V, 3)."""
+    seen = camera.project(vertices)[0]
+    if camera.perspective and bool((seen[:, 2] <= 0).any()):  # partly behind the camera, where no place is true
+        return slice(0, size[0]), slice(0, size[1])
+    low, high = seen.amin(0).floor().long().tolist(), seen.amax(0).ceil().long().tolist()
+    low, high = ([min(max(edge, 0), side) for edge, side in zip(each, size[::-1], strict=True)] for each in (low, high))
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _seen(shown: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold what is shown, (H, W)."""
+    rows, columns = (np.flatnonzero(shown.any(axis)) for axis in (1, 0))
     if not len(rows):
         return slice(0, 0), slice(0, 0)
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
@@ -85,7 +94,7 @@ def _seen(shown: np.ndarray, step: int) -> tuple[slice, slice]:
 
 def blend(photo: np.ndarray, rgba: np.ndarray, opacity: float) -> np.ndarray:
     """``rgba`` over ``photo``, shape (H, W, 3), uint8."""
-    blended, seen = photo.copy(), _seen(rgba[..., 3] > 0, 1)
+    blended, seen = photo.copy(), _seen(rgba[..., 3] > 0)
     alpha = rgba[seen][..., 3:].astype(np.float32) / 255 * opacity
     blended[seen] = (photo[seen] * (1 - alpha) + rgba[seen][..., :3] * alpha).astype(np.uint8)
     return blended

@@ -13,6 +13,7 @@ from ..body.template import LENGTH_NAMES
 from ..cameras import zoomed
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import measure_ellipbody
+from ..clothing.registration import Registered
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..inputs.films import read_frames
@@ -25,7 +26,7 @@ from .result_sets import PEOPLE_REPORT, replacing
 from .skinned_files import Poses, bvh, glb
 
 OVERLAY = "overlay.mp4"
-_CHUNK = 64  # frames whose meshes are in memory at a time
+_CHUNK, _POSED = 64, 16  # frames whose meshes are in memory at a time, to measure and to draw
 _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 
@@ -77,13 +78,16 @@ def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
     tracks = {
         person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
     }
+    posed: dict[int, tuple[int, Registered]] = {}
     for frame in islice(read_frames(film), len(fit.people.times)):
         picture = np.asarray(Image.fromarray(frame.picture).resize(size[::-1], Image.Resampling.BILINEAR))
         there = {person: rows[frame.index] for person, rows in tracks.items() if frame.index in rows}
         for person in sorted(there, key=lambda one: -float(fit.motions[one].translation[there[one], 2])):
-            motion, row = fit.motions[person], there[person]
-            body = motion.bodies(slice(row, row + 1))
-            picture = blend(picture, shade_detailed(body.detailed, body.model, camera, size), 0.9)
+            chunk, row = divmod(there[person], _POSED)
+            if person not in posed or posed[person][0] != chunk:
+                posed[person] = chunk, fit.motions[person].bodies(slice(chunk * _POSED, (chunk + 1) * _POSED))
+            body = posed[person][1].detailed.select(slice(row, row + 1))
+            picture = blend(picture, shade_detailed(body, fit.motions[person].model, camera, size), 0.9)
         yield picture
 
 

@@ -25,7 +25,7 @@ class SceneOptions:
     """
 
     mesh: MeshOptions = field(default_factory=MeshOptions)
-    smoothing: float = 0.035
+    smoothing: float = 0.15
     together: int = 256
     window: int = 64
     overlap: int = 12
