@@ -39,6 +39,7 @@ def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
     first, last = said.splitlines()
     assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
     assert Path("out", "person0.glb").as_posix() in last
+    assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
     assert report["files"].keys() == {"overlay.mp4", "person0.npz", "person0.glb", "person0.bvh"}
     assert (report["rate"], report["frames"]) == (10, 6)

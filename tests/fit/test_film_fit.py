@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,10 @@ from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.scenes.film import FilmFit, fit_film, windows
+from warp_partdr.scenes.film_pieces import FilmPieces
+from warp_partdr.scenes.fitting import SceneFit, fit_scene
 from warp_partdr.scenes.options import SceneOptions
+from warp_partdr.scenes.scene import Scene
 
 COUNT, STEP = 14, 3  # frames, and pixels that the person moves to the right a frame
 QUICK = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_frames=3)
@@ -72,6 +76,45 @@ def test_one_window_needs_no_shape_before(people: FilmPeople, fit: FilmFit) -> N
     joints = [each.motions[0].bodies().detailed.joints for each in (fit, whole)]
     apart = [each - each[:, :1] for each in joints]
     assert float((apart[0] - apart[1]).norm(dim=-1).mean()) < 0.04
+
+
+def test_a_run_that_was_ended_goes_on_where_it_was(
+    people: FilmPeople, fit: FilmFit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film = tmp_path / "walk.mp4"
+    film.write_bytes(b"film")
+    pieces = FilmPieces(tmp_path / "out", film, QUICK)
+    seen = pieces.people(lambda: people)
+    done: list[int] = []
+    refine = fit_scene
+
+    def fit_twice(scene: Scene, **how: Any) -> SceneFit:
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(scene.num_frames)
+        return refine(scene, **how)
+
+    monkeypatch.setattr("warp_partdr.scenes.film.fit_scene", fit_twice)
+    with pytest.raises(KeyboardInterrupt):
+        fit_film(seen, options=QUICK, pieces=pieces)
+    assert done == [3, 8]  # the shape, and the first window
+    (pieces.folder / "window0.npz").write_bytes(b"a full disk")  # a damaged piece is made again
+    done.clear()
+    again = FilmPieces(tmp_path / "out", film, QUICK)
+    found = again.people(lambda: pytest.fail("people are known"))
+    np.testing.assert_array_equal(found.rows, people.rows)
+    assert found.packed == people.packed
+    with pytest.raises(KeyboardInterrupt):
+        fit_film(found, options=QUICK, pieces=again)
+    done.clear()
+    whole = fit_film(found, options=QUICK, pieces=again)
+    assert done == [8]  # the last window
+    # Bit for bit what a run without a break gives.
+    assert torch.equal(whole.motions[0].rotations, fit.motions[0].rotations)
+    assert torch.equal(whole.motions[0].translation, fit.motions[0].translation)
+    assert FilmPieces(tmp_path / "out", film, replace(QUICK, window=9)).folder != again.folder
+    again.remove()
+    assert not again.folder.exists()
 
 
 def test_windows_cover_all_frames() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from ..errors import InputError
-from ..inputs.films import check_pyav
+from ..inputs.films import film_facts
 from .loading import NO_MODEL, load_mesh_kernels
 from .options import CameraOptions, PhotoFiles, take_whole
 from .register import read_model
@@ -41,7 +41,7 @@ def fit_motions(
         raise InputError("--model: none, with a film; expected a detailed model")
     if view.focal == "exif":
         raise InputError("--focal: exif, with a film; expected pixels, or --fov")
-    check_pyav(film)
+    film_facts(film)  # faults of the file are told before anything is loaded
 
     from ..detection.film_people import find_film_people
     from ..files.sections import read_section
@@ -50,6 +50,7 @@ def fit_motions(
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import OVERLAY, save_film_fit
     from ..scenes.film import fit_film
+    from ..scenes.film_pieces import FilmPieces
     from ..scenes.options import SceneOptions
     from .progress import FitProgress
 
@@ -61,11 +62,15 @@ def fit_motions(
     detailed = read_model(model, where)
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        people = find_film_people(film, device=where, progress=lambda done, total: progress("people", done, total))
+        pieces = FilmPieces(out, film, view, options, files.person, model)
+        people = pieces.people(
+            lambda: find_film_people(film, device=where, progress=lambda done, total: progress("people", done, total))
+        )
         camera = view.read(people.image_size, None)
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
-        fit = fit_film(people, person=files.person, progress=progress, **how)
+        fit = fit_film(people, person=files.person, progress=progress, pieces=pieces, **how)
         report = save_film_fit(fit, out, film=film, progress=progress)
+        pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)
     about = "" if camera is not None else "about "

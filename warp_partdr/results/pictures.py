@@ -79,7 +79,7 @@ def _window(vertices: torch.Tensor, camera: Camera, size: tuple[int, int]) -> tu
     seen = camera.project(vertices)[0]
     if camera.perspective and bool((seen[:, 2] <= 0).any()):  # partly behind the camera, where no place is true
         return slice(0, size[0]), slice(0, size[1])
-    low, high = seen.amin(0).floor().long().tolist(), seen.amax(0).ceil().long().tolist()
+    low, high = seen[:, :2].amin(0).floor().long().tolist(), seen[:, :2].amax(0).ceil().long().tolist()
     low, high = ([min(max(edge, 0), side) for edge, side in zip(each, size[::-1], strict=True)] for each in (low, high))
     return slice(low[1], high[1]), slice(low[0], high[0])
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople, kept_size, row_keypoints
 from ..errors import check_type
 from ..fit.photo import mask_labels, person_place
+from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .options import SceneOptions
 from .scene import PersonShape, Scene, Sight, View
@@ -78,6 +78,7 @@ def fit_film(
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
     progress: Told | None = None,
+    pieces: FilmPieces | None = None,
 ) -> FilmFit:
     """Fit detailed bodies to the people of a film: one shape each, a pose a frame, smooth in time.
 
@@ -89,6 +90,7 @@ def fit_film(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, steps done, steps in all).
+        pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
 
     Raises:
         InputError: If there are not so many people.
@@ -102,19 +104,25 @@ def fit_film(
     film = _Film(people, camera, tuple(everyone))
     tell = progress or (lambda name, done, total: None)
 
-    how: dict[str, Any] = {"model": model, "device": device}
+    def kept(name: str, scene: Scene, chosen: SceneOptions) -> _Bodies:
+        def fit() -> dict[str, np.ndarray]:
+            return _Bodies.of(fit_scene(scene, options=chosen, model=model, device=device)).arrays()
+
+        return _Bodies(**(fit() if pieces is None else pieces.piece(name, fit)))
+
     parts = list(film.windows(options))
     shapes: dict[int, PersonShape] = {}
     if len(parts) > 1:
         apart = replace(options, smoothing=0.0)  # frames that are far from one another
         for place, track in enumerate(film.tracks):
             tell("shapes", place, len(film.tracks))
-            shapes[track] = fit_scene(film.surest(track, options.shape_frames), options=apart, **how).shapes[0]
+            scene = film.surest(track, options.shape_frames)
+            shapes[track] = kept(f"shape{track}", scene, apart).shapes[0]
     found = {track: _Blend() for track in film.tracks}
     for place, part in enumerate(parts):
         tell("motions", place, len(parts))
         tracks, scene = film.scene(part, shapes)
-        window = fit_scene(scene, options=options, **how)
+        window = kept(f"window{place}", scene, options)
         for person, track in enumerate(tracks):
             found[track].add(part, window, person)
     tell("motions", len(parts), len(parts))
@@ -177,6 +185,43 @@ class _Film:
         return Sight(keypoints, parts, person, frame)
 
 
+@dataclass(frozen=True)
+class _Bodies:
+    """Bodies of a scene of P people in T frames, small enough to be kept.
+
+    Attributes:
+        values: Shape values, shape (P, S).
+        clothes: Thicknesses [m], shape (P, 8).
+        rotations: Local rotation of each joint, shape (P, T, J, 3, 3).
+        translation: Position of the root joint in the camera frame [m], shape (P, T, 3).
+    """
+
+    values: np.ndarray
+    clothes: np.ndarray
+    rotations: np.ndarray
+    translation: np.ndarray
+
+    @classmethod
+    def of(cls, fit: SceneFit) -> _Bodies:
+        """Those of a fit."""
+        people = fit.scene.num_people, fit.scene.num_frames
+        rotations, translation = (
+            each.unflatten(0, people).cpu().numpy() for each in (fit.bodies.rotations, fit.bodies.translation)
+        )
+        values = fit.bodies.shape.unflatten(0, people)[:, 0].cpu().numpy()
+        return cls(values, fit.clothes.cpu().numpy(), rotations, translation)
+
+    @property
+    def shapes(self) -> list[PersonShape]:
+        """Of the people."""
+        pairs = zip(self.values, self.clothes, strict=True)
+        return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """By name."""
+        return dict(vars(self))
+
+
 class _Blend:
     """Poses of a person, of windows that share frames: each has most to say in its middle."""
 
@@ -184,14 +229,14 @@ class _Blend:
         self._sums: dict[int, tuple[float, torch.Tensor, torch.Tensor]] = {}
         self._shape: PersonShape | None = None
 
-    def add(self, window: range, fit: SceneFit, person: int) -> None:
+    def add(self, window: range, bodies: _Bodies, person: int) -> None:
         """Take a window's poses of a person."""
-        self._shape = fit.shapes[person]
-        first = person * fit.scene.num_frames
-        for frame in window:
+        self._shape = bodies.shapes[person]
+        for row, frame in enumerate(window):
             share = float(min(frame - window.start, window.stop - 1 - frame) + 1)
-            each = first + frame - window.start
-            rotations, translation = share * fit.bodies.rotations[each], share * fit.bodies.translation[each]
+            rotations, translation = (
+                share * torch.from_numpy(each[person, row]) for each in (bodies.rotations, bodies.translation)
+            )
             if frame in self._sums:
                 before = self._sums[frame]
                 share, rotations, translation = share + before[0], rotations + before[1], translation + before[2]
@@ -202,12 +247,13 @@ class _Blend:
         assert self._shape is not None
         frames = [frame for frame in sorted(self._sums) if frame in span]
         shares, rotations, translations = zip(*(self._sums[frame] for frame in frames), strict=True)
+        like = model.rest_vertices
         return Motion(
             model,
             np.array(frames),
-            self._shape,
-            nearest_rotation(torch.stack(rotations)),
-            torch.stack(translations) / torch.tensor(shares).to(translations[0])[:, None],
+            PersonShape(self._shape.values.to(like), self._shape.clothes.to(like)),
+            nearest_rotation(torch.stack(rotations)).to(like),
+            (torch.stack(translations) / torch.tensor(shares)[:, None]).to(like),
         )
 
 

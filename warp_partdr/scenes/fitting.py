@@ -26,7 +26,7 @@ from ..render.part_mesh import MAX_LABEL, PartMesh
 from .depth_order import exchange, order_people
 from .energy import SceneEnergy
 from .options import SceneOptions
-from .scene import PersonShape, Scene
+from .scene import Scene
 from .start import Looked, gather_scene, look_at
 
 _ROUNDS = 2  # of refinement, where people turn out to stand in another order
@@ -51,12 +51,6 @@ class SceneFit(Movable):
     energy: dict[str, float]
     seconds: dict[str, float]
     warnings: tuple[str, ...]
-
-    @property
-    def shapes(self) -> dict[int, PersonShape]:
-        """Shapes of the people, for a scene in which they are known."""
-        values = self._by_person(self.bodies.shape)[:, 0]
-        return {person: PersonShape(*each) for person, each in enumerate(zip(values, self.clothes, strict=True))}
 
     @property
     def joints(self) -> torch.Tensor:

@@ -30,6 +30,7 @@ from .energy import SceneEnergy, SceneStarts, pelvises_in_world
 from .scene import Scene, Sight, View
 
 _TOGETHER = 64  # sights that the network looks at at a time
+_SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 _NEAREST = 0.1  # [m], of a pelvis before its camera
 _MARGIN = 0.02  # of a picture's crop around several people
@@ -191,13 +192,19 @@ def _shapes(
 
 
 def time_shares(seen: torch.Tensor, width: float) -> torch.Tensor:
-    """Shares of frames in each frame's mean, by a Gaussian of this standard deviation [frames], shape (P, T, T).
+    """Shares of frames in each frame's smooth value, by a Gaussian of this standard deviation [frames], (P, T, T).
+
+    Value and slope of each frame are fitted to its neighbours (local linear regression): at the ends of a film, where
+    neighbours are on one side, their mean alone would hold moving people back. Slopes are held a little to 0.
 
     ``seen``, (P, T), says which frames are counted; where none is near, the nearest one is.
     """
     frames = torch.arange(seen.shape[1], device=seen.device)
-    apart = (frames[:, None] - frames).double() / width
-    return (-apart.square() / 2).masked_fill(~seen[:, None], -torch.inf).softmax(-1)
+    apart = (frames - frames[:, None]).double() / width
+    near = (-apart.square() / 2).masked_fill(~seen[:, None], -torch.inf).softmax(-1)
+    first = (near * apart).sum(-1, keepdim=True)
+    second = (near * apart.square()).sum(-1, keepdim=True) + _SLOPES
+    return near * (second - first * apart) / (second - first.square())
 
 
 def _smooth_places(

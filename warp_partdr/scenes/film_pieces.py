@@ -1,0 +1,78 @@
+"""Pieces of a film's fit that are done, kept in a folder, so that a run that was ended goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..detection.film_people import FilmPeople
+from ..errors import InputError
+from ..files.array_files import read_npz
+
+_FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
+
+
+class FilmPieces:
+    """Pieces of one film's fit.
+
+    Args:
+        near: Folder for the results; pieces lie in it, or in the nearest one above that exists.
+        film: The film's file.
+        *how: All that the result depends on beside the film.
+    """
+
+    def __init__(self, near: Path, film: Path, *how: object) -> None:
+        there = next((path for path in (near, *near.absolute().parents) if path.is_dir()), Path())
+        stat = film.stat()
+        about = __version__, str(film.resolve()), stat.st_size, stat.st_mtime_ns, *map(repr, how)
+        self.folder = there / f"{_FOLDER}{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
+
+    def piece(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Arrays of a piece, which are made unless they are there."""
+        path = self.folder / f"{name}.npz"
+        if path.is_file():
+            try:
+                with np.load(path, allow_pickle=False) as data:
+                    names = data.files
+                return read_npz(path, names, expected="a piece of an unfinished run")
+            except (InputError, OSError, ValueError):
+                pass  # the disk was full, for example
+        made = make()
+        self.folder.mkdir(exist_ok=True)
+        unfinished = path.with_suffix(".part.npz")
+        np.savez(unfinished, **made)  # type: ignore[arg-type]
+        os.replace(unfinished, path)
+        return made
+
+    def people(self, find: Callable[[], FilmPeople]) -> FilmPeople:
+        """People of the film, who are looked for unless they were found."""
+        data = self.piece("people", lambda: _people_arrays(find()))
+        starts = np.cumsum([0, *data["sizes"]])
+        height, width = data["image_size"].tolist()
+        whole = data["packed"].tobytes()
+        packed = tuple(whole[start:stop] for start, stop in pairwise(starts))
+        return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, str(data["fault"]))
+
+    def remove(self) -> None:
+        """Remove them all, when the result is written."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _people_arrays(people: FilmPeople) -> dict[str, Any]:
+    return {
+        "image_size": np.array(people.image_size),
+        "rate": np.array(people.rate),
+        "times": people.times,
+        "rows": people.rows,
+        "packed": np.frombuffer(b"".join(people.packed), np.uint8),
+        "sizes": np.array([len(each) for each in people.packed], np.int64),
+        "fault": np.array(people.fault),
+    }
