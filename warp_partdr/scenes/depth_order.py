@@ -22,7 +22,7 @@ from .scene import Scene
 from .start import Looked, gather_scene
 
 _APART = 1.08  # ratio of the distances of two people who were exchanged
-_LEAST_GAIN = 0.003  # of the loss, that an exchange must save; rounding alone moves a few pixels
+LEAST_GAIN = 0.003  # of the loss, that an exchange must save; rounding alone moves a few pixels
 _MOST_EXCHANGES = 3  # a person of the picture
 
 
@@ -51,12 +51,13 @@ def exchange(
     people: SceneStarts,
     unknowns: Unknowns,
     looks: Sequence[Looked],
+    least_gain: float = LEAST_GAIN,
 ) -> list[Looked] | None:
-    """Sights after the best exchange of two people in each frame, as bodies are now; None if none helps."""
+    """Sights after the best exchange of two people in each frame, as bodies are now; None if none gains so much."""
     if not _tells_order(energy, people):
         return None
     bodies = _drawn(energy, people, unknowns)
-    tried = {frame: _best_exchange(energy, people, bodies, frame) for frame in range(len(bodies))}
+    tried = {frame: _best_exchange(energy, people, bodies, frame, least_gain) for frame in range(len(bodies))}
     found = {frame: factors for frame, factors in tried.items() if factors is not None}
     return _exchanged(looks, found) if found else None
 
@@ -78,7 +79,7 @@ def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float
 
 
 def _best_exchange(
-    energy: SceneEnergy, people: SceneStarts, drawn: torch.Tensor, frame: int
+    energy: SceneEnergy, people: SceneStarts, drawn: torch.Tensor, frame: int, least_gain: float = LEAST_GAIN
 ) -> dict[int, float] | None:
     """Factors by which two people of a frame grow as they are exchanged, by person; None if no exchange helps."""
     assert energy.mesh is not None
@@ -105,8 +106,8 @@ def _best_exchange(
     loss, _ = mesh_label_loss(
         tried.flatten(1, 2), energy.mesh, lens_camera(people.target_lens[frame : frame + 1], target.shape[-1]), target
     )
-    best = int(loss.argmin())
-    return tries[best] if float(loss[best]) < (1 - _LEAST_GAIN) * float(loss[0]) else None
+    best = 1 + int(loss[1:].argmin())
+    return tries[best] if float(loss[best]) < (1 - least_gain) * float(loss[0]) else None
 
 
 def grown(look: Looked, factor: float) -> Looked:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,20 +17,18 @@ from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, check_type
 from ..fit.fitting import Progress
-from ..fit.mesh_energy import MeshEnergy, mesh_energy
+from ..fit.mesh_energy import MeshEnergy, Unknowns, mesh_energy
 from ..fit.steps import find_steps
 from ..interop.devices import choose_device
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
 from ..render.part_mesh import MAX_LABEL, PartMesh
-from .depth_order import exchange, order_people
-from .energy import SceneEnergy
+from .depth_order import LEAST_GAIN, exchange, order_people
+from .energy import SceneEnergy, SceneStarts
 from .options import SceneOptions
 from .scene import Scene
 from .start import Looked, gather_scene, look_at
-
-_ROUNDS = 2  # of refinement, where people turn out to stand in another order
 
 
 @dataclass(frozen=True)
@@ -112,25 +111,53 @@ def fit_scene(
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
         people, looks = order_people(energy, model, scene, looks)
+    warnings = _warnings(looks)
     looked = time.perf_counter()
-    iterations = options.mesh.iterations
-    for left in reversed(range(_ROUNDS)):
-        steps = find_steps(energy, people, options.mesh)
-        for iteration in range(iterations):
-            steps.step(rate_share(iteration, iterations))
-            tell("scene", iteration + 1, iterations)
+    best = _refine(energy, people, looks, tell)
+    # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
+    least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
+    for _ in range(1, scene.num_people):
         with torch.no_grad():
-            again = exchange(energy, people, steps.unknowns, looks) if left else None
-            if again is None:
+            exchanged = exchange(energy, best.people, best.unknowns, best.looks, least_gain)
+            if exchanged is None:
                 break
-            looks, people = again, gather_scene(energy, model, scene, again)
+            people = gather_scene(energy, model, scene, exchanged)
+        other = _refine(energy, people, exchanged, tell)
+        if other.total >= best.total:
+            break
+        best = other
     with torch.no_grad():
-        found = steps.unknowns
-        bodies = ungrown(model, *energy.whole_pose(model, people, found), steps.terms)
-        terms = {name: float(term) for name, term in steps.terms.items()}
-        clothes = bounded(found.clothes).clone()
+        bodies = ungrown(model, *energy.whole_pose(model, best.people, best.unknowns), {})
+        clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
-    return SceneFit(scene, bodies, clothes, terms, seconds, _warnings(looks))
+    return SceneFit(scene, bodies, clothes, best.terms, seconds, warnings)
+
+
+@dataclass(frozen=True)
+class _Refined:
+    """Bodies of a refinement, what it started from, and its terms before the last step."""
+
+    people: SceneStarts
+    looks: Sequence[Looked]
+    unknowns: Unknowns
+    terms: dict[str, float]
+
+    @property
+    def total(self) -> float:
+        """The energy."""
+        return sum(self.terms.values())
+
+
+def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], tell: Progress) -> _Refined:
+    options = energy.options.mesh
+    steps = find_steps(energy, people, options)
+    for iteration in range(options.iterations):
+        steps.step(rate_share(iteration, options.iterations))
+        tell("scene", iteration + 1, options.iterations)
+    with torch.no_grad():
+        found = {name: value.clone() for name, value in vars(steps.unknowns).items()}
+    terms = {name: float(term.detach()) for name, term in steps.terms.items()}
+    return _Refined(people, looks, Unknowns(**found), terms)
 
 
 def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
