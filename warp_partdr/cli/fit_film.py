@@ -56,7 +56,7 @@ def fit_motions(
 
     where = choose_device(device)
     set_num_threads(take_whole(values, "threads"))
-    options = read_section(SceneOptions, values)
+    options = read_section(SceneOptions, values, base=SceneOptions.film())
     check_folder(out)
     check_inputs(out, (film,), (OVERLAY,))
     detailed = read_model(model, where)

@@ -86,7 +86,7 @@ def fit_film(
         people: Of ``find_film_people``.
         camera: The film's; default: one whose focal length is the picture's diagonal.
         person: This one alone, 0 = the most and largest seen; the others' pixels are still known to be theirs.
-        options: Of windows, and of their fits.
+        options: Of windows, and of their fits; default: ``SceneOptions.film()``.
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, steps done, steps in all).
@@ -98,7 +98,7 @@ def fit_film(
     """
     check_type("people", people, FilmPeople, "of find_film_people")
     check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
-    options, model = options or SceneOptions(), model or anny(device)
+    options, model = options or SceneOptions.film(), model or anny(device)
     camera = camera or Perspective.of_picture(people.image_size, focal=math.hypot(*people.image_size))
     everyone = range(people.num_people) if person is None else [person_place(person, people.num_people)]
     film = _Film(people, camera, tuple(everyone))

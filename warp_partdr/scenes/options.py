@@ -39,6 +39,11 @@ class SceneOptions:
         check_whole("overlap", self.overlap, 0, self.window - 1)
         check_whole("shape_frames", self.shape_frames, 1)
 
+    @classmethod
+    def film(cls) -> SceneOptions:
+        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve."""
+        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02))
+
     def size_of(self, num_people: int) -> int:
         """Side of drawn crops [px]."""
         return self.mesh.size if num_people == 1 else self.together
