@@ -1,7 +1,7 @@
 """Calibrated cameras from files, and pictures without their lenses' distortion.
 
-A ``View`` has square pixels and no distortion; a real camera has neither. ``CalibratedCamera`` knows both: its view, and
-how what its own pictures show moves into the view's. Two layouts are read, in metres, world to camera:
+A ``View`` has square pixels and no distortion; a real camera has neither. ``CalibratedCamera`` knows both: its view,
+and how what its own pictures show moves into the view's. Two layouts are read, in metres, world to camera:
 
 **Pose2Sim's Calib.toml**, a table a camera:
 
@@ -93,9 +93,8 @@ class CalibratedCamera:
             InputError: If they are of another size.
         """
         if labels.groups.shape != self.size:
-            raise InputError(
-                f"labels: {labels.groups.shape[::-1]}; expected {self.size[::-1]}, as of camera {self.name}"
-            )
+            given, expected = labels.groups.shape[::-1], self.size[::-1]
+            raise InputError(f"labels: {given}; expected {expected}, as of camera {self.name}")
         rows, columns = np.indices(self.size).reshape(2, -1) + 0.5
         focal, centre = self.matrix[[0, 1], [0, 1]], self.matrix[:2, 2]
         rays = (np.stack([columns, rows], axis=1) - centre) / focal[0]
