@@ -12,7 +12,10 @@ from PIL import Image
 
 from warp_partdr import metrics
 from warp_partdr.cameras import Perspective
+from warp_partdr.detection import crops
 from warp_partdr.errors import InputError
+from warp_partdr.fit import fitting
+from warp_partdr.fit import photo as photo_fit
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.photo import PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
@@ -154,3 +157,23 @@ def test_wrong_arguments_are_named(everyone, tmp_path):
         save_photo_fit(found, tmp_path, photo=torch.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="person: -1"):
         fit_photo(photo, person=-1)
+
+
+def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone, monkeypatch):
+    photo, before = everyone
+    calls: list[str] = []
+
+    def count(owner: object, name: str) -> None:
+        real = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *given: calls.append(name) or real(*given))
+
+    count(fitting, "weigh_evidence")
+    count(photo_fit, "weigh_evidence")
+    count(crops.Pyramid, "__init__")
+    again = fit_photo(photo, options=FAST)
+    assert sorted(calls) == ["__init__", "weigh_evidence", "weigh_evidence"]
+    for place, mesh in before.fits.items():
+        np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
+        parts = mask_labels(again.owners, place)
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
+        assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

@@ -250,7 +250,7 @@ class _Run:
         for index, (number, person) in enumerate(found.items()):
             if number not in chosen:
                 continue
-            evidence, _ = person_evidence(person.keypoints, owners, index)
+            evidence = person_evidence(person.keypoints, owners, index)
             cut = crop_evidence(evidence, device=self.device, camera=camera)
             row = np.zeros(1, ROW)
             keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])

@@ -109,8 +109,8 @@ class Pyramid:
     def __init__(self, picture: np.ndarray, device: torch.device | str) -> None:
         self.size = picture.shape[0], picture.shape[1]
         self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
-        self.device = torch.device(device)
         self._bytes = torch.from_numpy(np.require(picture, requirements=["C", "W"])).to(device).permute(2, 0, 1)[None]
+        self.device = self._bytes.device
         self._levels: list[torch.Tensor] = []
 
     @cached_property

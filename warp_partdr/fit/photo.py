@@ -17,7 +17,7 @@ from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
-from ..detection.people import find_people
+from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
 from ..errors import InputError, check_type, check_whole
 from ..inputs.evidence import Evidence, weigh_evidence
@@ -27,7 +27,7 @@ from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
 from ..predictors.parts import PeopleParts
-from .fitting import Progress, fit_body
+from .fitting import Progress, fit_evidence
 from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
@@ -99,23 +99,25 @@ def fit_photo(
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
-    found, owners = _everyone(photo, min_score, device)
+    check_picture("photo", photo)
+    picture = Pyramid(photo, device)
+    found, owners = _everyone(picture, min_score)
     chosen = range(len(found)) if person is None else [_checked(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
-    evidence = _PeopleEvidence(found, owners, Pyramid(photo, device), parts_from, keypoints_from, len(chosen))
+    evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
     for done, index in enumerate(chosen):
         tell("bodies", done, len(chosen))
-        keypoints, parts, warnings = evidence.of(index)
-        found[index] = replace(found[index], keypoints=keypoints)
-        result = fit_body(keypoints, parts, options=options, device=device, camera=camera)
+        readings, warnings = evidence.of(index)
+        found[index] = replace(found[index], keypoints=readings[0].keypoints)
+        result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_meshes(results, model, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
 
 
 class _PeopleEvidence:
-    """Keypoints and labels of people: those of the given networks, or, where they see nothing, of the packaged ones."""
+    """Evidence of people: of the given networks, or, where they see nothing, of the packaged ones."""
 
     def __init__(
         self,
@@ -129,33 +131,31 @@ class _PeopleEvidence:
         self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
         self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
 
-    def of(self, place: int) -> tuple[Keypoints2D, PartLabels | None, list[str]]:
-        """Keypoints and labels of one of them, and a sentence for each network that was of no use."""
+    def of(self, place: int) -> tuple[list[Evidence], list[str]]:
+        """Readings of one of them (``weigh_evidence``), and a sentence for each network that was of no use."""
         warnings: list[str] = []
-        keypoints = self._people[place].keypoints
-        _, mask = person_evidence(keypoints, self._owners, place)
+        readings = [person_evidence(self._people[place].keypoints, self._owners, place)]
         if self._keypoints_from is not None:
             given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
-            if given is None or not _on_labels(given, mask):
+            weighed = [] if given is None else _weighed(given, readings[0].picture)
+            if not weighed:
                 warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
-            else:
-                keypoints = given
-        if self._parts is None:
-            return keypoints, mask, warnings
-        parts = self._parts.of(place)
-        if parts is None or not _on_labels(keypoints, parts):
-            warnings.append("labels: none of the given network along the bones; the mask taken")
-            parts = mask
-        return keypoints, parts, warnings
+            readings = weighed or readings
+        if self._parts is not None:
+            parts = self._parts.of(place)
+            weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
+            if not weighed:
+                warnings.append("labels: none of the given network along the bones; the mask taken")
+            readings = weighed or readings
+        return readings, warnings
 
 
-def _on_labels(keypoints: Keypoints2D, parts: PartLabels | None) -> bool:
-    """True if some of the labels, where there are any, lie along the bones, as ``fit_body`` asks."""
+def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]:
+    """Readings of keypoints and labels; none if labels, where there are any, do not lie along the bones."""
     try:
-        weigh_evidence(keypoints, parts)
+        return weigh_evidence(keypoints, parts)
     except InputError:
-        return False
-    return True
+        return []
 
 
 def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
@@ -164,18 +164,19 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
     Raises:
         InputError: If nobody is found, or not so many people.
     """
-    found, owners = _everyone(photo, MIN_SCORE, "cpu")
+    check_picture("photo", photo)
+    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE)
     index = _checked(person, len(found))
-    keypoints = found[index].keypoints
-    return PersonInputs(keypoints, (), person_evidence(keypoints, owners, index)[1], photo)
+    seen = person_evidence(found[index].keypoints, owners, index)
+    return PersonInputs(seen.keypoints, (), seen.picture, photo)
 
 
-def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
+def _everyone(photo: Pyramid, min_score: float) -> tuple[list[FoundPerson], np.ndarray]:
     """The people in a photo, and whom each pixel shows."""
-    found = find_people(photo, device=device, min_score=min_score)
+    found = find_people(photo, device=photo.device, min_score=min_score)
     if not found:
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
-    return found, instance_map(found, photo.shape[:2])
+    return found, instance_map(found, photo.size)
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
@@ -185,17 +186,16 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
 
 
-def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> tuple[Evidence, PartLabels | None]:
-    """One of the people of a photo: evidence, and labels as of ``mask_labels``; of nearly hidden ones, keypoints alone.
+def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> Evidence:
+    """Evidence of one of the people of a photo, with labels of ``mask_labels``; of nearly hidden ones, without.
+
+    A mask knows no sides, so that there is one reading of it.
 
     Raises:
         InputError: If the keypoints can't be used.
     """
-    parts = mask_labels(owners, index)
-    try:
-        return weigh_evidence(keypoints, parts)[0], parts
-    except InputError:  # others' masks left pixels far from the bones
-        return weigh_evidence(keypoints)[0], None
+    # Others' masks may have left pixels far from the bones alone.
+    return (_weighed(keypoints, mask_labels(owners, index)) or weigh_evidence(keypoints))[0]
 
 
 def _nearest(side: int, zoom: float) -> np.ndarray:
