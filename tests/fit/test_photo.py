@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
 from warp_partdr.fit import photo as photo_fit
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PhotoFit, fit_photo, mask_labels
+from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
@@ -116,7 +117,7 @@ def test_a_person_hidden_by_another_is_told(everyone):
     drawn = found.fits[0].draw(owners.shape).labels[0].numpy() > 0
     rows = np.flatnonzero(drawn.any(1))
     owners[rows[len(rows) // 2] :][drawn[rows[len(rows) // 2] :]] = 2
-    assert PhotoFit(found.people, found.fits, owners).hidden_by(0) == [1]
+    assert replace(found, owners=owners).hidden_by(0) == [1]
     assert found.hidden_by(1) == []
 
 
@@ -135,6 +136,8 @@ def test_files_of_everyone(everyone, tmp_path):
         assert {path.name for path in (tmp_path / f"person{place}").iterdir()} == {*RESULT_FILES, *DETAILED_FILES}
     assert json.loads((tmp_path / "people.json").read_text()) == report
     first, second = report["people"]
+    assert first["sources"] == second["sources"] == {"keypoints": PACKAGED, "parts": PACKAGED}
+    assert json.loads((tmp_path / "person1" / "report.json").read_text())["sources"] == second["sources"]
     assert first["score"] > 0.5
     assert 1.5 < second["distance_m"] / first["distance_m"] < 2.7
     assert len(first["keypoints"]) == 33

@@ -34,6 +34,7 @@ from .result import FitResult
 
 MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
+PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
@@ -46,11 +47,14 @@ class PhotoFit:
         people: As they were found, with the keypoints that were fitted.
         fits: Bodies, by the place of their person in ``people``: of all, or of the one who was asked for.
         owners: Whom each pixel shows: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
+        sources: Names of the networks that each body's "keypoints" and "parts" are of, by the same places; ``PACKAGED``
+            is that of the packaged one, whose parts are a mask, and None where no part was used.
     """
 
     people: tuple[FoundPerson, ...]
     fits: dict[int, MeshFit]
     owners: np.ndarray
+    sources: dict[int, dict[str, str | None]]
 
     def hidden_by(self, place: int) -> list[int]:
         """Places of those whose masks lie before a person's body."""
@@ -106,14 +110,15 @@ def fit_photo(
     options = (options or FitOptions.at("balanced")).without_outline()
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
+    sources: dict[int, dict[str, str | None]] = {}
     for done, index in enumerate(chosen):
         tell("bodies", done, len(chosen))
-        readings, warnings = evidence.of(index)
+        readings, warnings, sources[index] = evidence.of(index)
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_meshes(results, model, progress=progress)
-    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
+    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
 
 
 class _PeopleEvidence:
@@ -131,23 +136,28 @@ class _PeopleEvidence:
         self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
         self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
 
-    def of(self, place: int) -> tuple[list[Evidence], list[str]]:
-        """Readings of one of them (``weigh_evidence``), and a sentence for each network that was of no use."""
+    def of(self, place: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:
+        """Readings of one of them (``weigh_evidence``), a sentence for each network of no use, and ``sources``."""
         warnings: list[str] = []
+        names: dict[str, str | None] = {"keypoints": PACKAGED, "parts": PACKAGED}
         readings = [person_evidence(self._people[place].keypoints, self._owners, place)]
         if self._keypoints_from is not None:
             given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
             weighed = [] if given is None else _weighed(given, readings[0].picture)
             if not weighed:
                 warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
-            readings = weighed or readings
+            else:
+                readings, names["keypoints"] = weighed, self._keypoints_from.name
         if self._parts is not None:
             parts = self._parts.of(place)
             weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
             if not weighed:
                 warnings.append("labels: none of the given network along the bones; the mask taken")
-            readings = weighed or readings
-        return readings, warnings
+            else:
+                readings, names["parts"] = weighed, self._parts.network.name
+        if readings[0].picture is None:
+            names["parts"] = None
+        return readings, warnings, names
 
 
 def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]:

@@ -45,7 +45,7 @@ class PeopleParts:
         owners: np.ndarray,
         count: int,
     ) -> None:
-        self._network, self._picture, self._people, self._owners = network, picture, people, owners
+        self.network, self._picture, self._people, self._owners = network, picture, people, owners
         self._nearest = instance_map(people, picture.size, threshold=_WEAK)
         self._keeps_maps = count * (network.labels.num_groups + 1) * owners.size <= _MOST_VALUES
 
@@ -58,7 +58,7 @@ class PeopleParts:
         Raises:
             InputError: If the network gives something else than ``PartNetwork`` says.
         """
-        network, size = self._network, self._owners.shape
+        network, size = self.network, self._owners.shape
         crop = upright_crop(self._people[place], network.size, stretch=network.stretch)
         said, soft = _predicted(network, cut_crops([self._picture], crop, network.size))
         window = crop_window(crop, size)
