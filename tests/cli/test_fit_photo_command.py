@@ -46,7 +46,7 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
         ("fit photo.png --explain", ["--explain: without --keypoints"]),
         ("fit photo.png --model none", ["--model: none"]),
         ("fit nothing.png", ["nothing.png", "no such file"]),
-        ("fit gray.png", ["photo: nobody found"]),
+        ("fit gray.png", ["partdr: gray.png: nobody found in it; expected a person"]),
         ("fit overlay.png --out .", ["--out: .: the result would replace overlay.png"]),
     ],
 )

@@ -90,9 +90,26 @@ def test_one_of_them_may_be_asked_for(everyone):
         fit_photo(photo, options=FAST, person=2)
 
 
-def test_nobody_is_an_error():
-    with pytest.raises(InputError, match="photo: nobody found"):
-        fit_photo(np.full((200, 300, 3), 128, dtype=np.uint8))
+def test_nobody_is_an_error_that_names_the_file_where_it_is_known(tmp_path):
+    empty, path = np.full((200, 300, 3), 128, dtype=np.uint8), tmp_path / "empty.png"
+    with pytest.raises(InputError, match=r"^photo: nobody found in it; expected a person"):
+        fit_photo(empty)
+    Image.fromarray(empty).save(path)
+    for given in (path, str(path)):
+        with pytest.raises(InputError) as raised:
+            fit_photo(given)
+        assert str(raised.value) == f"{path}: nobody found in it; expected a person, or keypoints of one"
+    with pytest.raises(InputError, match=r"nothing\.png: No such file"):
+        fit_photo(tmp_path / "nothing.png")
+    with pytest.raises(TypeError, match="photo: list; expected ndarray"):
+        fit_photo([[0]])
+
+
+def test_a_file_is_read(everyone, tmp_path):
+    photo, found = everyone
+    Image.fromarray(photo).save(tmp_path / "both.png")
+    again = fit_photo(str(tmp_path / "both.png"), options=FAST, person=1)
+    np.testing.assert_allclose(again.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
 
 
 def test_a_known_camera_puts_them_in_one_scene():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, told_as
 from ..inputs.part_labels import read_photo
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import CameraOptions, PhotoFiles
@@ -62,7 +62,8 @@ def fit_everyone(
         load_kernels(where, options, with_labels=True)
         load_mesh_kernels(where)
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
-        fit = fit_photo(picture, person=files.person, progress=progress, **networks, **how)
+        with told_as("photo", photo):
+            fit = fit_photo(picture, person=files.person, progress=progress, **networks, **how)
         progress("writing results", 0, 1)
         report = save_photo_fit(fit, out, photo=picture)
     for person in report["people"]:

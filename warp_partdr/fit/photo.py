@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,10 +20,10 @@ from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
 from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
-from ..errors import InputError, check_type, check_whole
+from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels
+from ..inputs.part_labels import PartLabels, read_photo
 from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
@@ -68,7 +69,7 @@ class PhotoFit:
 
 
 def fit_photo(
-    photo: np.ndarray,
+    photo: np.ndarray | str | Path,
     *,
     parts_from: PartNetwork | None = None,
     keypoints_from: KeypointNetwork | None = None,
@@ -83,7 +84,7 @@ def fit_photo(
     """Find everyone in a photo, and fit a body to each; the mesh stages run side by side.
 
     Args:
-        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``.
+        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``; or its file.
         parts_from: Network for part labels instead of masks, of ``load_part_network`` or of your own.
         keypoints_from: Network for keypoints instead of the packaged one's, likewise.
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
@@ -96,16 +97,19 @@ def fit_photo(
         camera: The photo's, as of ``fit_body``.
 
     Raises:
-        InputError: If nobody is found, or not so many people, or a network gives something else than it says.
+        InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
+            than it says.
         TypeError: If a network is of another type.
     """
     check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
-    check_picture("photo", photo)
-    picture = Pyramid(photo, device)
-    found, owners = _everyone(picture, min_score)
+    pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
+    check_picture("photo", pixels)
+    picture = Pyramid(pixels, device)
+    with told_as("photo", "photo" if pixels is photo else photo):
+        found, owners = _everyone(picture, min_score)
     chosen = range(len(found)) if person is None else [_checked(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
