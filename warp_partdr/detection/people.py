@@ -9,6 +9,7 @@ import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
 from ..interop.torch_threads import one_torch_thread
+from . import MIN_SCORE
 from .asset import PeopleNetworks, packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
 from .detector import detect_people
@@ -25,7 +26,7 @@ def find_people(
     picture: np.ndarray | Pyramid,
     *,
     device: torch.device | str = "cpu",
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     levels: int | None = None,
     previous: Sequence[FoundPerson] = (),
 ) -> list[FoundPerson]:
@@ -59,7 +60,7 @@ def find_people_in(
     pictures: Sequence[np.ndarray | Pyramid],
     *,
     device: torch.device | str = "cpu",
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     levels: int | None = None,
     previous: Sequence[Sequence[FoundPerson]] | None = None,
 ) -> list[list[FoundPerson]]:

@@ -16,6 +16,7 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE, label_set
 from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
+from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
 from ..detection.people import check_picture, find_people
@@ -33,7 +34,6 @@ from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
 
-MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
