@@ -140,9 +140,14 @@ class OperatorGraph(nn.Module):
             for place, node in enumerate(self._nodes)
         ]
 
-    @exact_convolutions()
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Outputs by name, for pictures of shape (B, 3, size, size)."""
+        if pictures.is_cuda:
+            with exact_convolutions():
+                return self._run(pictures)
+        return self._run(pictures)  # several threads at a time, which must not change torch's settings
+
+    def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         values = {self._start: pictures.contiguous(memory_format=torch.channels_last)}
         for node, done in zip(self._nodes, self._done, strict=True):
             inputs = [values[number] for number in node.inputs]
