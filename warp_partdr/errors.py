@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import operator
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import UnionType
 from typing import SupportsIndex, get_args
 
@@ -33,6 +34,17 @@ def cause(error: Exception) -> str:
     """An error's own message for another one: a line of at most 200 characters; of a file, what the system says."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return " ".join(text.split())[:200]
+
+
+@contextmanager
+def told_as(name: str, file: object) -> Iterator[None]:
+    """Let an InputError about an argument name the file that the argument was read from."""
+    try:
+        yield
+    except InputError as error:
+        if not str(error).startswith(f"{name}: "):
+            raise
+        raise InputError(f"{file}{str(error).removeprefix(name)}") from error
 
 
 def check_type(name: str, value: object, kind: type | UnionType, hint: str) -> None:

@@ -14,6 +14,7 @@ from scenes.commands import EVERY_FILE, Run
 from scenes.files import EXAMPLE
 
 from warp_partdr.detection.people import find_people
+from warp_partdr.fit.photo import PACKAGED
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.networks import upright_crop
@@ -50,6 +51,8 @@ def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> No
     assert {path.name for path in Path("out", "person0").iterdir()} == EVERY_FILE
     (told,) = json.loads(Path("out", "people.json").read_text())["people"]
     assert told["format"] == "coco17"
+    assert told["sources"]["keypoints"] == f"{networks}/vitpose"
+    assert told["sources"]["parts"] in (f"{networks}/segformer", PACKAGED)  # a random network may see nothing
     truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
     seen = np.array(told["keypoints"])
     assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide

@@ -44,15 +44,21 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
         ("fit photo.png --labels cdcl14", ["--labels: cdcl14, without --keypoints"]),
         ("fit photo.png --format coco17", ["--format: coco17, without --keypoints"]),
         ("fit photo.png --explain", ["--explain: without --keypoints"]),
+        ("fit whole.png --set min_score=1", ["min_score: 1; expected 0 to below 1"]),
+        ("fit whole.png --set min_score=high", ["min_score: 'high'; expected 0 to below 1"]),
+        ("fit whole.png --set min_score=true", ["min_score: True; expected 0 to below 1"]),
+        ("fit whole.png --set min_score=0.999", ["whole.png: nobody found in it"]),
+        ("fit photo.png --keypoints k.json --set min_score=0.6", ["min_score: 0.6, with --keypoints"]),
         ("fit photo.png --model none", ["--model: none"]),
         ("fit nothing.png", ["nothing.png", "no such file"]),
-        ("fit gray.png", ["photo: nobody found"]),
+        ("fit gray.png", ["partdr: gray.png: nobody found in it; expected a person"]),
         ("fit overlay.png --out .", ["--out: .: the result would replace overlay.png"]),
     ],
 )
 def test_faults_are_one_line(run: Run, files: Path, line: str, words: list[str]) -> None:
     Image.new("RGB", (320, 240), (128, 128, 128)).save("gray.png")
     shutil.copy("gray.png", "overlay.png")
+    shutil.copy(EXAMPLE / "photo.png", "whole.png")
     code, said, complaint = run(f"{line} --device cpu")
     assert (code, said) == (2, "")
     (told,) = complaint.splitlines()

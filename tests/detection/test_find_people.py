@@ -11,6 +11,7 @@ import pytest
 from scenes.files import EXAMPLE
 
 from warp_partdr import read_keypoints, read_photo, skeleton
+from warp_partdr.detection.crops import Pyramid
 from warp_partdr.detection.masks import draw_mask, instance_map
 from warp_partdr.detection.people import find_people, find_people_in
 from warp_partdr.detection.person import FoundPerson
@@ -127,6 +128,7 @@ def test_a_film_follows_people_without_the_detector(monkeypatch):
         ({"picture": np.zeros((5, 5), np.uint8)}, r"picture: uint8 \(5, 5\); expected uint8 \(H, W, 3\)"),
         ({"picture": np.zeros((5, 5, 3))}, "picture: float64"),
         ({"picture": np.zeros((0, 5, 3), np.uint8)}, r"picture: uint8 \(0, 5, 3\)"),
+        ({"picture": Pyramid(np.zeros((9, 9, 3), np.uint8), "meta")}, "picture: a pyramid on meta"),
         ({"min_score": 1.5}, "min_score: 1.5; expected a number"),
         ({"levels": 0}, "levels: 0; expected an integer"),
         ({"previous": [3]}, r"previous\[0\]: int; expected FoundPerson"),

@@ -86,3 +86,19 @@ def test_a_graph_keeps_what_is_needed_later(device):
 def test_nodes_come_from_json():
     node = Node.from_json({"kind": "convolution", "inputs": [3], "output": 4, "stride": 2, "zeros": [0, 1, 0, 1]})
     assert node == Node("convolution", (3,), 4, stride=2, zeros=(0, 1, 0, 1))
+
+
+def test_any_number_of_pictures_is_each_of_them(device):
+    """On CUDA, few are replayed by a captured graph that may have room for more; what it gave before stays."""
+    generator = torch.Generator().manual_seed(0)
+    weights = {"1.weight": torch.randn(4, 3, 3, 3, generator=generator), "1.bias": torch.randn(4, generator=generator)}
+    nodes = [Node("convolution", (0,), 1, zeros=(1, 1, 1, 1), activation="relu"), Node("sigmoid", (1,), 2)]
+    network = OperatorGraph(8, 0, {"found": 2}, nodes, weights).to(device)
+    pictures = torch.rand(40, 3, 8, 8, generator=generator)
+    with torch.no_grad():
+        convolved = torch.nn.functional.conv2d(pictures, weights["1.weight"], weights["1.bias"], padding=1)
+        counts = (1, 3, 4, 17, 40, 3, 2)
+        starts = [0, 1, 4, 8, 0, 25, 38]
+        found = [network(pictures[a : a + count].to(device))["found"] for a, count in zip(starts, counts, strict=True)]
+    for a, count, values in zip(starts, counts, found, strict=True):
+        torch.testing.assert_close(values.cpu(), convolved[a : a + count].relu().sigmoid(), rtol=0, atol=1e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from warp_partdr.detection.boxes import anchors, average_boxes, decode, overlap
 from warp_partdr.detection.crops import TurnedCrops
@@ -28,11 +29,14 @@ def test_boxes_are_relative_to_their_anchors():
     said, logits = np.zeros((2254, 12), dtype=np.float32), np.full(2254, -9.0, dtype=np.float32)
     said[3] = [1, 2, 30, 40, 5, 6, 7, 8, 0, 0, 0, 0]
     logits[3] = 1.0
-    found, scores = decode(said, logits, 224, 0.5)
+    nothing = np.full_like(logits, -9.0)
+    both = torch.from_numpy(np.stack([said, said])), torch.from_numpy(np.stack([nothing, logits]))
+    (_, none), (found, scores) = decode(*both, 224, 0.5)
+    assert none.size == 0
     np.testing.assert_allclose(scores, [1 / (1 + np.exp(-1))])
     expected = [[13, 6], [30, 40], [17, 10], [19, 12], [12, 4], [12, 4]]  # the size is no place
     np.testing.assert_allclose(found, [expected])
-    assert decode(said, logits, 224, 0.75)[1].size == 0
+    assert [each[1].size for each in decode(*both, 224, 0.75)] == [0, 0]
 
 
 def test_overlap_is_intersection_over_union():

@@ -18,7 +18,7 @@ from warp_partdr.detection.crops import TurnedCrops
 from warp_partdr.detection.people import find_people
 from warp_partdr.detection.person import FoundPerson
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PhotoFit, fit_photo
+from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.networks import KeypointNetwork, PartNetwork, upright_crop
@@ -64,7 +64,7 @@ def keypoint_network(person: FoundPerson, shift: float = 0.0) -> KeypointNetwork
         places = upright_crop(person, SIZE).from_picture(truth.points[None].astype(float))[0] + shift
         return torch.from_numpy(np.column_stack([places, truth.confidence]))[None]
 
-    return KeypointNetwork(truth.skeleton, SIZE, predict)
+    return KeypointNetwork(truth.skeleton, SIZE, predict, name="mine")
 
 
 def error_mm(fit: PhotoFit) -> float:
@@ -106,6 +106,7 @@ def test_keypoints_and_parts_together(found: FoundPerson, alone: PhotoFit, devic
     given = {"parts_from": part_network(found), "keypoints_from": keypoint_network(found)}
     both = fit_photo(PHOTO, options=FAST, device=device, **given)  # type: ignore[arg-type]
     assert both.fits[0].ellipbody.warnings == ()
+    assert both.sources[0] == {"keypoints": "mine", "parts": "unnamed"}
     truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
     kept = both.people[0].keypoints
     assert kept.skeleton == truth.skeleton
@@ -121,6 +122,7 @@ def test_what_sees_nothing_is_told_and_left_out(found: FoundPerson, alone: Photo
         "keypoints: none of the given network on this person; the packaged one's taken",
         "labels: none of the given network along the bones; the mask taken",
     )
+    assert fit.sources[0] == {"keypoints": PACKAGED, "parts": PACKAGED}
     np.testing.assert_array_equal(fit.fits[0].vertices, alone.fits[0].vertices)
     elsewhere = replace(blind, predict=lambda pictures: corner(pictures.shape[0]))
     fit = fit_photo(PHOTO, options=FAST, parts_from=elsewhere)

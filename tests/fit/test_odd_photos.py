@@ -117,10 +117,10 @@ def test_who_is_nearly_hidden_keeps_their_keypoints() -> None:
     found = fit_photo(example()[0], options=FAST).people[0]
     owners = np.zeros(example()[1].shape, np.int32)
     owners[:8, :8] = 1
-    evidence, parts = person_evidence(found.keypoints, owners, 0)
-    assert (evidence.groups, parts) == (None, None)
+    evidence = person_evidence(found.keypoints, owners, 0)
+    assert (evidence.groups, evidence.picture) == (None, None)
     owners[100:300, 150:250] = 1
-    assert person_evidence(found.keypoints, owners, 0)[1] is not None
+    assert person_evidence(found.keypoints, owners, 0).picture is not None
 
 
 def test_files_of_a_large_photo_are_as_large_as_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ from PIL import Image
 
 from warp_partdr import metrics
 from warp_partdr.cameras import Perspective
+from warp_partdr.detection import crops
 from warp_partdr.errors import InputError
+from warp_partdr.fit import fitting
+from warp_partdr.fit import photo as photo_fit
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.photo import PhotoFit, fit_photo, mask_labels
+from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
@@ -86,9 +90,26 @@ def test_one_of_them_may_be_asked_for(everyone):
         fit_photo(photo, options=FAST, person=2)
 
 
-def test_nobody_is_an_error():
-    with pytest.raises(InputError, match="photo: nobody found"):
-        fit_photo(np.full((200, 300, 3), 128, dtype=np.uint8))
+def test_nobody_is_an_error_that_names_the_file_where_it_is_known(tmp_path):
+    empty, path = np.full((200, 300, 3), 128, dtype=np.uint8), tmp_path / "empty.png"
+    with pytest.raises(InputError, match=r"^photo: nobody found in it; expected a person"):
+        fit_photo(empty)
+    Image.fromarray(empty).save(path)
+    for given in (path, str(path)):
+        with pytest.raises(InputError) as raised:
+            fit_photo(given)
+        assert str(raised.value) == f"{path}: nobody found in it; expected a person, or keypoints of one"
+    with pytest.raises(InputError, match=r"nothing\.png: No such file"):
+        fit_photo(tmp_path / "nothing.png")
+    with pytest.raises(TypeError, match="photo: list; expected ndarray"):
+        fit_photo([[0]])
+
+
+def test_a_file_is_read(everyone, tmp_path):
+    photo, found = everyone
+    Image.fromarray(photo).save(tmp_path / "both.png")
+    again = fit_photo(str(tmp_path / "both.png"), options=FAST, person=1)
+    np.testing.assert_allclose(again.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
 
 
 def test_a_known_camera_puts_them_in_one_scene():
@@ -113,7 +134,7 @@ def test_a_person_hidden_by_another_is_told(everyone):
     drawn = found.fits[0].draw(owners.shape).labels[0].numpy() > 0
     rows = np.flatnonzero(drawn.any(1))
     owners[rows[len(rows) // 2] :][drawn[rows[len(rows) // 2] :]] = 2
-    assert PhotoFit(found.people, found.fits, owners).hidden_by(0) == [1]
+    assert replace(found, owners=owners).hidden_by(0) == [1]
     assert found.hidden_by(1) == []
 
 
@@ -132,6 +153,8 @@ def test_files_of_everyone(everyone, tmp_path):
         assert {path.name for path in (tmp_path / f"person{place}").iterdir()} == {*RESULT_FILES, *DETAILED_FILES}
     assert json.loads((tmp_path / "people.json").read_text()) == report
     first, second = report["people"]
+    assert first["sources"] == second["sources"] == {"keypoints": PACKAGED, "parts": PACKAGED}
+    assert json.loads((tmp_path / "person1" / "report.json").read_text())["sources"] == second["sources"]
     assert first["score"] > 0.5
     assert 1.5 < second["distance_m"] / first["distance_m"] < 2.7
     assert len(first["keypoints"]) == 33
@@ -154,3 +177,23 @@ def test_wrong_arguments_are_named(everyone, tmp_path):
         save_photo_fit(found, tmp_path, photo=torch.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="person: -1"):
         fit_photo(photo, person=-1)
+
+
+def test_evidence_is_weighed_once_and_halves_of_the_photo_are_made_once(everyone, monkeypatch):
+    photo, before = everyone
+    calls: list[str] = []
+
+    def count(owner: object, name: str) -> None:
+        real = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *given: calls.append(name) or real(*given))
+
+    count(fitting, "weigh_evidence")
+    count(photo_fit, "weigh_evidence")
+    count(crops.Pyramid, "__init__")
+    again = fit_photo(photo, options=FAST)
+    assert sorted(calls) == ["__init__", "weigh_evidence", "weigh_evidence"]
+    for place, mesh in before.fits.items():
+        np.testing.assert_array_equal(again.fits[place].vertices, mesh.vertices)
+        parts = mask_labels(again.owners, place)
+        alone = fitting.fit_body(again.people[place].keypoints, parts, options=FAST.without_outline())
+        assert torch.equal(alone.posed.joints, again.fits[place].first.posed.joints)

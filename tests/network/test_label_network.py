@@ -23,6 +23,7 @@ from warp_partdr.body.template import JOINT_NAMES, LOCKED_PARTS, NUM_PARTS, PART
 from warp_partdr.cli.main import app
 from warp_partdr.errors import InputError
 from warp_partdr.inputs.observation import observe, resize_nearest
+from warp_partdr.inputs.part_labels import PartLabels
 from warp_partdr.interop.checks import rotation_error
 from warp_partdr.network.checkpoint import load_label_network, save_label_network
 from warp_partdr.network.label_network import (
@@ -130,9 +131,27 @@ def test_a_batch_says_what_its_members_say(network):
     alone = predict_bodies([without], network)
     assert torch.allclose(both.rotations[1], alone.rotations[0], atol=1e-5)
     assert not torch.allclose(both.rotations[0], both.rotations[1], atol=1e-5)
-    shares, _, rays = network_inputs(without, 64)
-    assert (shares[-1] == 1).all()
+    shares, _, rays = network_inputs([without], 64)
+    assert (shares[0, -1] == 1).all()
     assert (rays == 0).all()
+
+
+def test_inputs_of_many_are_those_of_each():
+    """With labels, probabilities, keypoints alone, of several sets and sizes, and some cameras known."""
+    keypoints, parts = seen_by(walker())
+    hard, _ = observe(keypoints, parts)
+    maps = np.moveaxis(np.eye(parts.label_set.num_groups + 1, dtype=np.float32)[parts.groups], -1, 0)
+    soft, _ = observe(keypoints, replace(parts, maps=0.9 * maps))
+    mask, _ = observe(keypoints, PartLabels(label_set("full1"), (parts.groups > 0).astype(np.uint8)))
+    fewer = replace(hard, landmarks=hard.landmarks[3:], points=hard.points[3:], confidence=hard.confidence[3:])
+    small = replace(mask, labels=resize_nearest(mask.labels, 100), lens=torch.tensor([2.0, 0.5, -1.0]))
+    several = [hard, soft, observe(keypoints, None)[0], mask, fewer, small, soft]
+    together = network_inputs(several, 64)
+    assert [values.shape for values in together] == [(7, 22, 64, 64), (7, 24, 3), (7, 4)]
+    for row, seen in enumerate(several):
+        for values, alone in zip(together, network_inputs([seen], 64), strict=True):
+            torch.testing.assert_close(values[row], alone[0])
+    assert torch.equal(network_inputs([mask] * 3, 64)[0], together[0][[3] * 3])
 
 
 def test_of_a_mirror_image_the_mirrored_body_is_said():
@@ -168,7 +187,7 @@ def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     keypoints, parts = seen_by(walker())
     seen, _ = observe(keypoints, parts)
     known = replace(seen, lens=lenses[0])
-    assert torch.equal(network_inputs(known, 64)[2], rays[0])
+    assert torch.equal(network_inputs([known], 64)[2], rays[:1])
     bodies = predict_bodies([seen, known], network)
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
 

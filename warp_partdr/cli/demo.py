@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from ..errors import InputError
+from ..errors import InputError, told_as
 from ..files.sections import check_keys, read_section
 from ..inputs.part_labels import read_photo
 from .options import OutOption, PersonFiles, SettingOptions, take_whole
@@ -141,7 +141,8 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     elif photo is not None:
         from ..fit.photo import person_in_photo
 
-        goal = targets.person_target(person_in_photo(read_photo(photo), files.person or 0))
+        with told_as("photo", photo):
+            goal = targets.person_target(person_in_photo(read_photo(photo), files.person or 0))
     elif files.person is not None:
         raise InputError(f"--person: {files.person}, without a photo or keypoints; expected one of them")
     else:

@@ -11,10 +11,11 @@ from typer import Argument, Option
 
 from ..body.labels import LABEL_SETS
 from ..body.skeletons import SKELETONS
-from ..errors import InputError
+from ..detection import MIN_SCORE
+from ..errors import InputError, shown
 from ..inputs.films import is_film
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, OutOption, PhotoFiles, SettingOptions, take_whole
+from .options import CameraOptions, DeviceOption, OutOption, PhotoFiles, SettingOptions, check_score, take_whole
 from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from ..fit.options import FitOptions
     from ..inputs.person import PersonInputs
 
+_SCORE = "min_score"  # a setting of photos alone
 _FAULTS = (ValueError, RuntimeError)  # of a detailed body, also those of torch and Warp: no memory left, for example
 
 # Keys of ``fit.stages.STAGES``, which is not loaded for --help.
@@ -47,7 +49,8 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
-the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`.
+the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`,
+`min_score=0.6` (how sure it must be that there is a person, default {MIN_SCORE}).
 """
 
 # Of these, the default stands in the text: typer would give each a line of its own.
@@ -85,16 +88,20 @@ def fit(
             raise InputError("--explain: with a film; expected a photo")
         if quality is not QualityName.balanced or start is not StartName.network:
             raise InputError("--quality, --start: with a film; expected none, or --set mesh.iterations=30, for example")
-        fit_motions(files, photo, out, device, model, view, values)
+        score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
+        fit_motions(files, photo, out, device, model, view, values, score)
         return
     if files.keypoints is None:
         from .fit_photo import fit_everyone
 
         if explain:
             raise InputError("--explain: without --keypoints; expected them with it")
-        chosen = take_whole(values, "threads"), fit_options(quality, start, values)
+        score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
+        chosen = take_whole(values, "threads"), score, fit_options(quality, start, values)
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
+    if _SCORE in values:
+        raise InputError(f"{_SCORE}: {shown(values[_SCORE])}, with --keypoints; expected a photo alone")
     person = files.read(photo)
 
     from ..fit.fitting import fit_body

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ def fit_motions(
     model: str,
     view: CameraOptions,
     values: dict[str, Any],
+    min_score: float,
 ) -> None:
     """Fit motions to everyone in a film, or to one of them.
 
@@ -33,6 +35,7 @@ def fit_motions(
         model: Name or file of the detailed model.
         view: The camera, which stands still.
         values: Settings: ``threads``, and fields of ``SceneOptions``.
+        min_score: Least confidence that there is a person.
     """
     for name, given in vars(files).items():
         if given is not None and name != "person":
@@ -62,10 +65,9 @@ def fit_motions(
     detailed = read_model(model, where)
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        pieces = FilmPieces(out, film, view, options, files.person, model)
-        people = pieces.people(
-            lambda: find_film_people(film, device=where, progress=lambda done, total: progress("people", done, total))
-        )
+        pieces = FilmPieces(out, film, view, options, files.person, model, min_score)
+        told = partial(progress, "people")
+        people = pieces.people(partial(find_film_people, film, min_score=min_score, device=where, progress=told))
         camera = view.read(people.image_size, None)
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
         fit = fit_film(people, person=files.person, progress=progress, pieces=pieces, **how)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, told_as
 from ..inputs.part_labels import read_photo
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
 from .options import CameraOptions, PhotoFiles
@@ -24,7 +24,7 @@ def fit_everyone(
     device: str,
     model: str,
     view: CameraOptions,
-    chosen: tuple[int, FitOptions],
+    chosen: tuple[int, float, FitOptions],
 ) -> None:
     """Fit bodies to everyone in a photo, or to one of them.
 
@@ -35,7 +35,7 @@ def fit_everyone(
         device: As the option says.
         model: Name or file of the detailed model.
         view: The camera.
-        chosen: Number of threads, and the fit's options.
+        chosen: Number of threads, least confidence in a person, and the fit's options.
     """
     if photo is None:
         raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
@@ -51,7 +51,7 @@ def fit_everyone(
 
     if model == NO_MODEL:
         raise InputError("--model: none, without keypoints; expected a detailed model")
-    where, (threads, options) = choose_device(device), chosen
+    where, (threads, score, options) = choose_device(device), chosen
     set_num_threads(threads)
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
@@ -62,7 +62,8 @@ def fit_everyone(
         load_kernels(where, options, with_labels=True)
         load_mesh_kernels(where)
         how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
-        fit = fit_photo(picture, person=files.person, progress=progress, **networks, **how)
+        with told_as("photo", photo):
+            fit = fit_photo(picture, person=files.person, min_score=score, progress=progress, **networks, **how)
         progress("writing results", 0, 1)
         report = save_photo_fit(fit, out, photo=picture)
     for person in report["people"]:

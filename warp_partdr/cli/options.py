@@ -53,6 +53,13 @@ def take_whole(values: dict[str, Any], name: str) -> int:
     return value
 
 
+def check_score(name: str, value: Any) -> float:
+    """A least confidence that there is a person, as the option of this name gave it."""
+    if type(value) not in (int, float) or not 0 <= value < 1:
+        raise InputError(f"{name}: {shown(value)}; expected 0 to below 1")
+    return float(value)
+
+
 def people_at_a_time(batch: int | None, device: str) -> int:
     """The option --batch of networks; a CPU's caches hold less."""
     return batch or (16 if device == "cpu" else 64)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from ..detection import MIN_SCORE
 from ..errors import InputError
 from .options import CameraOptions, DeviceOption, LabelsOption
 
@@ -40,7 +41,8 @@ def predict(
         int | None, Option(help="Whom to take of each photo or film, 0 = first; default: all.", metavar="N")
     ] = None,
     min_score: Annotated[
-        float | None, Option(help="Least confidence that there is a person, 0 to 1; default: 0.5.", metavar="SHARE")
+        float | None,
+        Option(help=f"Least confidence that there is a person, 0 to 1; default: {MIN_SCORE}.", metavar="SHARE"),
     ] = None,
     batch: Annotated[
         int | None, Option(help="People at a time in the network; default: 64, on a CPU 16.", metavar="N")
@@ -66,4 +68,6 @@ def predict(
         return
     if labels is not None:
         raise InputError(f"--labels: {labels}, without a folder of keypoints; expected them with it")
-    predict_found(paths, out, network, device, view, Taken(person, 0.5 if min_score is None else min_score, batch))
+    predict_found(
+        paths, out, network, device, view, Taken(person, MIN_SCORE if min_score is None else min_score, batch)
+    )

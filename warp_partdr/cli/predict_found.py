@@ -15,7 +15,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import check_pyav, film_facts, is_film, read_frames
 from ..inputs.part_labels import read_photo
-from .options import CameraOptions, people_at_a_time, say_people
+from .options import CameraOptions, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Crop
@@ -45,8 +45,7 @@ class Taken:
     batch: int | None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_score < 1:
-            raise InputError(f"--min-score: {self.min_score}; expected 0 to below 1")
+        check_score("--min-score", self.min_score)
         if self.person is not None and self.person < 0:
             raise InputError(f"--person: {self.person}; expected 0 or more")
 
@@ -250,7 +249,7 @@ class _Run:
         for index, (number, person) in enumerate(found.items()):
             if number not in chosen:
                 continue
-            evidence, _ = person_evidence(person.keypoints, owners, index)
+            evidence = person_evidence(person.keypoints, owners, index)
             cut = crop_evidence(evidence, device=self.device, camera=camera)
             row = np.zeros(1, ROW)
             keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])

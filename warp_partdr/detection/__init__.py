@@ -5,3 +5,5 @@ tiles; its points place a turned square crop on each person. A second network (2
 there, and two points more that place a better crop, for a second look. People found twice are merged. Weights are
 MediaPipe's (Apache-2.0, see ``assets/people_detector.md``), run by plain torch.
 """
+
+MIN_SCORE = 0.5  # least confidence that there is a person, where nobody says else

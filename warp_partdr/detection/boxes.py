@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import torch
 
 STRIDES = ((8, 2), (16, 2), (32, 6))  # [px] between the cells of each grid, and anchors of each cell
 SAME = 0.3  # Intersection over union above which two boxes are of one person.
@@ -26,23 +27,28 @@ def anchors(size: int) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def decode(boxes: np.ndarray, scores: np.ndarray, size: int, min_score: float) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes of one picture with a score above ``min_score``.
+def decode(
+    boxes: torch.Tensor, scores: torch.Tensor, size: int, min_score: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes of B pictures with a score above ``min_score``; only these leave the device.
 
     Args:
-        boxes: The detector's, relative to the anchors [px], shape (A, 12).
-        scores: Logits, shape (A,).
-        size: Side of the picture [px].
+        boxes: The detector's, relative to the anchors [px], shape (B, A, 12).
+        scores: Logits, shape (B, A).
+        size: Side of the pictures [px].
         min_score: 0 to 1.
 
     Returns:
-        Boxes [px], shape (N, 6, 2), and scores from 0 to 1, shape (N,).
+        Of each picture, boxes [px], shape (N, 6, 2), and scores from 0 to 1, shape (N,).
     """
-    sure = 1.0 / (1.0 + np.exp(-np.clip(scores.astype(np.float64), -50.0, 50.0)))
-    kept = np.flatnonzero(sure > min_score)
-    found = boxes[kept].astype(np.float64).reshape(-1, NUM_POINTS, 2)
+    sure = scores.double().sigmoid()
+    chosen = sure > min_score
+    pictures, kept = (each.cpu().numpy() for each in chosen.nonzero(as_tuple=True))
+    found = boxes[chosen].double().cpu().numpy().reshape(-1, NUM_POINTS, 2)
     moved = np.arange(NUM_POINTS) != 1  # all but the size
-    return found + anchors(size)[kept, None] * moved[:, None], sure[kept]
+    found = found + anchors(size)[kept, None] * moved[:, None]
+    ends = np.searchsorted(pictures, np.arange(1, len(boxes)))
+    return list(zip(np.split(found, ends), np.split(sure[chosen].cpu().numpy(), ends), strict=True))
 
 
 def overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:

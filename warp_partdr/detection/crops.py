@@ -7,19 +7,26 @@ are in pixels, pixel (row v, column u) having its centre at (u + 0.5, v + 0.5).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+
+from ..interop.torch_threads import one_torch_thread
+from ..kernels.launch import get_num_threads, run_slices
 
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
 _LARGEST = 4096  # [px], longer side of the finest picture that crops are cut from
 _SHARPER = 0.5  # levels that crops are sharper than free of all aliasing
 _BATCH = {"cpu": 4, "cuda": 256}  # crops at a time: on CPU, what caches hold
 _STRIP = 512  # rows that are halved at a time, even
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -92,10 +99,25 @@ def no_crops() -> TurnedCrops:
     return TurnedCrops(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 
-def split_crops(crops: TurnedCrops, device: torch.device) -> list[TurnedCrops]:
-    """Crops in numbers that a network takes at a time on the device."""
-    step = _BATCH["cpu" if device.type == "cpu" else "cuda"]
-    return [crops[start : start + step] for start in range(0, len(crops), step)]
+def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, device: torch.device) -> list[Result]:
+    """Results of crops in numbers that a network takes at a time; on CPU, threads share them.
+
+    Torch's own threads would wait for one another in every operator (``one_torch_thread``); these meet at the end.
+    """
+    on_cpu = device.type == "cpu"
+    step = _BATCH["cpu" if on_cpu else "cuda"]
+    parts = [crops[start : start + step] for start in range(0, len(crops), step)]
+    results: list[list[Result]] = [[] for _ in parts]
+
+    @one_torch_thread()
+    @torch.no_grad()
+    def share(some: slice) -> None:
+        for index in range(len(parts))[some]:
+            results[index].append(work(parts[index]))
+
+    threads = max(min(get_num_threads(), len(parts)), 1) if on_cpu else 1
+    run_slices(share, [slice(first, None, threads) for first in range(threads)])
+    return [result for (result,) in results]
 
 
 class Pyramid:
@@ -109,9 +131,10 @@ class Pyramid:
     def __init__(self, picture: np.ndarray, device: torch.device | str) -> None:
         self.size = picture.shape[0], picture.shape[1]
         self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
-        self.device = torch.device(device)
         self._bytes = torch.from_numpy(np.require(picture, requirements=["C", "W"])).to(device).permute(2, 0, 1)[None]
+        self.device = self._bytes.device
         self._levels: list[torch.Tensor] = []
+        self._lock = threading.Lock()  # several threads may ask for a level that isn't there yet
 
     @cached_property
     def _finest(self) -> torch.Tensor:
@@ -128,11 +151,12 @@ class Pyramid:
 
     def level(self, wanted: int) -> tuple[torch.Tensor, int]:
         """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number."""
-        if not self._levels:
-            self._levels.append(self._finest)
         wanted = max(wanted, self._first)
-        while len(self._levels) <= wanted - self._first:
-            self._levels.append(_halved(self._levels[-1]))
+        with self._lock:
+            if not self._levels:
+                self._levels.append(self._finest)
+            while len(self._levels) <= wanted - self._first:
+                self._levels.append(_halved(self._levels[-1]))
         return self._levels[wanted - self._first], wanted
 
 
@@ -162,23 +186,33 @@ def cut_crops(
     """
     device = pyramids[0].device
     height, width = size if isinstance(size, tuple) else (size, size)
-    cut = torch.zeros(len(crops), 3, height, width, device=device)
+    if not len(crops):
+        return torch.zeros(0, 3, height, width, device=device)
     coarsest = crops.sides * max(1 / height, crops.aspect / width)  # pixels of the picture to one of a crop
     levels = np.floor(np.log2(np.maximum(coarsest, 2**_SHARPER)) - _SHARPER).astype(int)
-    for picture, level in sorted(set(zip(crops.pictures.tolist(), levels.tolist(), strict=True))):
-        rows = np.flatnonzero((crops.pictures == picture) & (levels == level))
-        values, level = pyramids[picture].level(level)
-        grid = _grids(crops[rows], (height, width), (values.shape[-1] << level, values.shape[-2] << level), device)
-        cut[torch.from_numpy(rows).to(device)] = F.grid_sample(
-            values.expand(len(rows), -1, -1, -1), grid, padding_mode=beyond, align_corners=False
-        )
-    return cut
+    # Those of one picture and level lie side by side: a launch for each, and none of them waits for the device.
+    order = np.lexsort((levels, crops.pictures))
+    steps = np.flatnonzero(np.diff(crops.pictures[order]) | np.diff(levels[order])) + 1
+    groups = np.split(order, steps)
+    sources = [pyramids[crops.pictures[rows[0]]].level(int(levels[rows[0]])) for rows in groups]
+    extents = [(values.shape[-1] << level, values.shape[-2] << level) for values, level in sources]
+    counts = [len(rows) for rows in groups]
+    grids = _grids(crops[order], (height, width), np.repeat(extents, counts, axis=0), device).split(counts)
+    cut = torch.cat(
+        [
+            F.grid_sample(values.expand(len(grid), -1, -1, -1), grid, padding_mode=beyond, align_corners=False)
+            for (values, _), grid in zip(sources, grids, strict=True)
+        ]
+    )
+    if (order[1:] > order[:-1]).all():
+        return cut
+    return cut[torch.from_numpy(np.argsort(order)).to(device)]
 
 
-def _grids(crops: TurnedCrops, size: tuple[int, int], extent: tuple[int, int], device: torch.device) -> torch.Tensor:
-    """Places of the pixels of crops of (H, W), from -1 to 1 across ``extent`` [px], shape (N, H, W, 2)."""
+def _grids(crops: TurnedCrops, size: tuple[int, int], extents: np.ndarray, device: torch.device) -> torch.Tensor:
+    """Places of the pixels of crops of (H, W), from -1 to 1 across ``extents`` (N, 2) [px], shape (N, H, W, 2)."""
     corners = crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(crops), 3, 2)))
-    places = torch.from_numpy((corners / extent * 2 - 1).astype(np.float32)).to(device)
+    places = torch.from_numpy((corners / extents[:, None] * 2 - 1).astype(np.float32)).to(device)
     down_steps, across_steps = ((torch.arange(count, device=device) + 0.5) / count for count in size)
     start, across, down = places[:, None, None].unbind(-2)
     return start + (across - start) * across_steps[:, None] + (down - start) * down_steps[:, None, None]

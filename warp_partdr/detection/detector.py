@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
 from .asset import PeopleNetworks
 from .boxes import average_boxes, decode
-from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, no_crops, split_crops
+from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, join_crops, no_crops, work_on_crops
 from .same_person import distinct_crops
 
 
@@ -61,11 +62,15 @@ def detect_people(
     size = networks.detector.size
     views = join_crops([no_crops(), *(tiles(pyramids[index].size, levels, size, index) for index in pictures)])
     found, best = [no_crops()], [np.zeros(0)]
-    for part in split_crops(views, networks.device):
+
+    def find(part: TurnedCrops) -> list[tuple[np.ndarray, np.ndarray]]:
         said = networks.detector(cut_crops(pyramids, part, size) * 2 - 1)
-        for row, (boxes, logits) in enumerate(zip(said["boxes"].cpu(), said["scores"].cpu(), strict=True)):
-            means, scores = average_boxes(*decode(boxes.numpy(), logits.numpy()[:, 0], size, min_score))
-            view = part[np.full(len(means), row)]
+        return decode(said["boxes"], said["scores"][..., 0], size, min_score)
+
+    for row, boxes in enumerate(chain.from_iterable(work_on_crops(find, views, networks.device))):
+        if len(boxes[1]):
+            means, scores = average_boxes(*boxes)
+            view = views[np.full(len(means), row)]
             points = view.to_picture(means[:, 2:4] / size)
             found.append(crops_of_people(points[:, 0], points[:, 1], view.pictures))
             best.append(scores)

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..inputs.films import film_facts, read_frames
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.person import crop_nearest
+from . import MIN_SCORE
 from .masks import instance_map
 from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
@@ -83,7 +84,7 @@ def row_keypoints(row: np.ndarray) -> Keypoints2D:
 def find_film_people(
     path: str | Path,
     *,
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
 ) -> FilmPeople:

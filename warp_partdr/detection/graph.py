@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +11,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from ..interop.captured_step import CapturedStep
 from ..interop.precision import exact_convolutions
+
+_MOST_CAPTURED = 16  # pictures; of more, launches are short beside their work, and graphs would hold much memory
 
 
 @dataclass(frozen=True)
@@ -134,15 +138,36 @@ class OperatorGraph(nn.Module):
             # Channels last: convolutions of 1 x 1, the most of them, are products of matrices then.
             form = torch.channels_last if tensor.dim() == 4 else torch.contiguous_format
             self.register_buffer(name.replace(".", "_"), tensor.float().contiguous(memory_format=form))
+        self._captured: dict[tuple[int, int], tuple[torch.Tensor, CapturedStep[dict[str, torch.Tensor]]]] = {}
+        self._lock = threading.Lock()  # of the captured graphs' buffers
         last = {number: place for place, node in enumerate(self._nodes) for number in node.inputs}
         self._done = [
             [number for number in set(node.inputs) if last[number] == place and number not in self._outputs.values()]
             for place, node in enumerate(self._nodes)
         ]
 
-    @exact_convolutions()
     def forward(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         """Outputs by name, for pictures of shape (B, 3, size, size)."""
+        if not pictures.is_cuda:
+            return self._run(pictures)  # several threads at a time, which must not change torch's settings
+        with exact_convolutions():
+            return self._replayed(pictures) if 0 < len(pictures) <= _MOST_CAPTURED else self._run(pictures)
+
+    def _replayed(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The same by a captured graph: of few pictures, launches would take longer than their work."""
+        count = len(pictures)
+        room = 1 << (count - 1).bit_length()  # few numbers of pictures get a graph of their own
+        key = room, torch.cuda.current_stream(pictures.device).cuda_stream
+        with self._lock:
+            if key not in self._captured:
+                held = pictures.new_zeros(room, *pictures.shape[1:])
+                self._captured[key] = held, CapturedStep(lambda: self._run(held), pictures.device)
+            held, step = self._captured[key]
+            held[:count].copy_(pictures)
+            step.replay()
+            return {name: values[:count].clone() for name, values in step.result.items()}
+
+    def _run(self, pictures: torch.Tensor) -> dict[str, torch.Tensor]:
         values = {self._start: pictures.contiguous(memory_format=torch.channels_last)}
         for node, done in zip(self._nodes, self._done, strict=True):
             inputs = [values[number] for number in node.inputs]

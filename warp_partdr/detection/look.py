@@ -10,7 +10,7 @@ import torch
 
 from ..inputs.keypoints import Keypoints2D
 from .asset import PeopleNetworks
-from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, split_crops
+from .crops import Pyramid, TurnedCrops, crops_of_people, cut_crops, work_on_crops
 from .heat import refine_landmarks
 from .person import SKELETON, FoundPerson
 
@@ -75,19 +75,23 @@ class FoundLandmarks:
 def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:
     """Landmarks and masks of the people in the crops."""
     network = networks.landmarks
-    said = []
-    for part in split_crops(crops, networks.device):
+
+    def ask(part: TurnedCrops) -> tuple[torch.Tensor, ...]:
         values = network(cut_crops(pyramids, part, network.size, beyond="border"))
         landmarks = values["landmarks"].unflatten(1, (-1, _VALUES))
         landmarks[..., :2] = refine_landmarks(landmarks[..., :2] / network.size, values["heat"])
-        said.append((landmarks, values["presence"][:, 0], values["mask"][:, 0]))
+        landmarks = landmarks.double()
+        landmarks[..., 3:] = landmarks[..., 3:].sigmoid()
+        return landmarks, values["presence"][:, 0].double(), values["mask"][:, 0]
+
+    said = work_on_crops(ask, crops, networks.device)
     if not said:
         none = np.zeros((0, NUM_LANDMARKS))
         masks = torch.zeros(0, network.size, network.size, device=networks.device)
         return FoundLandmarks(crops, np.zeros((*none.shape, 2)), none, none[:, 0], crops, masks)
     all_landmarks, all_presence, masks = (torch.cat(values) for values in zip(*said, strict=True))
-    landmarks, presence = (values.cpu().numpy().astype(np.float64) for values in (all_landmarks, all_presence))
+    landmarks, presence = (values.cpu().numpy() for values in (all_landmarks, all_presence))
     places = crops.to_picture(landmarks[..., :2])
-    sure = 1 / (1 + np.exp(-np.clip(landmarks[:, :NUM_LANDMARKS, 3:], -50, 50)))
+    sure = landmarks[:, :NUM_LANDMARKS, 3:]
     next_crops = crops_of_people(places[:, NUM_LANDMARKS], places[:, NUM_LANDMARKS + 1], crops.pictures)
     return FoundLandmarks(crops, places[:, :NUM_LANDMARKS], sure.prod(axis=-1), presence, next_crops, masks)

@@ -101,7 +101,7 @@ def spread_maps(
         x, y = torch.arange(within.shape[1])[:, None], torch.arange(strip.stop - first)[:, None, None]
         grid = start + (across - start) * x + (down - start) * y
         values = F.grid_sample(maps[None], grid[None], mode=mode, align_corners=False, padding_mode="border")[0]
-        inside = (grid.abs() <= 1).all(dim=-1)
+        inside = (grid[..., 0].abs() <= 1) & (grid[..., 1].abs() <= 1)
         drawn[:, strip] = torch.where(inside, values, 0.0).numpy()
         within[strip] = inside.numpy()
     return drawn, within

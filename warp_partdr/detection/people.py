@@ -9,6 +9,7 @@ import torch
 
 from ..errors import InputError, check_each, check_type, check_whole, shown
 from ..interop.torch_threads import one_torch_thread
+from . import MIN_SCORE
 from .asset import PeopleNetworks, packaged_people_networks
 from .crops import Pyramid, TurnedCrops, join_crops
 from .detector import detect_people
@@ -22,17 +23,17 @@ _SMALL = 1.4  # side of the crop about the smallest person that a level finds, i
 
 
 def find_people(
-    picture: np.ndarray,
+    picture: np.ndarray | Pyramid,
     *,
     device: torch.device | str = "cpu",
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     levels: int | None = None,
     previous: Sequence[FoundPerson] = (),
 ) -> list[FoundPerson]:
     """Find everyone in a picture.
 
     Args:
-        picture: RGB, shape (H, W, 3), uint8.
+        picture: RGB, shape (H, W, 3), uint8; or a ``Pyramid`` of it on the device, which others may go on with.
         device: Device to run on.
         min_score: Least confidence that there is a person, of the detector and of the landmarks, 0 to 1.
         levels: 1 looks at the whole picture alone, where people of a quarter of its longer side and more are found;
@@ -46,7 +47,7 @@ def find_people(
         People, largest first; none if nobody is there.
 
     Raises:
-        TypeError: If ``picture`` is no array, or ``previous`` are no people.
+        TypeError: If ``picture`` is neither, or ``previous`` are no people.
         InputError: If it is no picture.
         ValueError: If a number is out of range.
     """
@@ -56,17 +57,17 @@ def find_people(
 @one_torch_thread()
 @torch.no_grad()
 def find_people_in(
-    pictures: Sequence[np.ndarray],
+    pictures: Sequence[np.ndarray | Pyramid],
     *,
     device: torch.device | str = "cpu",
-    min_score: float = 0.5,
+    min_score: float = MIN_SCORE,
     levels: int | None = None,
     previous: Sequence[Sequence[FoundPerson]] | None = None,
 ) -> list[list[FoundPerson]]:
     """The same for several pictures of any sizes, in batches.
 
     Args:
-        pictures: RGB, each of shape (H, W, 3), uint8.
+        pictures: Each as in ``find_people``.
         device: Device to run on.
         min_score: As in ``find_people``.
         levels: As in ``find_people``.
@@ -75,7 +76,9 @@ def find_people_in(
     Returns:
         The people of each picture.
     """
-    _check_pictures(pictures)
+    for index, picture in enumerate(pictures):
+        if not isinstance(picture, Pyramid):
+            check_picture("picture" if len(pictures) == 1 else f"pictures[{index}]", picture)
     fixed = None if levels is None else check_whole("levels", levels, 1)
     if not 0 <= min_score < 1:
         raise ValueError(f"min_score: {shown(min_score)}; expected a number from 0 to below 1")
@@ -85,7 +88,9 @@ def find_people_in(
     for people in before:
         check_each("previous", people, FoundPerson, "of find_people")
     networks = packaged_people_networks(str(device))
-    pyramids = [Pyramid(picture, networks.device) for picture in pictures]
+    pyramids = [each if isinstance(each, Pyramid) else Pyramid(each, networks.device) for each in pictures]
+    if elsewhere := {pyramid.device for pyramid in pyramids} - {networks.device}:
+        raise ValueError(f"picture: a pyramid on {elsewhere.pop()}; expected one on {networks.device}")
     everyone = _find(networks, pyramids, before, min_score, fixed or _FEWEST)
     for more in range(_FEWEST + 1, 1 + (_MOST if fixed is None else 0)):
         again = [
@@ -97,6 +102,13 @@ def find_people_in(
         for index, people in zip(again, closer, strict=True):
             everyone[index] = max(everyone[index], people, key=len)
     return everyone
+
+
+def check_picture(name: str, picture: np.ndarray) -> None:
+    """Raise unless an argument is a picture."""
+    check_type(name, picture, np.ndarray, "of read_photo")
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+        raise InputError(f"{name}: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3), RGB")
 
 
 def _look_closer(people: Sequence[FoundPerson], longer: int, levels: int, least: int) -> bool:
@@ -159,14 +171,6 @@ def _distinct(seen: FoundLandmarks, scores: np.ndarray, min_score: float) -> np.
     quality = scores[rows] * some.confidence.mean(axis=1)
     kept = first_of_each(some.points, some.confidence, some.next_crops.sides, some.crops.pictures, quality)
     return rows[kept]
-
-
-def _check_pictures(pictures: Sequence[np.ndarray]) -> None:
-    for index, picture in enumerate(pictures):
-        name = "picture" if len(pictures) == 1 else f"pictures[{index}]"
-        check_type(name, picture, np.ndarray, "of read_photo")
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
-            raise InputError(f"{name}: {picture.dtype} {picture.shape}; expected uint8 (H, W, 3), RGB")
 
 
 def _moved(crop: TurnedCrops, picture: int) -> TurnedCrops:

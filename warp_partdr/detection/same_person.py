@@ -37,15 +37,21 @@ def first_of_each(
         pictures: Index of each one's picture, shape (N,).
         quality: The higher the better, shape (N,).
     """
-    left = np.argsort(-quality, kind="stable")
     kept = []
-    while len(left):
-        best, left = left[0], left[1:]
-        kept.append(best)
-        ours, theirs = ((points[rows], confidence[rows], sides[rows]) for rows in (best, left))
-        alike = similarity(ours, theirs)
-        left = left[(alike < _ALIKE) | (pictures[left] != pictures[best])]
+    for left in _by_picture(np.argsort(-quality, kind="stable"), pictures):
+        while len(left):
+            best, left = left[0], left[1:]
+            kept.append(best)
+            if len(left):
+                ours, theirs = ((points[rows], confidence[rows], sides[rows]) for rows in (best, left))
+                left = left[similarity(ours, theirs) < _ALIKE]
     return np.sort(np.array(kept, dtype=np.int64))
+
+
+def _by_picture(rows: np.ndarray, pictures: np.ndarray) -> list[np.ndarray]:
+    """Rows of each picture, in their order."""
+    rows = rows[np.argsort(pictures[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(pictures[rows])) + 1)
 
 
 def distinct_crops(crops: TurnedCrops, scores: np.ndarray) -> tuple[TurnedCrops, np.ndarray]:
@@ -54,18 +60,28 @@ def distinct_crops(crops: TurnedCrops, scores: np.ndarray) -> tuple[TurnedCrops,
     Returns:
         The crops, and of each the best score (N,) of those that it stands for.
     """
-    kept: list[int] = []
+    every: list[int] = []
     best = scores.copy()
-    for row in range(len(crops)):
-        ours, theirs = crops[np.array([row])], crops[np.array(kept, dtype=np.int64)]
-        larger, smaller = np.maximum(ours.sides, theirs.sides), np.minimum(ours.sides, theirs.sides)
-        near = np.linalg.norm(ours.centres - theirs.centres, axis=1) < _NEAR * larger
-        turned = np.abs(np.angle(np.exp(1j * (ours.angles - theirs.angles))))
-        alike = near & (smaller > _RATIO * larger) & (turned < _TURN) & (ours.pictures == theirs.pictures)
-        if alike.any():
-            first = kept[int(alike.argmax())]
-            best[first] = max(best[first], scores[row])
-        else:
-            kept.append(row)
-    rows = np.array(kept, dtype=np.int64)
+    for some in _by_picture(np.arange(len(crops)), crops.pictures):
+        kept: list[int] = []
+        for row in some.tolist():
+            first = _first_alike(crops, row, kept)
+            if first is None:
+                kept.append(row)
+            else:
+                best[first] = max(best[first], scores[row])
+        every += kept
+    rows = np.sort(np.array(every, dtype=np.int64))
     return crops[rows], best[rows]
+
+
+def _first_alike(crops: TurnedCrops, row: int, kept: list[int]) -> int | None:
+    """The first of the kept crops that is about the same as this one; None if there is none."""
+    if not kept:
+        return None
+    ours, theirs = crops[np.array([row])], crops[np.array(kept, dtype=np.int64)]
+    larger, smaller = np.maximum(ours.sides, theirs.sides), np.minimum(ours.sides, theirs.sides)
+    near = np.linalg.norm(ours.centres - theirs.centres, axis=1) < _NEAR * larger
+    turned = np.abs(np.angle(np.exp(1j * (ours.angles - theirs.angles))))
+    alike = near & (smaller > _RATIO * larger) & (turned < _TURN)
+    return kept[int(alike.argmax())] if alike.any() else None

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from ..errors import check_whole
+from . import MIN_SCORE
 from .crops import TurnedCrops
 from .people import find_people
 from .person import FoundPerson
@@ -36,7 +37,7 @@ class PeopleTracker:
         every: Frames from one look of the detector to the next; others only follow those who are there.
     """
 
-    def __init__(self, *, device: torch.device | str = "cpu", min_score: float = 0.5, every: int = 10) -> None:
+    def __init__(self, *, device: torch.device | str = "cpu", min_score: float = MIN_SCORE, every: int = 10) -> None:
         self._device, self._min_score = device, min_score
         self._every = check_whole("every", every, 1)
         self._here: dict[int, FoundPerson] = {}

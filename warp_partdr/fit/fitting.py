@@ -71,9 +71,23 @@ def fit_body(
         ValueError: If there is not one camera with square pixels.
     """
     check_type("options", options, FitOptions | None, "such as FitOptions.at('fast')")
-    _check_camera(camera)
     options = options or FitOptions.at(quality)
-    prior = PosePrior().to(device)
+    readings = weigh_evidence(keypoints, parts, others)
+    return fit_evidence(readings, options, device=device, progress=progress, camera=camera)
+
+
+@one_torch_thread()
+def fit_evidence(
+    readings: Sequence[Evidence],
+    options: FitOptions,
+    *,
+    device: torch.device | str = "cpu",
+    progress: Progress | None = None,
+    camera: Perspective | None = None,
+) -> FitResult:
+    """Fit EllipBody to a person whose evidence was weighed (``weigh_evidence``); the rest is as of ``fit_body``."""
+    _check_camera(camera)
+    prior, parts = PosePrior().to(device), readings[0].picture
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
         trust = options.trust_background
@@ -83,7 +97,7 @@ def fit_body(
     def glance(evidence: Evidence) -> FitResult:
         return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
 
-    evidence = choose_sides(weigh_evidence(keypoints, parts, others), glance)
+    evidence = choose_sides(readings, glance)
     fit, from_network = start(evidence, options, progress), options.start == "network"
     found = fit.from_network() if from_network else fit.search()
     told = fit.complaints(found)

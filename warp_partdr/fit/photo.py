@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -15,25 +16,26 @@ import torch
 from ..body.labels import BACKGROUND, IGNORE, label_set
 from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
+from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
 from ..detection.masks import instance_map
-from ..detection.people import find_people
+from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
-from ..errors import InputError, check_type, check_whole
+from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels
+from ..inputs.part_labels import PartLabels, read_photo
 from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
 from ..predictors.parts import PeopleParts
-from .fitting import Progress, fit_body
+from .fitting import Progress, fit_evidence
 from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
 
-MIN_SCORE = 0.5  # least confidence that there is a person
 MASK_LABELS = label_set("full1")
+PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it
 
@@ -46,11 +48,14 @@ class PhotoFit:
         people: As they were found, with the keypoints that were fitted.
         fits: Bodies, by the place of their person in ``people``: of all, or of the one who was asked for.
         owners: Whom each pixel shows: 1 for the first of ``people``, 0 for nobody, shape (H, W), int32.
+        sources: Names of the networks that each body's "keypoints" and "parts" are of, by the same places; ``PACKAGED``
+            is that of the packaged one, whose parts are a mask, and None where no part was used.
     """
 
     people: tuple[FoundPerson, ...]
     fits: dict[int, MeshFit]
     owners: np.ndarray
+    sources: dict[int, dict[str, str | None]]
 
     def hidden_by(self, place: int) -> list[int]:
         """Places of those whose masks lie before a person's body."""
@@ -64,7 +69,7 @@ class PhotoFit:
 
 
 def fit_photo(
-    photo: np.ndarray,
+    photo: np.ndarray | str | Path,
     *,
     parts_from: PartNetwork | None = None,
     keypoints_from: KeypointNetwork | None = None,
@@ -79,7 +84,7 @@ def fit_photo(
     """Find everyone in a photo, and fit a body to each; the mesh stages run side by side.
 
     Args:
-        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``.
+        photo: RGB, shape (H, W, 3), uint8, of ``read_photo``; or its file.
         parts_from: Network for part labels instead of masks, of ``load_part_network`` or of your own.
         keypoints_from: Network for keypoints instead of the packaged one's, likewise.
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
@@ -92,30 +97,36 @@ def fit_photo(
         camera: The photo's, as of ``fit_body``.
 
     Raises:
-        InputError: If nobody is found, or not so many people, or a network gives something else than it says.
+        InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
+            than it says.
         TypeError: If a network is of another type.
     """
     check_type("parts_from", parts_from, PartNetwork | None, "of load_part_network")
     check_type("keypoints_from", keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
     tell = progress or (lambda name, done, total: None)
     tell("people", 0, 1)
-    found, owners = _everyone(photo, min_score, device)
+    pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
+    check_picture("photo", pixels)
+    picture = Pyramid(pixels, device)
+    with told_as("photo", "photo" if pixels is photo else photo):
+        found, owners = _everyone(picture, min_score)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
-    evidence = _PeopleEvidence(found, owners, Pyramid(photo, device), parts_from, keypoints_from, len(chosen))
+    evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
     results: list[FitResult] = []
+    sources: dict[int, dict[str, str | None]] = {}
     for done, index in enumerate(chosen):
         tell("bodies", done, len(chosen))
-        keypoints, parts, warnings = evidence.of(index)
-        found[index] = replace(found[index], keypoints=keypoints)
-        result = fit_body(keypoints, parts, options=options, device=device, camera=camera)
+        readings, warnings, sources[index] = evidence.of(index)
+        found[index] = replace(found[index], keypoints=readings[0].keypoints)
+        result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
     fits = refine_meshes(results, model, progress=progress)
-    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners)
+    return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
 
 
 class _PeopleEvidence:
-    """Keypoints and labels of people: those of the given networks, or, where they see nothing, of the packaged ones."""
+    """Evidence of people: of the given networks, or, where they see nothing, of the packaged ones."""
 
     def __init__(
         self,
@@ -129,33 +140,36 @@ class _PeopleEvidence:
         self._people, self._owners, self._picture, self._keypoints_from = people, owners, picture, keypoints_from
         self._parts = None if parts_from is None else PeopleParts(parts_from, picture, people, owners, count)
 
-    def of(self, place: int) -> tuple[Keypoints2D, PartLabels | None, list[str]]:
-        """Keypoints and labels of one of them, and a sentence for each network that was of no use."""
+    def of(self, place: int) -> tuple[list[Evidence], list[str], dict[str, str | None]]:
+        """Readings of one of them (``weigh_evidence``), a sentence for each network of no use, and ``sources``."""
         warnings: list[str] = []
-        keypoints = self._people[place].keypoints
-        _, mask = person_evidence(keypoints, self._owners, place)
+        names: dict[str, str | None] = {"keypoints": PACKAGED, "parts": PACKAGED}
+        readings = [person_evidence(self._people[place].keypoints, self._owners, place)]
         if self._keypoints_from is not None:
             given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
-            if given is None or not _on_labels(given, mask):
+            weighed = [] if given is None else _weighed(given, readings[0].picture)
+            if not weighed:
                 warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
             else:
-                keypoints = given
-        if self._parts is None:
-            return keypoints, mask, warnings
-        parts = self._parts.of(place)
-        if parts is None or not _on_labels(keypoints, parts):
-            warnings.append("labels: none of the given network along the bones; the mask taken")
-            parts = mask
-        return keypoints, parts, warnings
+                readings, names["keypoints"] = weighed, self._keypoints_from.name
+        if self._parts is not None:
+            parts = self._parts.of(place)
+            weighed = [] if parts is None else _weighed(readings[0].keypoints, parts)
+            if not weighed:
+                warnings.append("labels: none of the given network along the bones; the mask taken")
+            else:
+                readings, names["parts"] = weighed, self._parts.network.name
+        if readings[0].picture is None:
+            names["parts"] = None
+        return readings, warnings, names
 
 
-def _on_labels(keypoints: Keypoints2D, parts: PartLabels | None) -> bool:
-    """True if some of the labels, where there are any, lie along the bones, as ``fit_body`` asks."""
+def _weighed(keypoints: Keypoints2D, parts: PartLabels | None) -> list[Evidence]:
+    """Readings of keypoints and labels; none if labels, where there are any, do not lie along the bones."""
     try:
-        weigh_evidence(keypoints, parts)
+        return weigh_evidence(keypoints, parts)
     except InputError:
-        return False
-    return True
+        return []
 
 
 def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
@@ -164,18 +178,19 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
     Raises:
         InputError: If nobody is found, or not so many people.
     """
-    found, owners = _everyone(photo, MIN_SCORE, "cpu")
+    check_picture("photo", photo)
+    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE)
     index = person_place(person, len(found))
-    keypoints = found[index].keypoints
-    return PersonInputs(keypoints, (), person_evidence(keypoints, owners, index)[1], photo)
+    seen = person_evidence(found[index].keypoints, owners, index)
+    return PersonInputs(seen.keypoints, (), seen.picture, photo)
 
 
-def _everyone(photo: np.ndarray, min_score: float, device: torch.device | str) -> tuple[list[FoundPerson], np.ndarray]:
+def _everyone(photo: Pyramid, min_score: float) -> tuple[list[FoundPerson], np.ndarray]:
     """The people in a photo, and whom each pixel shows."""
-    found = find_people(photo, device=device, min_score=min_score)
+    found = find_people(photo, device=photo.device, min_score=min_score)
     if not found:
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
-    return found, instance_map(found, photo.shape[:2])
+    return found, instance_map(found, photo.size)
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
@@ -185,17 +200,16 @@ def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
     return PartLabels(MASK_LABELS, groups) if (groups == 1).any() else None
 
 
-def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> tuple[Evidence, PartLabels | None]:
-    """One of the people of a photo: evidence, and labels as of ``mask_labels``; of nearly hidden ones, keypoints alone.
+def person_evidence(keypoints: Keypoints2D, owners: np.ndarray, index: int) -> Evidence:
+    """Evidence of one of the people of a photo, with labels of ``mask_labels``; of nearly hidden ones, without.
+
+    A mask knows no sides, so that there is one reading of it.
 
     Raises:
         InputError: If the keypoints can't be used.
     """
-    parts = mask_labels(owners, index)
-    try:
-        return weigh_evidence(keypoints, parts)[0], parts
-    except InputError:  # others' masks left pixels far from the bones
-        return weigh_evidence(keypoints)[0], None
+    # Others' masks may have left pixels far from the bones alone.
+    return (_weighed(keypoints, mask_labels(owners, index)) or weigh_evidence(keypoints))[0]
 
 
 def _nearest(side: int, zoom: float) -> np.ndarray:

@@ -39,6 +39,10 @@ _MOST_MASKS = 16  # of the largest pictures; of smaller ones more
 # 16-bit softmax outputs are off by 1e-3 in their sum.
 _SUM_TOLERANCE = 1e-2
 
+# Probability that is none. Where 3 % were spread over all classes, PA-MPJPE rose from 38.9 to 46.5 mm, and without the
+# small ones it was 38.3 mm; the likeliest labels alone gave 40.1 mm (people 200 to 215 of PartBench, "realistic").
+_HAZE = 0.05
+
 
 @dataclass(frozen=True)
 class PartLabels:
@@ -287,7 +291,19 @@ def _from_probabilities(array: np.ndarray, labels: LabelSet, where: str) -> Part
         raise InputError(
             f"{where}: class probabilities add up to {totals.min():g} to {totals.max():g}; expected 1 at each pixel"
         )
-    return parts_from_maps(labels.to_group_maps(array), labels)
+    return parts_from_maps(without_haze(labels.to_group_maps(array)), labels)
+
+
+def without_haze(maps: np.ndarray) -> np.ndarray:
+    """Probabilities of background and groups, (G + 1, H, W), without those that a network spreads thinly over all.
+
+    The same goes for what is ignored, the rest to 1. The others grow until all add up to 1 again.
+    """
+    ignored = 1.0 - maps.sum(axis=0)
+    ignored[ignored < _HAZE] = 0.0
+    clear = np.where(maps < _HAZE, 0.0, maps)
+    clear /= (clear.sum(axis=0) + ignored).clip(min=_HAZE)
+    return clear
 
 
 def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
+import numpy as np
 import torch
 
 from ..body.skeletons import skeleton
@@ -33,10 +35,24 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
     Returns:
         Coordinates and confidence, all 0 where missing, shape (24, 3).
     """
+    return gather_keypoints([names], [points], [confidence])[0]
+
+
+def gather_keypoints(
+    names: Sequence[Sequence[str]], points: Sequence[torch.Tensor], confidence: Sequence[torch.Tensor]
+) -> torch.Tensor:
+    """The same of N people at a time, shape (N, 24, 3)."""
+    starts = np.cumsum([0, *map(len, names)])
+    rows = np.stack([_rows(tuple(each)) for each in names])
+    rows = np.where(rows < 0, starts[-1], rows + starts[:-1, None])  # the last one is of what is missing
+    known = torch.cat([torch.cat(list(points)), torch.cat(list(confidence))[:, None]], dim=1)
+    found = torch.cat([known, known.new_zeros(1, 3)])[torch.from_numpy(rows).to(known.device)]
+    return torch.where(found[..., 2:] > 0, found, 0.0)
+
+
+@lru_cache(maxsize=256)
+def _rows(names: tuple[str, ...]) -> np.ndarray:
+    """Row of each of ``LANDMARKS`` among names, -1 where it is missing."""
     rows = {_TAKEN_FOR[name]: row for row, name in enumerate(names) if name in _TAKEN_FOR}
-    rows |= {name: row for row, name in enumerate(names) if name in LANDMARKS}
-    places = torch.tensor([LANDMARKS.index(name) for name in rows], dtype=torch.int64)
-    known = torch.cat([points, confidence[:, None]], dim=1)[list(rows.values())]
-    found = points.new_zeros(len(LANDMARKS), 3)
-    found[places.to(points.device)] = torch.where(known[:, 2:] > 0, known, 0.0)
-    return found
+    rows |= {name: row for row, name in enumerate(names)}
+    return np.array([rows.get(name, -1) for name in LANDMARKS])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
 
 import torch
 
@@ -11,34 +11,59 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..interop.torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
-from .landmarks import network_keypoints
+from .landmarks import gather_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 
 
-def network_inputs(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Input of a label network for one person: shares (22, size, size), keypoints (24, 3) and rays (4,)."""
-    return *_network_picture(seen, size), _network_rays(seen)
+def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and rays (N, 4)."""
+    keypoints = gather_keypoints(
+        [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
+    )
+    unknown = keypoints.new_ones(3)
+    lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
+    known = torch.tensor([each.lens is not None for each in seen]).to(lenses.device)
+    return _network_pictures(seen, size), keypoints, lens_rays(lenses, known)
 
 
-def _network_rays(seen: Observation) -> torch.Tensor:
-    lens = seen.points.new_ones(3) if seen.lens is None else seen.lens
-    return lens_rays(lens[None], torch.full((1,), seen.lens is not None, device=lens.device))[0]
+def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
+    """Shares of all, those with labels of one set and size at a time: one by one, launches would take long."""
+    device = seen[0].points.device
+    shares = torch.zeros(len(seen), NUM_CHANNELS, size, size, device=device)
+    shares = shares.contiguous(memory_format=torch.channels_last)
+    alike: dict[Hashable, list[int]] = {}
+    for row, each in enumerate(seen):
+        labels = None if each.label_set is None else each.labels
+        soft = each.maps is not None and each.known is not None
+        alike.setdefault(None if labels is None else (id(each.label_set), labels.shape, soft), []).append(row)
+    for key, rows in alike.items():
+        some = [seen[row] for row in rows]
+        found = shares.new_zeros(1, NUM_CHANNELS, 1, 1)
+        if key is None:
+            found[:, -1] = 1.0
+        else:
+            found = _shares_of(some, size)
+        if len(rows) == len(seen):
+            return found.expand_as(shares)
+        shares[torch.tensor(rows).to(device)] = found
+    return shares
 
 
-def _network_picture(seen: Observation, size: int) -> tuple[torch.Tensor, torch.Tensor]:
-    keypoints = network_keypoints(seen.landmarks, seen.points, seen.confidence)
-    device = keypoints.device
-    if seen.label_set is None or seen.labels is None:
-        shares = torch.zeros(NUM_CHANNELS, size, size, device=device)
-        shares[-1] = 1.0
-        return shares, keypoints
-    table = label_table(seen.label_set).to(device)
-    if seen.maps is not None and seen.known is not None:
-        maps, known = resize_nearest(seen.maps, size), resize_nearest(seen.known, size)
-        return map_shares(maps[None], known[None], table)[0], keypoints
-    labels = resize_nearest(seen.labels, size)
-    return label_shares(labels[None], table[None], torch.zeros(1, dtype=torch.int64, device=device))[0], keypoints
+def _shares_of(seen: Sequence[Observation], size: int) -> torch.Tensor:
+    """Shares of people with labels of one set and size, all with probabilities or none."""
+    first = seen[0]
+    assert first.label_set is not None
+    table = label_table(first.label_set).to(first.points.device)
+
+    def together(pictures: Iterable[torch.Tensor | None]) -> torch.Tensor:
+        return torch.stack([resize_nearest(each, size) for each in pictures if each is not None])
+
+    if first.maps is not None and first.known is not None:
+        return map_shares(together(each.maps for each in seen), together(each.known for each in seen), table)
+    labels = torch.stack([each.labels for each in seen if each.labels is not None])
+    which = torch.zeros(len(labels), dtype=torch.int64, device=labels.device)
+    return label_shares(resize_nearest(labels, size), table[None], which)
 
 
 @one_torch_thread()
@@ -67,8 +92,7 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
 @torch.no_grad()
 def ask_network(observations: Sequence[Observation], network: LabelNetwork) -> Predicted:
     """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's."""
-    each = [network_inputs(seen, network.config.size) for seen in observations]
-    inputs = tuple(torch.stack(values) for values in zip(*each, strict=True))
+    inputs = network_inputs(observations, network.config.size)
     shares, keypoints, rays = (torch.cat(both) for both in zip(inputs, mirror_inputs(*inputs), strict=True))
     predicted: Predicted = network(shares.contiguous(memory_format=torch.channels_last), keypoints, rays)
     count = len(observations)

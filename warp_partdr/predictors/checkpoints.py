@@ -57,7 +57,7 @@ def load_part_network(
     about = f"{_about(name, model, folder)}, labels {chosen.name}"
     (say or _silent)(f"parts from {about}")
     height, width = seen.size
-    return PartNetwork(chosen, seen.size, predict, _STRETCH if height == width else 1.0, about)
+    return PartNetwork(chosen, seen.size, predict, _STRETCH if height == width else 1.0, about, name)
 
 
 def load_keypoint_network(
@@ -101,7 +101,7 @@ def load_keypoint_network(
 
     about = f"{_about(name, model, folder)}, keypoints {form.name}"
     (say or _silent)(f"keypoints from {about}")
-    return KeypointNetwork(form, seen.size, predict, about)
+    return KeypointNetwork(form, seen.size, predict, about, name)
 
 
 def _silent(text: str) -> None:

@@ -34,6 +34,7 @@ class PartNetwork:
             smaller than the pictures.
         stretch: Most that a picture may be stretched in one direction to have that size; 1 keeps its shape.
         about: Its name and size, for people.
+        name: Its name or folder, for reports.
     """
 
     labels: LabelSet
@@ -41,6 +42,7 @@ class PartNetwork:
     predict: Predict
     stretch: float = 1.0
     about: str = ""
+    name: str = "unnamed"
 
     def __post_init__(self) -> None:
         check_type("labels", self.labels, LabelSet, "of label_set")
@@ -59,12 +61,14 @@ class KeypointNetwork:
         predict: From pictures, RGB from 0 to 1, shape (N, 3, H, W), to x and y, from 0 to 1 across the picture, and a
             confidence from 0 to 1, of each point of the format, shape (N, count, 3).
         about: Its name and size, for people.
+        name: Its name or folder, for reports.
     """
 
     skeleton: str | Skeleton
     size: tuple[int, int]
     predict: Predict
     about: str = ""
+    name: str = "unnamed"
 
     def __post_init__(self) -> None:
         skeleton(self.skeleton)

@@ -13,7 +13,7 @@ from ..detection.crops import Pyramid, cut_crops
 from ..detection.masks import crop_window, instance_map, spread_maps
 from ..detection.person import FoundPerson
 from ..errors import InputError
-from ..inputs.part_labels import PartLabels, parts_from_maps
+from ..inputs.part_labels import PartLabels, parts_from_maps, without_haze
 from .networks import PartNetwork, upright_crop
 
 # Probability of a person's mask from which on what the network takes for a part may be that person's: a mask ends
@@ -21,9 +21,6 @@ from .networks import PartNetwork, upright_crop
 _WEAK = 0.02
 _MOST_VALUES = 2**27  # of all people's probabilities together, half a gigabyte; of more, labels alone are kept
 _SUM_TOLERANCE = 1e-2
-# Probability that is none. Where 3 % were spread over all classes, PA-MPJPE rose from 38.9 to 46.5 mm, and without the
-# small ones it was 38.3 mm; the likeliest labels alone gave 40.1 mm (people 200 to 215 of PartBench, "realistic").
-_HAZE = 0.05
 
 
 class PeopleParts:
@@ -45,7 +42,7 @@ class PeopleParts:
         owners: np.ndarray,
         count: int,
     ) -> None:
-        self._network, self._picture, self._people, self._owners = network, picture, people, owners
+        self.network, self._picture, self._people, self._owners = network, picture, people, owners
         self._nearest = instance_map(people, picture.size, threshold=_WEAK)
         self._keeps_maps = count * (network.labels.num_groups + 1) * owners.size <= _MOST_VALUES
 
@@ -58,7 +55,7 @@ class PeopleParts:
         Raises:
             InputError: If the network gives something else than ``PartNetwork`` says.
         """
-        network, size = self._network, self._owners.shape
+        network, size = self.network, self._owners.shape
         crop = upright_crop(self._people[place], network.size, stretch=network.stretch)
         said, soft = _predicted(network, cut_crops([self._picture], crop, network.size))
         window = crop_window(crop, size)
@@ -98,15 +95,7 @@ def _predicted(network: PartNetwork, pictures: torch.Tensor) -> tuple[torch.Tens
             f"parts_from: values from {low:g}, sums of {float(sums.min()):g} to {float(sums.max()):g}; expected "
             "probabilities, which add up to 1 at each pixel"
         )
-    return torch.from_numpy(_without_haze(labels.to_group_maps(maps.numpy()))), True
-
-
-def _without_haze(maps: np.ndarray) -> np.ndarray:
-    """Probabilities without the small ones, also of what is ignored; the others grow until all add up to 1 again."""
-    ignored = 1.0 - maps.sum(axis=0, keepdims=True)
-    every = np.concatenate([maps, ignored])
-    every[every < _HAZE] = 0.0
-    return every[:-1] / every.sum(axis=0).clip(min=_HAZE)
+    return torch.from_numpy(without_haze(labels.to_group_maps(maps.numpy()))), True
 
 
 def _one_hot(ids: np.ndarray, labels: LabelSet) -> torch.Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,13 +47,20 @@ OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen
 
 
 @one_torch_thread()
-def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None = None) -> dict[str, Any]:
+def save_fit(
+    result: FitResult,
+    folder: str | Path,
+    *,
+    photo: np.ndarray | None = None,
+    sources: Mapping[str, str | None] | None = None,
+) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
     Args:
         result: Of ``fit_body``.
         folder: Made if it is not there.
         photo: The picture, shape (H, W, 3), uint8, if there was one; beside labels, it may have been made smaller.
+        sources: Names of the networks that "keypoints" and "parts" are of, for the report, as of ``PhotoFit``.
 
     Returns:
         The report.
@@ -66,6 +73,8 @@ def save_fit(result: FitResult, folder: str | Path, *, photo: np.ndarray | None 
     evidence = result.evidence
     size = image_size(evidence.keypoints, evidence.picture, photo)
     report = make_report(result)
+    if sources is not None:
+        report["sources"] = dict(sources)
     comparison = None
     if evidence.picture is not None:
         label_set = evidence.picture.label_set

@@ -60,7 +60,8 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
         )
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
-        save_fit(found, own, photo=small if found.evidence.picture is not None else photo)
+        shown = small if found.evidence.picture is not None else photo
+        save_fit(found, own, photo=shown, sources=fit.sources[place])
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3),
@@ -130,6 +131,7 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "distance_m": round(placed[1], 2),
         "distance": "measured" if isinstance(mesh.camera, Perspective) else "for a focal length of the diagonal",
         "hidden_by": fit.hidden_by(place),
+        "sources": fit.sources[place],
         "format": person.keypoints.format.name,
         "keypoints": keypoints.astype(float).tolist(),
         **describe_body(mesh.ellipbody),
