@@ -21,7 +21,7 @@ from measure_scenes import fit_from_wrong_order, score
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from warp_partdr import FitOptions, fit_body, metrics
+from warp_partdr import FitOptions, fit_body
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.body.template import NUM_PARTS
 from warp_partdr.clothing.anny import anny
@@ -154,7 +154,9 @@ def _winding(points: np.ndarray, faces: np.ndarray, low: np.ndarray, count: tupl
     repeats = sizes.prod(1)
     face = np.repeat(np.arange(len(faces)), repeats)
     within = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-    column = first[face] + np.stack([within // np.maximum(sizes[face, 1], 1), within % np.maximum(sizes[face, 1], 1)], 1)
+    column = first[face] + np.stack(
+        [within // np.maximum(sizes[face, 1], 1), within % np.maximum(sizes[face, 1], 1)], 1
+    )
     a, b, c = (corners[face, k] for k in range(3))
     areas = np.stack([_area(b, c, column), _area(c, a, column), _area(a, b, column)], axis=1)
     hit = (areas > 0).all(1) | (areas < 0).all(1)

@@ -142,7 +142,9 @@ def _slices(
         along = points[:, _AXES[kind]]
     else:
         centred = points - points.mean(0)
-        along = centred @ torch.linalg.eigh(centred.mT @ (areas[members, None] * centred))[1][:, -1]
+        axis = torch.linalg.eigh(centred.mT @ (areas[members, None] * centred))[1][:, -1]
+        out = points.mean(0) - model.rest_joints[model.part_joints[index]]  # from the joint on
+        along = centred @ axis * torch.sign(axis @ out)
     middle = (along.min() + along.max()) / 2
     halves = [along <= middle, along > middle] if kind in _HALVES else [torch.ones_like(along, dtype=torch.bool)]
     found: list[tuple[int, torch.Tensor, torch.Tensor]] = []
@@ -178,16 +180,15 @@ def _radii(ends: torch.Tensor, sections: list[torch.Tensor], vertices: torch.Ten
 
 def _allowed(parts: tuple[int, ...], rest: torch.Tensor) -> torch.Tensor:
     """``Capsules.allowed``, of capsules at rest, shape (C, 7)."""
-    count, chains = len(parts), [_chain(part) for part in parts]
-    first, second = torch.combinations(torch.arange(count, device=rest.device)).unbind(1)
+    chains = [_chain(part) for part in parts]
+    joined = torch.tensor(
+        [[one in chain or parts[k] in _chain(one) for one in parts] for k, chain in enumerate(chains)]
+    )
+    first, second = torch.combinations(torch.arange(len(parts), device=rest.device)).unbind(1)
     near = rest.new_full((2, 2), -_NEAR).fill_diagonal_(torch.inf)
     touching = overlap_cost(torch.stack([rest[first], rest[second]], dim=1), near) > 0
-    allowed = torch.full_like(rest[:, :1], FLESH).repeat(1, count)
-    joined = [parts[a] in chains[b] or parts[b] in chains[a] for a, b in zip(first.tolist(), second.tolist(), strict=True)]
-    left_out = touching | torch.tensor(joined, device=rest.device)
-    allowed[first[left_out], second[left_out]] = torch.inf
-    allowed[second[left_out], first[left_out]] = torch.inf
-    return allowed.fill_diagonal_(torch.inf)
+    joined = joined.to(rest.device).index_put((first, second), touching, accumulate=True)
+    return torch.full_like(rest[:, :1], FLESH).repeat(1, len(parts)).masked_fill(joined | joined.mT, torch.inf)
 
 
 def _chain(part: int) -> list[int]:

@@ -43,7 +43,7 @@ class MeshOptions:
     turns: float = 8.0
     shape: float = 1.0
     clothes: float | None = 1.0
-    apart: float = 0.0
+    apart: float = 0.1
     gradient: MeshGradient = "edges"
     max_distance: float = 3.0
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
