@@ -183,6 +183,19 @@ def test_chart_of_nothing() -> None:
     assert np.asarray(Image.open(file)).min() < 255
 
 
+def test_whole_fits_stand_in_the_chart() -> None:
+    """Time to the right, a mark for each quality, and the mesh stage among them."""
+    seconds = {"fast": 0.1, "accurate": 0.3, "mesh stage": 0.4}
+    rows = {name: {"part_f1": 0.8 + s / 10, "pa_mpjpe_mm": 50 - s, "seconds": s} for name, s in seconds.items()}
+    figure = draw_tradeoff_chart(TradeoffReport("cpu", {"warp": "1"}, qualities={"clean": rows, "realistic": rows}))
+    for axes, figures in zip((figure.axes[3], figure.axes[7]), ("part_f1", "pa_mpjpe_mm"), strict=True):
+        assert [text.get_text() for text in axes.texts] == 2 * list(rows)
+        marks = axes.lines[1]
+        assert marks.get_label() == "clean"
+        np.testing.assert_allclose(marks.get_xdata(), [100, 300, 400])
+        np.testing.assert_allclose(marks.get_ydata(), [row[figures] for row in rows.values()])
+
+
 @pytest.mark.slow
 def test_dearer_and_worse_is_not_marked(report: TradeoffReport) -> None:
     chosen = report.settings().index(Setting(PARTDR, 32))

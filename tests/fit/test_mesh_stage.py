@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from warp_partdr import Perspective, metrics
-from warp_partdr.body.template import JOINT_NAMES
+from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import Growth
 from warp_partdr.clothing.surfaces import vertex_parts
@@ -55,7 +55,7 @@ def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
     assert mesh.vertices.shape == sample.vertices.shape
     names = ("left_knee", "right_wrist", "neck")
     assert np.abs(mesh.landmarks(names) - first.landmarks(names)).max() < 0.15
-    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "clothes", "seg"}
+    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "clothes", "apart", "seg"}
 
 
 def test_no_steps_leave_ellipbodys_pose(first):
@@ -165,6 +165,23 @@ def test_clothes_are_thickness_not_the_body(device):
     assert errors[1] < errors[0] + 2
 
 
+def test_legs_that_stand_in_each_other_are_parted(first):
+    """Where nothing else pulls."""
+    turns = first.parameters.rotations.clone()
+    for part, angle in (("left_upper_leg", -0.25), ("right_upper_leg", 0.25)):
+        turns[0, PART_NAMES.index(part)] = torch.tensor([0.0, 0.0, angle])
+    crossed = replace(first, parameters=replace(first.parameters, rotations=turns))
+    alone = replace(QUICK, proj=0.0, seg=0.0, depth=0.0, turns=0.1, apart=1.0)
+    found: list[float] = []
+    for iterations in (1, 40):
+        mesh = refine_mesh(crossed, options=replace(alone, iterations=iterations))
+        found.append(float(mesh.body.losses["apart"]))
+        assert mesh.ellipbody.energy["apart"] == pytest.approx(found[-1])
+    assert found[0] > 10
+    assert found[1] < 0.1 * found[0]
+    assert "apart" not in refine_mesh(first, options=replace(alone, iterations=1, apart=0.0)).body.losses
+
+
 @pytest.fixture(scope="module")
 def crowd() -> dict[str, list[FitResult]]:
     """Fits that don't go in one batch, by device: of two label sets' kinds, with and without labels and cameras."""
@@ -249,6 +266,8 @@ def test_wrong_arguments_are_named(first):
         MeshOptions(seg=None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="clothes: -1"):
         MeshOptions(clothes=-1.0)
+    with pytest.raises(ValueError, match="apart: nan"):
+        MeshOptions(apart=float("nan"))
     with pytest.raises(ValueError, match="vertices"):
         refine_mesh(first, options=replace(QUICK, vertices=10))
 

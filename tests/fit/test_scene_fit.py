@@ -12,9 +12,11 @@ import torch
 from warp_partdr import Perspective, metrics
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.clothing.anny import anny
+from warp_partdr.clothing.capsules import measure_capsules
 from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_energy import Starts, Unknowns, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.inputs.keypoints import Keypoints2D
 from warp_partdr.render.part_mesh import PartMesh
 from warp_partdr.scenes.depth_order import exchange, grown, order_people
 from warp_partdr.scenes.energy import SceneEnergy, SceneStarts
@@ -168,3 +170,55 @@ def test_scenes_that_can_t_be():
     many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
     with pytest.raises(InputError, match="19 people of 14 groups; expected 254 labels at most"):
         fit_scene(many, options=QUICK)
+
+
+def walkers() -> Scene:
+    """Somebody before one camera, and the same person's keypoints, who walk through each other in three frames."""
+    scene = make_views(3, 1).scene
+    alone = replace(scene.sights[0], parts=None)
+    height = float(np.ptp(alone.keypoints.points[alone.keypoints.visible, 1]))
+
+    def beside(share: float) -> Keypoints2D:
+        return replace(alone.keypoints, points=alone.keypoints.points + np.float32([share * height, 0.0]))
+
+    sights = [
+        replace(alone, keypoints=beside(sign * share), person=person, frame=frame)
+        for person, sign in enumerate((-1, 1))
+        for frame, share in enumerate((-0.12, -0.04, 0.08))
+    ]
+    return replace(scene, sights=sights)
+
+
+def test_people_who_walk_through_each_other_end_apart(device):
+    """They step aside in depth, so that keypoints are where they were."""
+    scene, depths, pulls = walkers(), [], []
+    for apart in (0.0, 0.1):
+        options = replace(QUICK, mesh=replace(QUICK.mesh, apart=apart, iterations=60))
+        fit = fit_scene(scene, options=options, device=device)
+        assert ("apart" in fit.energy) == (apart > 0)
+        capsules = measure_capsules(fit.bodies.model)
+        placed = capsules.of(fit.bodies.detailed, fit.bodies.shape)
+        cost = capsules.overlap(placed, people=2)
+        assert cost.shape == (6,)
+        depths.append(float(cost.sum()))
+        pulls.append(fit.energy["proj"])
+    assert depths[0] > 500  # [cm^2]
+    assert depths[1] < 0.25 * depths[0]
+    assert pulls[1] < 1.5 * pulls[0]
+
+
+def test_people_of_other_frames_do_not_meet():
+    """Two who stand in each other, but at different times, cost nothing."""
+    scene = walkers()
+    energy, people = prepared(scene, "cpu", replace(QUICK, mesh=replace(QUICK.mesh, apart=1.0)))
+    start = energy.at_rest(people)
+    met = float(energy(people, start)["apart"])
+    scattered = people.view_translations.new_zeros(len(people.shift), 1, 3)
+    scattered[3:, 0, 2] = 3.0  # the second one; all frames of each stand at one place
+    posed = energy.one.pose(people, energy._of_frames(people, start))
+    capsules = energy.one.capsules
+    assert capsules is not None
+    shape = start.shape.repeat_interleave(3, 0)
+    own = float(capsules.overlap(capsules.of(posed, shape, by=scattered), people=2).sum())
+    assert met > 100 + own
+    assert own == pytest.approx(float(capsules.overlap(capsules.of(posed, shape)).sum()), abs=1e-3)

@@ -17,6 +17,7 @@ from ..body.parameters import BodyParameters, crop_camera
 from ..body.pose_prior import FREE_PARTS
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
+from ..clothing.capsules import Capsules, measure_capsules
 from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
 from ..clothing.joint_merging import merge_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
@@ -141,6 +142,7 @@ class MeshEnergy:
         first: Vertices before this one carry no landmark.
         weights: Of all landmarks, over the other vertices and the joints.
         ends: Of ``JOINT_NAMES`` among the landmarks, shape (21,), int64.
+        capsules: Of the model; None: nothing keeps its parts apart.
         options: Weights and size.
     """
 
@@ -153,6 +155,7 @@ class MeshEnergy:
     first: int
     weights: torch.Tensor
     ends: torch.Tensor
+    capsules: Capsules | None
     options: MeshOptions
 
     def __call__(self, people: Starts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
@@ -172,6 +175,8 @@ class MeshEnergy:
         }
         if options.clothes is not None:
             terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum(1)
+        if self.capsules is not None:
+            terms["apart"] = options.apart * self.capsules.overlap(self.capsules.of(posed, unknowns.shape))
         if people.target is not None and self.mesh is not None:
             camera, _ = self._camera(people, unknowns, options.size)
             loss, _ = mesh_label_loss(
@@ -253,7 +258,8 @@ def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, 
         mesh = None if groups is None else detailed_mesh(reduced).relabel(np.array(groups))
         hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
         weights = reduced.landmark_weights[:, first:].contiguous()
-        return MeshEnergy(reduced, mesh, hides, basis, turning, free, first, weights, ends, options)
+        capsules = measure_capsules(reduced) if options.apart > 0 else None
+        return MeshEnergy(reduced, mesh, hides, basis, turning, free, first, weights, ends, capsules, options)
 
 
 @lru_cache(maxsize=4)

@@ -26,6 +26,8 @@ class MeshOptions:
         shape: Weight of half the squares of changes of the shape values.
         clothes: Weight of half the squares of the clothes' thicknesses, in their standard deviations; None: the person
             wears none.
+        apart: Weight of the squares of depths [cm] by which parts that are no neighbours, and people of a scene, stand
+            in one another, beyond what flesh gives way; 0 leaves them out.
         gradient: Of L_seg, "edges" or "partdr", as ``mesh_label_loss``; "partdr" pulls about thrice as hard.
         max_distance: "partdr": greatest distance from an edge of a pixel that moves it [px].
         depth_weight: "partdr": the paper's lambda of the z gradient (eq. 12).
@@ -41,6 +43,7 @@ class MeshOptions:
     turns: float = 8.0
     shape: float = 1.0
     clothes: float | None = 1.0
+    apart: float = 0.1
     gradient: MeshGradient = "edges"
     max_distance: float = 3.0
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
@@ -49,7 +52,7 @@ class MeshOptions:
         check_steps(self.iterations, self.learning_rate)
         check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
         check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
-        for name in ("proj", "seg", "depth", "turns", "shape", "clothes"):
+        for name in ("proj", "seg", "depth", "turns", "shape", "clothes", "apart"):
             weight = getattr(self, name)
             if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
                 raise ValueError(f"{name}: {weight}; expected 0 or a positive number")

@@ -91,7 +91,8 @@ class SceneEnergy:
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
         """Weighted terms by name, shape () each."""
         options, one = self.options.mesh, self.one
-        posed = one.pose(people, self._of_frames(people, unknowns))
+        numbers = self._of_frames(people, unknowns)
+        posed = one.pose(people, numbers)
         pelvises = self.pelvises(people, unknowns)[:, None]
         points = one.landmarks(posed) + pelvises
         seen = self._seen(people, points)
@@ -109,6 +110,9 @@ class SceneEnergy:
         }
         if options.clothes is not None:
             terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum()
+        if one.capsules is not None:
+            placed = one.capsules.of(posed, numbers.shape, by=pelvises)
+            terms["apart"] = options.apart * one.capsules.overlap(placed, people=len(people.shape)).sum()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
             loss, _ = mesh_label_loss(
                 self.pictured(people, posed.vertices + pelvises),

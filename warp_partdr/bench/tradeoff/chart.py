@@ -37,6 +37,7 @@ _STYLES = {
     COVERAGE: _style("#005ac8", "^"),
     EXACT: _style("#000000", "o"),
 }
+_LEVEL_STYLES = (("#00785a", "o"), ("#c83c00", "s"))  # of PartBench's levels
 
 
 class _Panel(NamedTuple):
@@ -51,10 +52,13 @@ class _Panel(NamedTuple):
 
 
 def draw_tradeoff_chart(report: TradeoffReport) -> Figure:
-    """Part F1, joint error and gradient error over time: EllipBodies above, Annys and whole refinements below."""
-    figure = empty_figure(16, 10)
-    for axes, panel in zip(figure.subplots(2, 3).flat, _panels(report), strict=True):
+    """Part F1, joint error and gradient error over time: EllipBodies above, Annys and runs below, fits beside."""
+    figure = empty_figure(20, 10)
+    panels = figure.subplots(2, 4)
+    for axes, panel in zip(panels[:, :3].flat, _panels(report), strict=True):
         _draw_panel(axes, report, panel)
+    _draw_fits(panels[0, 3], report, "part_f1", "part F1", higher_is_better=True)
+    _draw_fits(panels[1, 3], report, "pa_mpjpe_mm", "joint error, PA-MPJPE [mm]", higher_is_better=False)
     sizes = sorted({setting.size for setting in report.settings()})
     handles = [*figure.axes[0].plot([], [], **_FRONT)]
     labels = ["front: nothing is as fast and better; faster is to the left"]
@@ -114,6 +118,24 @@ def _draw_panel(axes: Axes, report: TradeoffReport, panel: _Panel) -> None:
         axes.plot([time for time, _ in line], [value for _, value in line], **{**style, "marker": ""})
         for (time, value), size in zip(line, _mark_sizes(len(line)), strict=True):
             axes.plot(time, value, **{**style, "linestyle": ""}, markersize=size)
+
+
+def _draw_fits(axes: Axes, report: TradeoffReport, figure: str, what: str, *, higher_is_better: bool) -> None:
+    """Whole fits of PartBench's people: a mark for each quality and the mesh stage, a line for each level."""
+    axes.set(title=f"PartBench, whole fits: {what}", xlabel="time of a fit [ms]", xscale="log")
+    axes.grid(color="0.9", which="both")
+    for (level, fits), (colour, marker) in zip(report.qualities.items(), _LEVEL_STYLES, strict=False):
+        points = {name: (1e3 * row["seconds"], row[figure]) for name, row in fits.items()}
+        sign = -1 if higher_is_better else 1
+        best = front([(time, sign * value) for time, value in points.values()])
+        chosen = sorted(point for place, point in enumerate(points.values()) if place in best)
+        axes.plot(*zip(*chosen, strict=True), **_FRONT)
+        axes.plot(*zip(*points.values(), strict=True), color=colour, marker=marker, linestyle="", label=level)
+        for name, point in points.items():
+            axes.annotate(name, point, xytext=(6, 5), textcoords="offset points", fontsize=8, color=colour)
+    axes.margins(x=0.25, y=0.1)
+    if report.qualities:
+        axes.legend(loc="best")
 
 
 def _mark_sizes(count: int) -> list[float]:

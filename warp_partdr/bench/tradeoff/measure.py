@@ -17,6 +17,7 @@ from ...body.pose_prior import PosePrior
 from ...body.posing import LandmarkGather
 from ...body.skeletons import MPJPE_JOINTS
 from ...evaluation.evaluate import Method, evaluate
+from ...evaluation.partbench.methods import METHODS
 from ...evaluation.partbench.samples import partbench_samples
 from ...fit.fitting import Progress
 from ...fit.options import FitOptions
@@ -149,6 +150,7 @@ def _quality_jobs(plan: TradeoffPlan, report: TradeoffReport) -> Iterator[Job]:
 
     def work(level: str) -> None:
         methods: dict[str, Method] = {quality: Method(options=FitOptions.at(quality)) for quality in get_args(Quality)}
+        methods["mesh stage"] = METHODS["parts, Anny's mesh"]
         found = evaluate(partbench_samples(plan.fits, (level,)), methods, device=plan.device)
         report.qualities[level] = next(iter(found.pooled().values()))
 

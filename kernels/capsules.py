@@ -1,0 +1,107 @@
+"""Depth by which capsules stand in one another, within a body and between bodies that share a place.
+
+A capsule is all within a radius of a line between two ends. Each thread has a capsule and looks at all others, so that
+each writes its own gradient alone: a pair is met twice, and costs half each time.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+CENTIMETRES = wp.constant(100.0)  # of a metre
+NUMBERS = wp.constant(7)  # of a capsule: both ends [m], then the radius [m]
+_SHORT = wp.constant(1.0e-8)  # [m^2], of what is a point, or has no direction
+_PARALLEL = wp.constant(1.0e-5)  # squared sine of the angle between lines
+
+
+@wp.struct
+class Touching:
+    """Where two lines between ends are nearest to one another."""
+
+    own: float  # share of the way along the first
+    other: float  # and along the second
+    apart: wp.vec3  # from the second to the first [m]
+
+
+@wp.func
+def end_of(capsules: wp.array[float], index: int, end: int) -> wp.vec3:
+    k = index * NUMBERS + 3 * end
+    return wp.vec3(capsules[k], capsules[k + 1], capsules[k + 2])
+
+
+@wp.func
+def nearest_of_lines(a: wp.vec3, along_a: wp.vec3, b: wp.vec3, along_b: wp.vec3) -> Touching:
+    """Nearest points of a + s along_a and b + t along_b, s and t from 0 to 1."""
+    found = Touching()
+    between = a - b
+    aa, bb, ab = wp.length_sq(along_a), wp.length_sq(along_b), wp.dot(along_a, along_b)
+    on_a, on_b = wp.dot(along_a, between), wp.dot(along_b, between)
+    s = float(0.0)
+    room = aa * bb - ab * ab
+    if room > _PARALLEL * aa * bb:
+        s = wp.clamp((ab * on_b - on_a * bb) / room, 0.0, 1.0)
+    elif aa > _SHORT:
+        # Of parallel lines, the middle of where they lie side by side.
+        first, last = -on_a / aa, (ab - on_a) / aa
+        s = 0.5 * (wp.clamp(wp.min(first, last), 0.0, 1.0) + wp.clamp(wp.max(first, last), 0.0, 1.0))
+    t = float(0.0)
+    if bb > _SHORT:
+        t = wp.clamp((ab * s + on_b) / bb, 0.0, 1.0)
+    if aa > _SHORT:
+        s = wp.clamp((ab * t - on_a) / aa, 0.0, 1.0)
+    found.own = s
+    found.other = t
+    found.apart = between + s * along_a - t * along_b
+    return found
+
+
+@wp.kernel
+def overlap_costs(
+    capsules: wp.array[float],  # (B C 7,)
+    allowed: wp.array[float],  # (C C,) depth that costs nothing within a body [m]; infinite: no depth does
+    slack: float,  # the same between bodies [m]
+    num_capsules: int,  # C
+    num_people: int,  # P: body b shares its place with b + B / P, b + 2 B / P, ...
+    costs: wp.array[float],  # (B C,) half the squares of depths [cm^2]  OUTPUT
+    gradients: wp.array[float],  # (B C 7,)  OUTPUT
+):
+    """One thread a capsule."""
+    i = wp.tid()
+    places = costs.shape[0] // num_capsules // num_people
+    own_body = i // num_capsules
+    own = i - own_body * num_capsules
+    a, radius = end_of(capsules, i, 0), capsules[i * NUMBERS + 6]
+    along_a = end_of(capsules, i, 1) - a
+    half_a = 0.5 * wp.length(along_a)
+    cost, by_radius = float(0.0), float(0.0)
+    by_start, by_end = wp.vec3(), wp.vec3()
+    for person in range(num_people):
+        body = own_body % places + person * places
+        for other in range(num_capsules):
+            free = slack
+            if body == own_body:
+                free = allowed[own * num_capsules + other]
+            j = body * num_capsules + other
+            b, sum_of_radii = end_of(capsules, j, 0), radius + capsules[j * NUMBERS + 6]
+            along_b = end_of(capsules, j, 1) - b
+            # Balls around both: most pairs are far apart.
+            reach = half_a + 0.5 * wp.length(along_b) + sum_of_radii - free
+            if reach > 0.0 and wp.length_sq(a - b + 0.5 * (along_a - along_b)) < reach * reach:
+                near = nearest_of_lines(a, along_a, b, along_b)
+                distance = wp.length(near.apart)
+                depth = CENTIMETRES * (sum_of_radii - free - distance)
+                if depth > 0.0:
+                    out = wp.normalize(near.apart)
+                    if distance * distance < _SHORT:
+                        # Lines that cross: both ways out are as far, and each goes the opposite one.
+                        out = wp.normalize(wp.cross(along_a, along_b))
+                    slope = 2.0 * CENTIMETRES * depth
+                    cost += 0.5 * depth * depth
+                    by_radius += slope
+                    by_start -= (1.0 - near.own) * slope * out
+                    by_end -= near.own * slope * out
+    costs[i] = cost
+    for k in range(3):
+        gradients[i * NUMBERS + k] = by_start[k]
+        gradients[i * NUMBERS + 3 + k] = by_end[k]
+    gradients[i * NUMBERS + 6] = by_radius

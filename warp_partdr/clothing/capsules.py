@@ -1,0 +1,199 @@
+"""Capsules in a detailed body's parts, which say how deep parts and people stand in one another.
+
+They are measured once, from the skin at rest; they follow shape values, linearly, and the joints that carry their
+parts. Clothes don't count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..body.landmarks import without_side
+from ..body.template import PARENTS, PART_NAMES
+from ..interop.arrays import warp_array
+from ..interop.derivatives import once
+from ..interop.movable import Movable
+from ..interop.streams import on_torch_stream
+from ..kernels import capsules as kernels
+from .model import Detailed, DetailedModel
+from .surfaces import BAND, vertex_parts
+
+FLESH = 0.015  # [m] that parts and people give way where they touch
+_NEAR = 0.02  # [m] between capsules that are neighbours: they touch at rest, or nearly
+_HALVES = ("upper_leg", "lower_leg", "upper_arm", "forearm")  # thinner at one end, so that each has two capsules
+# Of parts that are as wide as long: the axis, x to the left or y up at rest. Others lie along their longest way.
+_AXES = {"hip": 0, "abdomen": 0, "chest": 0, "shoulder": 0, "neck": 1, "head": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules(Movable):
+    """C capsules of a model's body: all within a radius of a line between two ends.
+
+    Attributes:
+        parts: The part 0 to 19 that each belongs to; of both hips, the left one.
+        joints: The joint that carries each, shape (C,), int64.
+        ends: Of shape 0, from that joint, in axes that are the body frame's at rest [m], shape (C, 2, 3).
+        end_directions: Their change by a unit of each shape value [m], shape (S, C, 2, 3).
+        radii: Of shape 0 [m], shape (C,).
+        radius_directions: Their change by a unit of each shape value [m], shape (S, C).
+        allowed: Depth of each in each other that costs nothing [m], infinite for neighbours, shape (C, C).
+    """
+
+    parts: tuple[int, ...]
+    joints: torch.Tensor
+    ends: torch.Tensor
+    end_directions: torch.Tensor
+    radii: torch.Tensor
+    radius_directions: torch.Tensor
+    allowed: torch.Tensor
+
+    def of(self, body: Detailed, shape: torch.Tensor, by: torch.Tensor | None = None) -> torch.Tensor:
+        """Both ends and the radius of each [m], shape (B, C, 7); bodies moved by (B, 1, 3) [m]."""
+        ends = self.ends + (shape @ self.end_directions.flatten(1)).unflatten(1, self.ends.shape)
+        frames = body.transforms.index_select(1, self.joints)
+        placed = ends @ frames[..., :3, :3].mT + frames[..., None, :3, 3]
+        if by is not None:
+            placed = placed + by[:, None]
+        radii = self.radii + shape @ self.radius_directions
+        return torch.cat([placed.flatten(2), radii[..., None]], dim=2)
+
+    def overlap(self, placed: torch.Tensor, people: int = 1) -> torch.Tensor:
+        """Sum of the squares of depths [cm^2] beyond what flesh gives way, shape (B,).
+
+        Args:
+            placed: Of ``of``, float32.
+            people: P; body b meets b + B / P, b + 2 B / P and so on, too, and they share what it costs.
+        """
+        return overlap_cost(placed, self.allowed, people)
+
+
+def overlap_cost(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -> torch.Tensor:
+    """``Capsules.overlap`` with ``allowed`` in its place."""
+    found: torch.Tensor = _OverlapCost.apply(placed, allowed, people)
+    return found
+
+
+class _OverlapCost(torch.autograd.Function):
+    """Cost and gradient at once: both need the nearest points."""
+
+    @staticmethod
+    def forward(ctx: Any, placed: torch.Tensor, allowed: torch.Tensor, people: int) -> torch.Tensor:
+        rows = placed.contiguous()
+        costs, gradients = rows.new_empty(rows.shape[:2]), torch.empty_like(rows)
+        if costs.numel():
+            with on_torch_stream(rows.device) as device:
+                inputs = [warp_array(rows.view(-1)), warp_array(allowed.view(-1)), FLESH, rows.shape[1], people]
+                outputs = [warp_array(costs.view(-1)), warp_array(gradients.view(-1))]
+                wp.launch(kernels.overlap_costs, dim=costs.numel(), inputs=inputs, outputs=outputs, device=device)
+        ctx.people = people
+        ctx.save_for_backward(placed, gradients)
+        return costs.sum(1)
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        placed, gradients = ctx.saved_tensors
+        found = adjoints[0][:, None, None] * gradients
+        return *once("overlap", (found,), *adjoints, placed), None, None
+
+
+@lru_cache(maxsize=4)
+def measure_capsules(model: DetailedModel) -> Capsules:
+    """Capsules of a model: one a part, across the trunk and along limbs, two along arms' and legs' halves."""
+    with torch.inference_mode(False), torch.no_grad():  # kept for calls outside of it, too
+        part, areas = vertex_parts(model)
+        slices = [each for index in range(len(PART_NAMES)) for each in _slices(model, index, part, areas)]
+        carried = torch.tensor([model.part_joints[index] for index, _, _ in slices], device=areas.device)
+        joints = model.rest_joints[carried], model.joint_directions[:, carried]
+        weights = torch.stack([weights for _, weights, _ in slices])  # (C, 2, V)
+        rest, moves = weights @ model.rest_vertices, torch.einsum("cev,svx->scex", weights, model.shape_directions)
+        sections = [section for _, _, section in slices]
+        radii = _radii(rest, sections, model.rest_vertices)
+        changed = [
+            _radii(rest + move, sections, model.rest_vertices + direction) - radii
+            for move, direction in zip(moves, model.shape_directions, strict=True)
+        ]
+        parts = tuple(index for index, _, _ in slices)
+        ends = rest - joints[0][:, None], moves - joints[1][:, :, None]
+        allowed = _allowed(parts, torch.cat([rest.flatten(1), radii[:, None]], dim=1))
+        return Capsules(parts, carried, *ends, radii, torch.stack(changed), allowed)
+
+
+def _slices(
+    model: DetailedModel, index: int, part: torch.Tensor, areas: torch.Tensor
+) -> list[tuple[int, torch.Tensor, torch.Tensor]]:
+    """Of a part's capsules: the part, weights of the vertices in each end, shape (2, V), and those that say how thick.
+
+    Ends lie on the line that fits the vertices best, so that they are sums of them whatever the shape.
+    """
+    name = PART_NAMES[index]
+    if name == "right_hip":
+        return []
+    own = (part == index) | ((part == PART_NAMES.index("right_hip")) & (name == "left_hip"))
+    members = (own & (areas > 0)).nonzero()[:, 0]
+    if not len(members):
+        return []
+    kind, points = without_side(name), model.rest_vertices[members]
+    if kind in _AXES:
+        along = points[:, _AXES[kind]]
+    else:
+        centred = points - points.mean(0)
+        axis = torch.linalg.eigh(centred.mT @ (areas[members, None] * centred))[1][:, -1]
+        out = points.mean(0) - model.rest_joints[model.part_joints[index]]  # from the joint on
+        along = centred @ axis * torch.sign(axis @ out)
+    middle = (along.min() + along.max()) / 2
+    halves = [along <= middle, along > middle] if kind in _HALVES else [torch.ones_like(along, dtype=torch.bool)]
+    found: list[tuple[int, torch.Tensor, torch.Tensor]] = []
+    for half in halves:
+        some, own_along = members[half], along[half]
+        share = areas[some] / areas[some].sum()
+        offset = own_along - share @ own_along
+        slope = share * offset / (share @ offset.square())
+        line = torch.stack([share @ points[half], slope @ points[half]])
+        low, high = offset.min(), offset.max()
+        inner = (offset - (low + high) / 2).abs() < BAND * (high - low) / 2
+        section = some[inner]
+        radius = share[inner] @ _off_line(points[half][inner], line[0], line[1]) / share[inner].sum()
+        # The end of a half goes on in the next part, that of a whole part is round.
+        inset = torch.minimum(radius * (0.5 if kind in _HALVES else 1.0), 0.49 * (high - low))
+        weights = areas.new_zeros(2, len(areas))
+        for end, place in enumerate((low + inset, high - inset)):
+            weights[end, some] = share + place * slope
+        found.append((index, weights, section))
+    return found
+
+
+def _off_line(points: torch.Tensor, start: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    """Distance of points from a line, shape (N,)."""
+    return torch.linalg.cross(points - start, direction.expand_as(points)).norm(dim=1) / direction.norm()
+
+
+def _radii(ends: torch.Tensor, sections: list[torch.Tensor], vertices: torch.Tensor) -> torch.Tensor:
+    """Mean distance of vertices from the lines, shape (C,) [m]."""
+    pairs = zip(ends, sections, strict=True)
+    return torch.stack([_off_line(vertices[some], end[0], end[1] - end[0]).mean() for end, some in pairs])
+
+
+def _allowed(parts: tuple[int, ...], rest: torch.Tensor) -> torch.Tensor:
+    """``Capsules.allowed``, of capsules at rest, shape (C, 7)."""
+    chains = [_chain(part) for part in parts]
+    joined = torch.tensor(
+        [[one in chain or parts[k] in _chain(one) for one in parts] for k, chain in enumerate(chains)]
+    )
+    first, second = torch.combinations(torch.arange(len(parts), device=rest.device)).unbind(1)
+    near = rest.new_full((2, 2), -_NEAR).fill_diagonal_(torch.inf)
+    touching = overlap_cost(torch.stack([rest[first], rest[second]], dim=1), near) > 0
+    joined = joined.to(rest.device).index_put((first, second), touching, accumulate=True)
+    return torch.full_like(rest[:, :1], FLESH).repeat(1, len(parts)).masked_fill(joined | joined.mT, torch.inf)
+
+
+def _chain(part: int) -> list[int]:
+    """A part and those that it hangs on: the next one above, and what a shoulder is part of."""
+    above = [part]
+    while PARENTS[above[-1]] >= 0 and (len(above) == 1 or without_side(PART_NAMES[above[-1]]) == "shoulder"):
+        above.append(PARENTS[above[-1]])
+    return above
