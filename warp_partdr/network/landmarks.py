@@ -35,10 +35,10 @@ def network_keypoints(names: Sequence[str], points: torch.Tensor, confidence: to
     Returns:
         Coordinates and confidence, all 0 where missing, shape (24, 3).
     """
-    return gather_keypoints([names], [points], [confidence])[0]
+    return stack_keypoints([names], [points], [confidence])[0]
 
 
-def gather_keypoints(
+def stack_keypoints(
     names: Sequence[Sequence[str]], points: Sequence[torch.Tensor], confidence: Sequence[torch.Tensor]
 ) -> torch.Tensor:
     """The same of N people at a time, shape (N, 24, 3)."""

@@ -11,14 +11,14 @@ from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
 from ..interop.torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
-from .landmarks import gather_keypoints
+from .landmarks import stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 
 
 def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and rays (N, 4)."""
-    keypoints = gather_keypoints(
+    keypoints = stack_keypoints(
         [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
     )
     unknown = keypoints.new_ones(3)
