@@ -180,10 +180,7 @@ def _radii(ends: torch.Tensor, sections: list[torch.Tensor], vertices: torch.Ten
 
 def _allowed(parts: tuple[int, ...], rest: torch.Tensor) -> torch.Tensor:
     """``Capsules.allowed``, of capsules at rest, shape (C, 7)."""
-    chains = [_chain(part) for part in parts]
-    joined = torch.tensor(
-        [[one in chain or parts[k] in _chain(one) for one in parts] for k, chain in enumerate(chains)]
-    )
+    joined = torch.tensor([[one in _chain(part) for one in parts] for part in parts])
     first, second = torch.combinations(torch.arange(len(parts), device=rest.device)).unbind(1)
     near = rest.new_full((2, 2), -_NEAR).fill_diagonal_(torch.inf)
     touching = find_overlap(torch.stack([rest[first], rest[second]], dim=1), near) > 0
