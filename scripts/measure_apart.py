@@ -81,7 +81,7 @@ def measure_pairs(first: int, last: int, weights: list[float]) -> None:
         both = torch.cat([each.vertices for each in alone]), torch.cat([each.landmarks(MPJPE_JOINTS) for each in alone])
         bodies["each alone"] = *both, 0.0
         for weight in weights:
-            options = SceneOptions(mesh=MeshOptions(apart=weight))
+            options = SceneOptions(apart=weight)
             fit = fit_from_wrong_order(sample, options, exchanged=True)
             bodies[f"weight {weight:g}"] = fit.vertices, fit.landmarks(MPJPE_JOINTS), fit.seconds["scene"]
         for name, (vertices, joints, seconds) in bodies.items():

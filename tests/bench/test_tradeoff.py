@@ -192,7 +192,7 @@ def test_whole_fits_stand_in_the_chart() -> None:
         assert [text.get_text() for text in axes.texts] == 2 * list(rows)
         marks = axes.lines[1]
         assert marks.get_label() == "clean"
-        np.testing.assert_allclose(marks.get_xdata(), [100, 300, 400])
+        np.testing.assert_allclose(marks.get_xdata(), [0.1, 0.3, 0.4])
         np.testing.assert_allclose(marks.get_ydata(), [row[figures] for row in rows.values()])
 
 

@@ -117,7 +117,7 @@ def test_of_the_detailed_body_it_says_what_is_drawn():
     _, parts = seen(label_set("body14"))
     drawn, alone = explain_mesh(anny(), parts), explain_mesh(anny(), None)
     assert (drawn.modelled, drawn.left_out) == (
-        "1,500 vertices and thicknesses of clothes, drawn against the labels; capsules that keep parts apart",
+        "1,500 vertices and thicknesses of clothes, drawn against the labels",
         "12,218 until the end: fingers, toes, face",
     )
     assert alone.left_out == "the mesh stage"

@@ -55,7 +55,7 @@ def test_it_shows_the_labels_better_than_ellipsoids(sample, device):
     assert mesh.vertices.shape == sample.vertices.shape
     names = ("left_knee", "right_wrist", "neck")
     assert np.abs(mesh.landmarks(names) - first.landmarks(names)).max() < 0.15
-    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "clothes", "apart", "seg"}
+    assert set(mesh.body.losses) == {"proj", "depth", "turns", "shape", "clothes", "seg"}
 
 
 def test_no_steps_leave_ellipbodys_pose(first):

@@ -39,7 +39,7 @@ def prepared(scene: Scene, device: str, options: SceneOptions = QUICK) -> tuple[
 def test_one_body_in_one_picture_has_the_mesh_stage_s_energy(device):
     scene = make_views(3, 1).scene
     turned = replace(scene, views=[View(scene.views[0].camera)])
-    energy, people = prepared(turned, device)
+    energy, people = prepared(turned, device, replace(QUICK, mesh=replace(QUICK.mesh, apart=1.0)))
     alone = Starts(
         **{name: getattr(people, name) for name in ("rotations", "translation", "shape", "log_scale", "shift")},
         **{name: getattr(people, name)[:, 0] for name in ("places", "points", "votes", "depths")},
@@ -167,6 +167,8 @@ def test_scenes_that_can_t_be():
         View(camera, torch.diag(torch.tensor([1.0, 1.0, -1.0])))
     with pytest.raises(ValueError, match="smoothing: -1"):
         SceneOptions(smoothing=-1)
+    with pytest.raises(ValueError, match="apart: -1"):
+        SceneOptions(apart=-1)
     many = Scene(views, [Sight(sight.keypoints, sight.parts, person) for person in range(19)])
     with pytest.raises(InputError, match="19 people of 14 groups; expected 254 labels at most"):
         fit_scene(many, options=QUICK)
@@ -193,7 +195,7 @@ def test_people_who_walk_through_each_other_end_apart(device):
     """They step aside in depth, so that keypoints are where they were."""
     scene, depths, pulls = walkers(), [], []
     for apart in (0.0, 0.1):
-        options = replace(QUICK, smoothing=0.03, mesh=replace(QUICK.mesh, apart=apart, iterations=60))
+        options = replace(QUICK, smoothing=0.03, mesh=replace(QUICK.mesh, iterations=60), apart=apart)
         fit = fit_scene(scene, options=options, device=device)
         assert ("apart" in fit.energy) == (apart > 0)
         capsules = measure_capsules(fit.bodies.model)
@@ -210,13 +212,13 @@ def test_people_who_walk_through_each_other_end_apart(device):
 def test_people_of_other_frames_do_not_meet():
     """Two who stand in each other, but at different times, cost nothing."""
     scene = walkers()
-    energy, people = prepared(scene, "cpu", replace(QUICK, mesh=replace(QUICK.mesh, apart=1.0)))
+    energy, people = prepared(scene, "cpu", replace(QUICK, apart=1.0))
     start = energy.at_rest(people)
     met = float(energy(people, start)["apart"])
     scattered = people.view_translations.new_zeros(len(people.shift), 1, 3)
     scattered[3:, 0, 2] = 3.0  # the second one; all frames of each stand at one place
     posed = energy.one.pose(people, energy._of_frames(people, start))
-    capsules = energy.one.capsules
+    capsules = energy.capsules
     assert capsules is not None
     shape = start.shape.repeat_interleave(3, 0)
     own = float(capsules.overlap(capsules.of(posed, shape, by=scattered), people=2).sum())

@@ -69,10 +69,10 @@ class Capsules(Movable):
             placed: Of ``of``, float32.
             people: P; body b meets b + B / P, b + 2 B / P and so on, too, and they share what it costs.
         """
-        return overlap_cost(placed, self.allowed, people)
+        return find_overlap(placed, self.allowed, people)
 
 
-def overlap_cost(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -> torch.Tensor:
+def find_overlap(placed: torch.Tensor, allowed: torch.Tensor, people: int = 1) -> torch.Tensor:
     """``Capsules.overlap`` with ``allowed`` in its place."""
     found: torch.Tensor = _OverlapCost.apply(placed, allowed, people)
     return found
@@ -180,13 +180,10 @@ def _radii(ends: torch.Tensor, sections: list[torch.Tensor], vertices: torch.Ten
 
 def _allowed(parts: tuple[int, ...], rest: torch.Tensor) -> torch.Tensor:
     """``Capsules.allowed``, of capsules at rest, shape (C, 7)."""
-    chains = [_chain(part) for part in parts]
-    joined = torch.tensor(
-        [[one in chain or parts[k] in _chain(one) for one in parts] for k, chain in enumerate(chains)]
-    )
+    joined = torch.tensor([[one in _chain(part) for one in parts] for part in parts])
     first, second = torch.combinations(torch.arange(len(parts), device=rest.device)).unbind(1)
     near = rest.new_full((2, 2), -_NEAR).fill_diagonal_(torch.inf)
-    touching = overlap_cost(torch.stack([rest[first], rest[second]], dim=1), near) > 0
+    touching = find_overlap(torch.stack([rest[first], rest[second]], dim=1), near) > 0
     joined = joined.to(rest.device).index_put((first, second), touching, accumulate=True)
     return torch.full_like(rest[:, :1], FLESH).repeat(1, len(parts)).masked_fill(joined | joined.mT, torch.inf)
 

@@ -81,8 +81,7 @@ def explain_mesh(model: DetailedModel, parts: PartLabels | None) -> Choice:
     if parts is None:
         return Choice("detailed body", "a mesh put on the ellipsoids", "the mesh stage", "there are no labels")
     most, every = MeshOptions().vertices, model.num_vertices
-    modelled = f"{min(most, every):,} vertices and thicknesses of clothes, drawn against the labels; "
-    modelled += "capsules that keep parts apart"
+    modelled = f"{min(most, every):,} vertices and thicknesses of clothes, drawn against the labels"
     if every <= most:
         return Choice("detailed body", modelled, "", "it has no more")
     left_out = f"{every - most:,} until the end: fingers, toes, face"

@@ -11,6 +11,7 @@ import torch
 
 from ..body.lens import lens_camera, through_lens
 from ..body.parameters import crop_camera
+from ..clothing.capsules import Capsules
 from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
 from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
@@ -81,11 +82,13 @@ class SceneEnergy:
     Attributes:
         one: Model, landmarks and terms of a person.
         mesh: Of all people together, with their labels; None: without labels.
+        capsules: Of each person; None: nothing keeps parts and people apart.
         options: Weights.
     """
 
     one: MeshEnergy
     mesh: PartMesh | None
+    capsules: Capsules | None
     options: SceneOptions
 
     def __call__(self, people: SceneStarts, unknowns: Unknowns) -> dict[str, torch.Tensor]:
@@ -110,9 +113,10 @@ class SceneEnergy:
         }
         if options.clothes is not None:
             terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum()
-        if one.capsules is not None:
-            placed = one.capsules.of(posed, numbers.shape, by=pelvises)
-            terms["apart"] = options.apart * one.capsules.overlap(placed, people=len(people.shape)).sum()
+        if self.capsules is not None:
+            weight = self.options.apart if len(people.shape) > 1 else options.apart
+            placed = self.capsules.of(posed, numbers.shape, by=pelvises)
+            terms["apart"] = weight * self.capsules.overlap(placed, people=len(people.shape)).sum()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
             loss, _ = mesh_label_loss(
                 self.pictured(people, posed.vertices + pelvises),

@@ -12,6 +12,7 @@ import torch
 
 from ..body.template import JOINT_NAMES
 from ..clothing.anny import anny
+from ..clothing.capsules import measure_capsules
 from ..clothing.clothes import bounded
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
@@ -178,4 +179,6 @@ def scene_energy(one: MeshEnergy, options: SceneOptions, num_people: int, groups
             raise InputError(f"sights: {num_people} people of {groups} groups; expected {MAX_LABEL} labels at most")
         # Vertices that no face needs come along, so that bodies lie in a row.
         mesh = one.mesh.repeated(num_people, groups, one.model.num_vertices)
-    return SceneEnergy(one, mesh, options)
+    several = num_people > 1 and options.apart > 0
+    capsules = measure_capsules(one.model) if several else one.capsules if num_people == 1 else None
+    return SceneEnergy(one, mesh, capsules, options)

@@ -18,6 +18,7 @@ class SceneOptions:
         mesh: Of each person, and of the steps.
         smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
             [s]; 0 leaves frames to themselves.
+        apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
         together: Side of the crop in which several people are drawn together [px].
         window: Frames of a film that are fitted together.
         overlap: Frames that two windows share, from one to the other.
@@ -26,6 +27,7 @@ class SceneOptions:
 
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.15
+    apart: float = 0.1
     together: int = 256
     window: int = 64
     overlap: int = 12
@@ -34,6 +36,8 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
             raise ValueError(f"smoothing: {self.smoothing}; expected seconds, 0 or more")
+        if not 0 <= self.apart < math.inf:
+            raise ValueError(f"apart: {self.apart}; expected 0 or a positive number")
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)

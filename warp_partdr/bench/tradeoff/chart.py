@@ -37,7 +37,7 @@ _STYLES = {
     COVERAGE: _style("#005ac8", "^"),
     EXACT: _style("#000000", "o"),
 }
-_LEVEL_STYLES = (("#00785a", "o"), ("#c83c00", "s"))  # of PartBench's levels
+_LEVEL_STYLES = (("#0a6e78", "P"), ("#a0006e", "X"))  # of PartBench's levels
 
 
 class _Panel(NamedTuple):
@@ -122,10 +122,10 @@ def _draw_panel(axes: Axes, report: TradeoffReport, panel: _Panel) -> None:
 
 def _draw_fits(axes: Axes, report: TradeoffReport, figure: str, what: str, *, higher_is_better: bool) -> None:
     """Whole fits of PartBench's people: a mark for each quality and the mesh stage, a line for each level."""
-    axes.set(title=f"PartBench, whole fits: {what}", xlabel="time of a fit [ms]", xscale="log")
+    axes.set(title=f"PartBench, whole fits: {what}", xlabel="time of a fit [s]")
     axes.grid(color="0.9", which="both")
     for (level, fits), (colour, marker) in zip(report.qualities.items(), _LEVEL_STYLES, strict=False):
-        points = {name: (1e3 * row["seconds"], row[figure]) for name, row in fits.items()}
+        points = {name: (row["seconds"], row[figure]) for name, row in fits.items()}
         sign = -1 if higher_is_better else 1
         best = front([(time, sign * value) for time, value in points.values()])
         chosen = sorted(point for place, point in enumerate(points.values()) if place in best)
@@ -133,7 +133,8 @@ def _draw_fits(axes: Axes, report: TradeoffReport, figure: str, what: str, *, hi
         axes.plot(*zip(*points.values(), strict=True), color=colour, marker=marker, linestyle="", label=level)
         for name, point in points.items():
             axes.annotate(name, point, xytext=(6, 5), textcoords="offset points", fontsize=8, color=colour)
-    axes.margins(x=0.25, y=0.1)
+    axes.margins(x=0.4, y=0.1)
+    axes.set_xlim(left=0)
     if report.qualities:
         axes.legend(loc="best")
 
