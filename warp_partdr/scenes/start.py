@@ -61,13 +61,10 @@ def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
     """Bodies that the network sees in each sight, in the order of people, frames and views."""
     network = packaged_network(str(device))
     sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
-    pictures: dict[tuple[int, int], list[Sight]] = {}
-    for sight in sights:
-        pictures.setdefault((sight.frame, sight.view), []).append(sight)
     found: list[Looked] = []
     for start in range(0, len(sights), _TOGETHER):
         some = sights[start : start + _TOGETHER]
-        evidence = [_weighed(sight, pictures[sight.frame, sight.view]) for sight in some]
+        evidence = [_weighed(sight) for sight in some]
         pairs = [
             crop_evidence(each, device=device, camera=scene.views[sight.view].camera)
             for each, sight in zip(evidence, some, strict=True)
@@ -82,11 +79,10 @@ def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
     return found
 
 
-def _weighed(sight: Sight, picture: Sequence[Sight]) -> Evidence:
-    """Evidence of a sight; where labels lie nowhere along its bones, of keypoints alone."""
-    others = [other.keypoints for other in picture if other is not sight]
+def _weighed(sight: Sight) -> Evidence:
+    """Evidence of a sight, whose labels are without others' already; where they are along no bone, of keypoints."""
     try:
-        return weigh_evidence(sight.keypoints, sight.parts, others)[0]
+        return weigh_evidence(sight.keypoints, sight.parts)[0]
     except InputError as error:
         if sight.parts is None:
             raise
