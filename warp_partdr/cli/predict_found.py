@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -354,9 +354,7 @@ def _check_view(view: CameraOptions, sources: Sequence[_Source]) -> None:
     if view.focal == "exif":
         if films := [source.path for source in sources if source.film]:
             raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
-    elif view.given:
-        alone = view.focal is None and view.fov is None
-        replace(view, principal=view.principal if alone else None).read((480, 640), None)
+    view.check()
 
 
 def _grouped(sources: Iterable[_Source]) -> Iterator[tuple[bool, list[_Source]]]:
