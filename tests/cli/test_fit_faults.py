@@ -127,7 +127,7 @@ def test_a_folder_that_cannot_be_written_to(stage: str, run: Run, files: Path, m
         raise PermissionError(13, "Permission denied")
 
     if stage == "before":  # tests may run as root, who is refused nothing
-        monkeypatch.setattr(result_sets, "_scratch", refuse)
+        monkeypatch.setattr(result_sets, "scratch_folder", refuse)
         monkeypatch.setattr(fitting, "fit_body", lambda *_, **__: pytest.fail("must be found out before the fit"))
     else:
         monkeypatch.setattr(save, "loss_chart", refuse)

@@ -41,6 +41,7 @@ LEVELS = (
     "scenes",
     "synthetic",
     "results",
+    "bulk",
     "evaluation",
     "bench",
     "training",

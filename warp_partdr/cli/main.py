@@ -15,6 +15,7 @@ from typer import Option
 from .. import __version__
 from ..errors import InputError
 from .bench import bench
+from .dataset import DATASET_HELP, dataset
 from .demo import DEMO_HELP, demo
 from .evaluate import evaluate
 from .fit import FIT_HELP, fit
@@ -51,6 +52,7 @@ def _root(
 app.command("fit", help=FIT_HELP)(grouped(fit))
 app.command("register", help=REGISTER_HELP)(register_body)
 app.command("predict", help=PREDICT_HELP)(grouped(predict))
+app.command("dataset", help=DATASET_HELP)(grouped(dataset))
 app.command("demo", help=DEMO_HELP)(grouped(demo))
 app.command("train", help=TRAIN_HELP)(train_network)
 app.add_typer(evaluate, name="evaluate")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -138,6 +138,12 @@ class CameraOptions:
     def given(self) -> bool:
         """True if anything was said."""
         return (self.focal, self.fov, self.principal) != (None, None, None)
+
+    def check(self) -> None:
+        """Raise an InputError for what is at fault whatever the picture's size, before any picture is read."""
+        if self.given and self.focal != "exif":
+            alone = self.focal is None and self.fov is None
+            replace(self, principal=self.principal if alone else None).read((480, 640), None)
 
     def read(self, size: tuple[int, int], photo: Path | None) -> Perspective | None:
         """The camera of a picture of (H, W) pixels, which may be a photo; None if nothing was said."""

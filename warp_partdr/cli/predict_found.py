@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -350,12 +350,9 @@ def _count(sources: Iterable[_Source]) -> int | None:
 
 def _check_view(view: CameraOptions, sources: Sequence[_Source]) -> None:
     """Find faults of the options before people are looked for."""
-    if view.focal == "exif":
-        if films := [source.path for source in sources if source.film]:
-            raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
-    elif view.given:
-        alone = view.focal is None and view.fov is None
-        replace(view, principal=view.principal if alone else None).read((480, 640), None)
+    if view.focal == "exif" and (films := [source.path for source in sources if source.film]):
+        raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
+    view.check()
 
 
 def _grouped(sources: Iterable[_Source]) -> Iterator[tuple[bool, list[_Source]]]:

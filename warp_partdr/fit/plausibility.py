@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import torch
 
 from .. import metrics
 from ..body.labels import BACKGROUND, IGNORE
@@ -32,16 +33,26 @@ def complaints(parameters: BodyParameters, energy: Energy) -> list[str]:
     """Warnings of what one body is too far from; none if it lies where keypoints and labels are."""
     posed = parameters.posed()
     off = float(energy.reprojection(parameters, posed) / energy.votes.sum())
+    wrong = None
+    if energy.target is not None:
+        wrong = float(energy.segmentation(parameters, posed) / (2 * person_pixels(energy.target)))
+    return describe_misfit(off, wrong)
+
+
+def person_pixels(target: torch.Tensor) -> torch.Tensor:
+    """Pixels of label images (..., N, N) that show the person, 1 at least, shape (...)."""
+    return ((target != BACKGROUND) & (target != IGNORE)).sum((-2, -1)).clamp_min(1)
+
+
+def describe_misfit(off: float, wrong: float | None) -> list[str]:
+    """Warnings of a body whose keypoints are ``off`` on average [px], and of ``wrong`` pixels a pixel of the person."""
     told = []
     if not off < MOST_OFF:
         told.append(
             f"keypoints: the body ends {off:.0f} px of {REFERENCE_SIZE} from them; expected at most {MOST_OFF:g}"
         )
-    if energy.target is not None:
-        person = ((energy.target != BACKGROUND) & (energy.target != IGNORE)).sum().clamp_min(1)
-        wrong = float(energy.segmentation(parameters, posed) / (2 * person))
-        if not wrong < MOST_WRONG:
-            told.append(f"labels: {wrong:.2f} wrong pixels for each of the person's; expected at most {MOST_WRONG:g}")
+    if wrong is not None and not wrong < MOST_WRONG:
+        told.append(f"labels: {wrong:.2f} wrong pixels for each of the person's; expected at most {MOST_WRONG:g}")
     return told
 
 

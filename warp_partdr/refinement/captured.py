@@ -247,16 +247,23 @@ def can_capture(energy: Energy) -> bool:
 
 
 def refine_captured(
-    start: BodyParameters, energy: Energy, rule: dict[str, Any], on_iteration: Callable[[int], None] | None = None
+    start: BodyParameters,
+    energy: Energy | Sequence[Energy],
+    rule: dict[str, Any],
+    on_iteration: Callable[[int], None] | None = None,
 ) -> Refined:
-    """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``."""
+    """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``.
+
+    Of several energies, each body has its own.
+    """
     device = start.shift.device
     made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
     done: dict[int, Refined] = {}
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        made[part.start] = CapturedRefinement(energy, bodies.batch_size, **rule), bodies
+        own = energy if isinstance(energy, Energy) else energy[part]
+        made[part.start] = CapturedRefinement(own, bodies.batch_size, **rule), bodies
 
     def work(part: slice) -> None:
         captured, bodies = made[part.start]

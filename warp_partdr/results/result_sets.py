@@ -55,7 +55,7 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
         # Inside the folder, or the nearest one above that exists: on the same disk, files can take their places by
         # renaming alone, and nothing but these two folders need be writable.
         base = _existing(place)
-        with _scratch(base) as scratch:
+        with scratch_folder(base) as scratch:
             parts = place.relative_to(base).parts
             top = base.joinpath(*parts[:1])  # what the temporary folder becomes, if nobody else makes it meanwhile
             temporary = scratch.joinpath(*parts[1:])
@@ -104,7 +104,7 @@ def check_not_in_set(path: Path) -> None:
 def check_folder(folder: Path) -> None:
     """Raise an InputError before the work starts if results can't be written to ``folder``, which need not exist."""
     # Tried, not asked: permissions don't tell everything. Nothing of it stays.
-    with _explained(folder), _scratch(_existing(Path(os.path.realpath(folder)))):
+    with _explained(folder), scratch_folder(_existing(Path(os.path.realpath(folder)))):
         pass
 
 
@@ -141,7 +141,7 @@ def _take_places(new: Path, name: str, outdates: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def _scratch(folder: Path) -> Iterator[Path]:
+def scratch_folder(folder: Path) -> Iterator[Path]:
     """A folder for files that are being written; those that earlier processes left behind are removed first."""
     for path in folder.glob(".partdr-*"):
         if path.is_dir() and _waiting(path) is None and _left_behind(path):

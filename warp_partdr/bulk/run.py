@@ -1,0 +1,100 @@
+"""A run over a data set: pictures are decoded ahead, their people fitted, and shards written one after the other."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+from ..errors import InputError
+from .people import PeopleFitter
+from .rows import Column, people_table
+from .shards import Shards
+from .sources import PictureSource, SourcePicture
+
+Read = SourcePicture | Exception
+_AHEAD = 4  # pictures a thread that are decoded before they are asked for
+
+
+@dataclass
+class Tally:
+    """Numbers of what a run wrote, and of what failed."""
+
+    shards: int = 0
+    pictures: int = 0
+    people: int = 0
+    errors: int = 0
+    first_error: str = ""
+
+
+def make_dataset(
+    source: PictureSource,
+    shards: Shards,
+    fitter: PeopleFitter,
+    columns: Sequence[Column],
+    *,
+    todo: Sequence[int],
+    threads: int = 2,
+    told: Callable[[str], None] | None = None,
+    written: Callable[[int, Tally], None] | None = None,
+) -> Tally:
+    """Make shards of a data set.
+
+    Killed at any time, it leaves whole shards alone; what was in work is made again by a later call.
+
+    Args:
+        source: Of the pictures.
+        shards: Of ``source.names``.
+        fitter: Of the people.
+        columns: Of the rows.
+        todo: The shards to make, such as all but ``shards.done()``.
+        threads: Threads that decode pictures while people are fitted.
+        told: Called with each picture's name.
+        written: Called after each shard with its index and the numbers so far.
+
+    Raises:
+        InputError: If a shard can't be written.
+    """
+    tally = Tally()
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
+    try:
+        pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
+        for index in todo:
+            count = len(shards.pictures(index))
+            rows = fitter.rows(islice(pictures, count), told)
+            shards.write(index, people_table(rows, columns, shards.describe(index)))
+            faults = [(row["picture"], row["error"]) for row in rows if row.get("error")]
+            tally.shards += 1
+            tally.pictures += count
+            tally.people += sum(row.get("joints") is not None for row in rows)
+            tally.errors += len(faults)
+            for name, error in faults[:1]:
+                tally.first_error = tally.first_error or (error if error.startswith(name) else f"{name}: {error}")
+            if written is not None:
+                written(index, tally)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return tally
+
+
+def _read_ahead(
+    source: PictureSource, names: Iterator[str], pool: ThreadPoolExecutor, threads: int
+) -> Iterator[tuple[str, Read]]:
+    """Pictures in order, a few of them decoded ahead."""
+    waiting: deque[tuple[str, Future[Read]]] = deque()
+    while True:
+        for name in islice(names, _AHEAD * threads - len(waiting)):
+            waiting.append((name, pool.submit(_read, source, name)))
+        if not waiting:
+            return
+        name, picture = waiting.popleft()
+        yield name, picture.result()
+
+
+def _read(source: PictureSource, name: str) -> Read:
+    try:
+        return source.read(name)
+    except (InputError, OSError, ValueError, MemoryError) as error:
+        return error

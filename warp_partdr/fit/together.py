@@ -1,0 +1,177 @@
+"""Fits of many people side by side: the label network is asked about all at once, and one captured graph refines them.
+
+The stages are those of ``fit_body``. What that one does for a person alone is left out: a search where the network's
+body ends far from what was seen, which is told in the warnings instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from ..body.labels import LabelSet
+from ..body.lens import turn_to_rays
+from ..body.parameters import BodyParameters
+from ..body.pose_prior import PosePrior
+from ..cameras import Crop
+from ..errors import check_each, check_type
+from ..inputs.evidence import Evidence
+from ..inputs.observation import Observation
+from ..interop.torch_threads import one_torch_thread
+from ..network.label_network import LabelNetwork
+from ..network.predict import ask_network
+from ..refinement.captured import refine_captured
+from ..refinement.energy import SEG, Energy
+from .depth_flips import DepthOrder, repair_depth_order
+from .options import FitOptions
+from .plausibility import describe_misfit, person_pixels
+from .result import FitResult
+from .stages import OUTLINE, Stage
+
+_JUDGED = 128  # [px], side of the crop in which bodies are compared with labels in the end
+
+
+@dataclass(frozen=True)
+class CutPerson:
+    """One person as ``crop_evidence`` cuts them out of a picture.
+
+    Attributes:
+        evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
+        observation: Keypoints and labels in the crop; no probabilities.
+        crop: Place of the crop in the picture.
+    """
+
+    evidence: Evidence
+    observation: Observation
+    crop: Crop
+
+
+@one_torch_thread()
+def fit_together(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> list[FitResult]:
+    """Fit EllipBody to many people side by side.
+
+    Args:
+        people: On the network's device.
+        options: Of a start by the network; without stages, its bodies stay as they are. Their stages draw exact
+            ellipsoids.
+        network: In evaluation mode; ``options.network`` is not looked at.
+
+    Returns:
+        A fit of each. Seconds of stages are not measured, and nothing is compared: ``finalists`` are empty.
+
+    Raises:
+        TypeError: If an argument is of another type.
+        ValueError: If the options ask for a search, or somebody's labels are probabilities.
+    """
+    check_each("people", people, CutPerson, "of crop_evidence")
+    check_type("options", options, FitOptions, "such as FitOptions.at('fast')")
+    if options.start != "network":
+        raise ValueError(f"options.start: {options.start!r}; expected 'network'")
+    alike: list[tuple[tuple[LabelSet | None, bool], list[int]]] = []  # label sets can't be keys
+    for place, person in enumerate(people):
+        seen = person.observation
+        if seen.maps is not None:
+            raise ValueError(f"people[{place}]: probabilities of labels; expected labels")
+        kind = seen.label_set, seen.lens is None
+        places = next((those for each, those in alike if each == kind), None)
+        if places is None:
+            alike.append((kind, places := []))
+        places.append(place)
+    found: dict[int, FitResult] = {}
+    for _, places in alike:
+        found |= zip(places, _fit_alike([people[place] for place in places], options, network), strict=True)
+    return [found[place] for place in range(len(people))]
+
+
+def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> list[FitResult]:
+    """Fit people with labels of one set, or all without; and with cameras, or all without."""
+    first = people[0].observation
+    device = first.points.device
+    prior = PosePrior().to(device)
+    predicted = ask_network([person.observation for person in people], network)
+    said = predicted.uncertainty
+    assert said is not None
+    bodies = predicted.parameters()
+    if first.lens is not None:
+        bodies = turn_to_rays(bodies, torch.stack([_lens(person) for person in people]))
+    sized = zip(people, bodies.lengths, bodies.thicknesses, strict=True)
+    seen = [replace(person.observation, lengths=each, thicknesses=thick) for person, each, thick in sized]
+    stages = options.stages
+    if first.label_set is None:
+        stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
+    orders: list[DepthOrder | None] = [None] * len(people)
+    if stages and first.label_set is not None and first.label_set.num_groups > 1:
+        bodies, orders = _repair(bodies, seen, prior)
+    depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()
+    seen = [replace(each, depths=depths[row], depth_spreads=spreads[row]) for row, each in enumerate(seen)]
+    terms: dict[str, torch.Tensor] = {}
+    history: list[torch.Tensor] = []
+    before_outline: BodyParameters | None = None
+    for stage in stages:
+        if stage.name == OUTLINE:
+            before_outline = bodies
+        energies = [_energy(each, stage, options, prior) for each in seen]
+        rule = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "frozen": stage.frozen}
+        refined = refine_captured(bodies, energies, rule)
+        bodies, terms = refined.parameters, refined.terms
+        history.append(refined.history.cpu())
+    numbers = {name: term.tolist() for name, term in terms.items()}
+    told = _complaints(bodies, [Energy(each, _JUDGED, prior=prior) for each in seen])
+    results: list[FitResult] = []
+    for row, person in enumerate(people):
+        own = bodies.select(slice(row, row + 1))
+        results.append(
+            FitResult(
+                parameters=own,
+                crop=person.crop,
+                observation=seen[row],
+                stages=stages,
+                energy={name: values[row] for name, values in numbers.items()},
+                history=[each[:, row].numpy() for each in history],
+                stage_seconds={},
+                hypotheses=1,
+                finalists=[],
+                start="network",
+                evidence=person.evidence,
+                warnings=(*person.evidence.warnings, *told[row]),
+                depth_order=orders[row],
+                uncertainty=said.select(slice(row, row + 1)),
+                before_outline=None if before_outline is None else before_outline.select(slice(row, row + 1)),
+            )
+        )
+    return results
+
+
+def _lens(person: CutPerson) -> torch.Tensor:
+    lens = person.observation.lens
+    assert lens is not None
+    return lens
+
+
+def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:
+    weights = stage.weights or options.weights
+    if stage.size == 0:
+        weights = replace(weights, seg=0.0)
+    return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
+
+
+def _complaints(bodies: BodyParameters, energies: Sequence[Energy]) -> list[list[str]]:
+    """Warnings of what each body is too far from, as ``complaints`` of one, at once and of a smaller picture."""
+    terms = refine_captured(bodies, energies, {"iterations": 0}).terms
+    votes = torch.stack([each.votes.sum() for each in energies])
+    offs = (terms["proj"] / energies[0].weights.proj / votes).tolist()
+    if energies[0].target is None:
+        return [describe_misfit(off, None) for off in offs]
+    people = person_pixels(torch.stack([each.target for each in energies if each.target is not None]))
+    wrongs = (terms[SEG.name] / energies[0].weight(SEG) / (2 * people)).tolist()
+    return [describe_misfit(off, wrong) for off, wrong in zip(offs, wrongs, strict=True)]
+
+
+def _repair(
+    bodies: BodyParameters, seen: Sequence[Observation], prior: PosePrior
+) -> tuple[BodyParameters, list[DepthOrder | None]]:
+    """Bodies after ``repair_depth_order`` of each."""
+    pairs = [repair_depth_order(bodies.select(slice(row, row + 1)), each, prior) for row, each in enumerate(seen)]
+    return BodyParameters.joined([body for body, _ in pairs]), [order for _, order in pairs]
