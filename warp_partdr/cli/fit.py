@@ -36,7 +36,7 @@ QualityName = StrEnum("QualityName", ["fast", "balanced", "accurate"])
 
 FIT_HELP = f"""Fit a body of 20 ellipsoids, and a skinned mesh, to everyone in a photo or film: people.json.
 
-Examples: `partdr fit photo.jpg`, or `film.mp4`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
+Examples: `partdr fit photo.jpg`; `partdr fit p.jpg --keypoints p.json --parts p.png --labels cdcl14`
 
 **2D keypoints**, JSON: `{{"format": "coco17", "keypoints": [[x, y, confidence], ...]}}`, or as OpenPose, COCO,
 MMPose and Ultralytics write them. Formats: {", ".join(SKELETONS)}; or a JSON file of your own.
