@@ -351,9 +351,8 @@ def _count(sources: Iterable[_Source]) -> int | None:
 
 def _check_view(view: CameraOptions, sources: Sequence[_Source]) -> None:
     """Find faults of the options before people are looked for."""
-    if view.focal == "exif":
-        if films := [source.path for source in sources if source.film]:
-            raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
+    if view.focal == "exif" and (films := [source.path for source in sources if source.film]):
+        raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
     view.check()
 
 
