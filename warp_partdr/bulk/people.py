@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
@@ -19,6 +22,8 @@ from ..fit.photo import person_evidence
 from ..fit.together import CutPerson, fit_together
 from ..inputs.evidence import weigh_evidence
 from ..inputs.observation import crop_evidence
+from ..interop.torch_threads import one_torch_thread
+from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
 from .rows import Row, describe_bodies, finite
 from .sources import KnownPerson, SourcePicture
@@ -26,11 +31,16 @@ from .sources import KnownPerson, SourcePicture
 BulkQuality = Literal["network", "fast", "mesh"]
 CameraOf = Callable[[str, tuple[int, int]], Perspective | None]
 
+Key = tuple[int, int]  # place of a picture, and number of a person
+_Held = tuple[int, str, SourcePicture]
+_Cut = tuple[dict[Key, Row], list[tuple[Key, CutPerson]]]
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _PIXELS = 2**24  # of pictures in which people are looked for at a time
 _PICTURES = 32  # the same in number
+_MESHES = threading.Lock()  # a mesh stage keeps the buffers of the last one
 _FAULTS = (ValueError, RuntimeError, MemoryError)  # of single pictures; torch's and Warp's, too
 
 
@@ -72,65 +82,27 @@ class PeopleFitter:
             pictures: Names, and pictures, or why they can't be read.
             tell: Called with each picture's name.
         """
-        taken = _Taken(self)
-        for index, (name, seen) in enumerate(pictures):
-            if isinstance(seen, Exception):
-                taken.rows[index, 0] = {"picture": name, "error": one_line(seen)}
-            else:
-                taken.hold(index, name, seen)
-            if tell is not None:
-                tell(name)
-        taken.find()
-        taken.fit()
-        return [taken.rows[key] for key in sorted(taken.rows)]
-
-    def bodies(self, people: Sequence[CutPerson]) -> list[Row]:
-        """Bodies of people, in one batch."""
-        fits = fit_together(people, stages_of_quality(self.quality), self.network)
-        return describe_bodies(refine_meshes(fits, self.model) if self.quality == "mesh" else fits)
-
-
-@dataclass
-class _Taken:
-    """Pictures that were taken so far, and rows by the place of the picture and the number of the person."""
-
-    how: PeopleFitter
-    rows: dict[tuple[int, int], Row] = field(default_factory=dict)
-    _held: list[tuple[int, str, SourcePicture]] = field(default_factory=list)
-    _waiting: list[tuple[tuple[int, int], CutPerson]] = field(default_factory=list)
-
-    def hold(self, index: int, name: str, seen: SourcePicture) -> None:
-        """Hold a picture until there are some."""
-        self._held.append((index, name, seen))
-        if len(self._held) >= _PICTURES or sum(each.pixels.size for _, _, each in self._held) >= 3 * _PIXELS:
-            self.find()
-
-    def find(self) -> None:
-        """Find the people of the pictures that are held."""
-        held, self._held = self._held, []
-        unknown = [place for place, (_, _, seen) in enumerate(held) if seen.people is None]
-        found = dict(zip(unknown, attempt(self._find, [held[place][2] for place in unknown]), strict=True))
-        for place, (index, name, seen) in enumerate(held):
-            known = found.get(place, seen)
-            row: Row = {"picture": name, "height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
+        with ThreadPoolExecutor(self.workers, thread_name_prefix="people") as pool:
+            taken = _Taken(self, pool)
             try:
-                if isinstance(known, Exception):
-                    raise known
-                camera = self.how.camera(name, (row["height"], row["width"]))
-            except _FAULTS as error:
-                self.rows[index, 0] = row | {"error": one_line(error)}
-                continue
-            assert known.people is not None
-            row["people"] = len(known.people)
-            if not known.people:
-                self.rows[index, 0] = row
-            for number, person in enumerate(known.people):
-                self.rows[index, number] = row | {"person": number} | _describe(person)
-                self._cut(index, number, known, camera)
+                for index, (name, seen) in enumerate(pictures):
+                    taken.add(index, name, seen)
+                    if tell is not None:
+                        tell(name)
+                return taken.finish()
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
 
-    def _find(self, pictures: Sequence[SourcePicture]) -> list[SourcePicture]:
-        how = self.how
-        everyone = find_people_in([each.pixels for each in pictures], device=how.device, min_score=how.min_score)
+    @property
+    def workers(self) -> int:
+        """Threads that find and fit people: on the CPU each takes one core, on CUDA one keeps the device busy."""
+        return get_num_threads() if self.device == "cpu" else 1
+
+    def find(self, pictures: Sequence[SourcePicture]) -> list[SourcePicture]:
+        """Pictures with their people, found in one batch."""
+        with one_torch_thread():
+            everyone = find_people_in([each.pixels for each in pictures], device=self.device, min_score=self.min_score)
         return [
             replace(
                 picture,
@@ -140,35 +112,123 @@ class _Taken:
             for picture, people in zip(pictures, everyone, strict=True)
         ]
 
-    def _cut(self, index: int, number: int, known: SourcePicture, camera: Perspective | None) -> None:
-        """Cut a person out, who then waits to be fitted."""
-        assert known.people is not None
-        keypoints = known.people[number].keypoints
-        try:
-            if known.owners is None:
-                evidence = weigh_evidence(keypoints)[0]
-            else:
-                evidence = person_evidence(keypoints, known.owners, number)
-            observation, crop = crop_evidence(evidence, device=self.how.device, camera=camera)
-        except _FAULTS as error:
-            self.rows[index, number]["error"] = one_line(error)
-            return
-        slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
-        self._waiting.append(((index, number), CutPerson(slim, observation, crop)))
-        if len(self._waiting) >= self.how.batch:
-            self.fit()
+    def bodies(self, people: Sequence[CutPerson]) -> list[Row]:
+        """Bodies of people, in one batch."""
+        fits = fit_together(people, stages_of_quality(self.quality), self.network)
+        if self.quality != "mesh":
+            return describe_bodies(fits)
+        with _MESHES:
+            meshes = refine_meshes(fits, self.model)
+        return describe_bodies(meshes)
 
-    def fit(self) -> None:
-        """Fit those who wait."""
-        waiting, self._waiting = self._waiting, []
-        bodies = attempt(self.how.bodies, [person for _, person in waiting])
-        for (key, _), body in zip(waiting, bodies, strict=True):
-            if isinstance(body, Exception):
-                self.rows[key]["error"] = one_line(body)
-            elif not finite(body):
-                self.rows[key]["error"] = "the body holds NaN or infinity; expected finite numbers"
-            else:
-                self.rows[key] |= body
+
+@dataclass
+class _Taken:
+    """Pictures that were taken so far, and rows by the place of the picture and the number of the person.
+
+    Groups of pictures, and batches of people, are worked on by threads and come back in order, so that rows depend on
+    the pictures alone.
+    """
+
+    how: PeopleFitter
+    pool: ThreadPoolExecutor
+    rows: dict[Key, Row] = field(default_factory=dict)
+    _held: list[_Held] = field(default_factory=list)
+    _cutting: deque[Future[_Cut]] = field(default_factory=deque)
+    _waiting: list[tuple[Key, CutPerson]] = field(default_factory=list)
+    _fitting: deque[tuple[list[Key], Future[list[Row | Exception]]]] = field(default_factory=deque)
+
+    def add(self, index: int, name: str, seen: SourcePicture | Exception) -> None:
+        """Take a picture, and find people when there are some."""
+        if isinstance(seen, Exception):
+            self.rows[index, 0] = {"picture": name, "error": one_line(seen)}
+            return
+        self._held.append((index, name, seen))
+        if len(self._held) >= _PICTURES or sum(each.pixels.size for _, _, each in self._held) >= 3 * _PIXELS:
+            self._cut()
+
+    def finish(self) -> list[Row]:
+        """Wait for all, and give the rows in order."""
+        self._cut()
+        self._collect_cut(0)
+        self._fit(1)
+        self._collect_fitted(0)
+        return [self.rows[key] for key in sorted(self.rows)]
+
+    def _cut(self) -> None:
+        held, self._held = self._held, []
+        if held:
+            self._cutting.append(self.pool.submit(_cut_people, self.how, held))
+        self._collect_cut(self.how.workers)
+
+    def _collect_cut(self, ahead: int) -> None:
+        """Take what was cut out, but for so many groups that may still be in work."""
+        while len(self._cutting) > ahead:
+            rows, people = self._cutting.popleft().result()
+            self.rows |= rows
+            self._waiting += people
+            self._fit(self.how.batch)
+
+    def _fit(self, least: int) -> None:
+        """Fit those who wait, in batches of ``least`` people at least."""
+        while len(self._waiting) >= least:
+            some, self._waiting = self._waiting[: self.how.batch], self._waiting[self.how.batch :]
+            work = self.pool.submit(attempt, self.how.bodies, [person for _, person in some])
+            self._fitting.append(([key for key, _ in some], work))
+        self._collect_fitted(2 * self.how.workers)
+
+    def _collect_fitted(self, ahead: int) -> None:
+        while len(self._fitting) > ahead:
+            keys, work = self._fitting.popleft()
+            for key, body in zip(keys, work.result(), strict=True):
+                if isinstance(body, Exception):
+                    self.rows[key]["error"] = one_line(body)
+                elif not finite(body):
+                    self.rows[key]["error"] = "the body holds NaN or infinity; expected finite numbers"
+                else:
+                    self.rows[key] |= body
+
+
+def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
+    """Rows of pictures and their people, and the people cut out, for a fit."""
+    rows: dict[Key, Row] = {}
+    people: list[tuple[Key, CutPerson]] = []
+    unknown = [place for place, (_, _, seen) in enumerate(held) if seen.people is None]
+    found = dict(zip(unknown, attempt(how.find, [held[place][2] for place in unknown]), strict=True))
+    for place, (index, name, seen) in enumerate(held):
+        known = found.get(place, seen)
+        row: Row = {"picture": name, "height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
+        try:
+            if isinstance(known, Exception):
+                raise known
+            camera = how.camera(name, (row["height"], row["width"]))
+        except _FAULTS as error:
+            rows[index, 0] = row | {"error": one_line(error)}
+            continue
+        assert known.people is not None
+        row["people"] = len(known.people)
+        if not known.people:
+            rows[index, 0] = row
+        for number, person in enumerate(known.people):
+            key = index, number
+            rows[key] = row | {"person": number} | _describe(person)
+            try:
+                people.append((key, _cut_person(known, number, camera, how.device)))
+            except _FAULTS as error:
+                rows[key]["error"] = one_line(error)
+    return rows, people
+
+
+def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, device: str) -> CutPerson:
+    assert known.people is not None
+    keypoints = known.people[number].keypoints
+    if known.owners is None:
+        evidence = weigh_evidence(keypoints)[0]
+    else:
+        evidence = person_evidence(keypoints, known.owners, number)
+    observation, crop = crop_evidence(evidence, device=device, camera=camera)
+    slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
+    return CutPerson(slim, observation, crop)
 
 
 def attempt(work: Callable[[Sequence[Item]], Sequence[Result]], items: Sequence[Item]) -> list[Result | Exception]:

@@ -16,6 +16,7 @@ from typer import Argument, Option
 
 from .. import __version__
 from ..errors import InputError, shown
+from .loading import load_kernels, load_mesh_kernels
 from .options import CameraOptions, DeviceOption, people_at_a_time, say_people
 from .register import MODEL_HELP, read_model
 
@@ -115,7 +116,7 @@ def dataset(
         raise InputError("partdr dataset: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
     view.check()
 
-    from ..bulk.people import BulkQuality, PeopleFitter
+    from ..bulk.people import BulkQuality, PeopleFitter, stages_of_quality
     from ..bulk.rows import columns
     from ..bulk.run import make_dataset
     from ..bulk.shards import Shards
@@ -146,6 +147,9 @@ def dataset(
         label_network = load_label_network(how.network, device=where)
         quality: BulkQuality = how.quality.value  # type: ignore[assignment]  # its names
         fitter = PeopleFitter(quality, label_network, detailed, where, at_a_time, how.min_score, **camera)
+        load_kernels(where, stages_of_quality("mesh"), with_labels=True)
+        if detailed is not None:
+            load_mesh_kernels(where)
         if done:
             progress.say(f"{len(done)} of {shards.count} shards are there; going on")
         started = time.perf_counter()
