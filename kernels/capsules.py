@@ -16,7 +16,7 @@ _PARALLEL = wp.constant(1.0e-5)  # squared sine of the angle between lines
 
 @wp.struct
 class Touching:
-    """Where two lines between ends are nearest to one another."""
+    """Places where two lines between ends are nearest to one another."""
 
     own: float  # share of the way along the first
     other: float  # and along the second

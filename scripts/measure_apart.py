@@ -147,7 +147,7 @@ def _surface(part: int) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def _winding(points: np.ndarray, faces: np.ndarray, low: np.ndarray, count: tuple[int, ...]) -> np.ndarray:
-    """How often the surface goes around each point of the grid."""
+    """Number of times that the surface goes around each point of the grid."""
     corners = (points[faces].astype(np.float64) - low) / _STEP
     first = np.maximum(np.ceil(corners[..., :2].min(1)), 0).astype(int)
     sizes = np.maximum(np.floor(corners[..., :2].max(1)).astype(int) - first + 1, 0)

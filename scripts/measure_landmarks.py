@@ -19,6 +19,7 @@ from warp_partdr.body.posing import Posed, pose
 from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.template import BONE_STARTS, JOINT_NAMES, MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
 from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.measuring import statures
 from warp_partdr.synthetic import people
 from warp_partdr.synthetic.pose_sampler import PoseBank, PoseSampler
 from warp_partdr.synthetic.poses import mean_body
@@ -45,7 +46,7 @@ def main() -> None:
     posed = mean_body(rotation_from_axis_angle(vectors), upright)
     person = people.pose_anny(model, shape, posed)
     joints = model.landmarks(person, JOINT_NAMES)
-    body = ellipbody_of(joints, posed, people.statures(model, shape) / MEAN_STATURE)
+    body = ellipbody_of(joints, posed, statures(model, shape) / MEAN_STATURE)
     for name, candidates in LIMB_JOINTS.items():
         found = []
         for part in candidates:

@@ -17,6 +17,7 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_SKELETON, SKELETONS, skeleton
 from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, NUM_PARTS, PART_NAMES, template
 from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.measuring import statures
 from warp_partdr.errors import InputError
 from warp_partdr.synthetic import people
 from warp_partdr.synthetic.pose_sampler import PoseBank
@@ -182,7 +183,7 @@ def test_annotators_marks_are_those_of_annys_regressor() -> None:
     posed = mean_body(rotation_from_axis_angle(PoseBank.of_prior(count, seed=7).rotations))
     person = people.pose_anny(model, shape, posed)
     body = measure_landmarks.ellipbody_of(
-        model.landmarks(person, JOINT_NAMES), posed, people.statures(model, shape) / MEAN_STATURE
+        model.landmarks(person, JOINT_NAMES), posed, statures(model, shape) / MEAN_STATURE
     )
     for joint in measure_landmarks.LIMB_JOINTS:
         names = [f"left_{joint}", f"coco_left_{joint}"]

@@ -166,7 +166,7 @@ def test_clothes_are_thickness_not_the_body(device):
 
 
 def test_legs_that_stand_in_each_other_are_parted(first):
-    """Where nothing else pulls."""
+    """Nothing else pulls here."""
     turns = first.parameters.rotations.clone()
     for part, angle in (("left_upper_leg", -0.25), ("right_upper_leg", 0.25)):
         turns[0, PART_NAMES.index(part)] = torch.tensor([0.0, 0.0, angle])

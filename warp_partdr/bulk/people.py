@@ -13,6 +13,7 @@ import numpy as np
 
 from ..cameras import Perspective
 from ..clothing.model import DetailedModel
+from ..detection import MIN_SCORE
 from ..detection.masks import instance_map
 from ..detection.people import find_people_in
 from ..errors import InputError
@@ -70,7 +71,7 @@ class PeopleFitter:
     model: DetailedModel | None
     device: str
     batch: int
-    min_score: float = 0.5
+    min_score: float = MIN_SCORE
     camera: CameraOf = lambda name, size: None
 
     def rows(

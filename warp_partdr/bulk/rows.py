@@ -52,6 +52,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import skeleton
 from ..body.template import BODY_SHAPES, JOINT_NAMES, LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from ..clothing.clothes import CLOTHED
+from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..fit.mesh_stage import MeshFit
 from ..fit.result import FitResult
@@ -157,7 +158,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
             "mesh_shape": torch.cat([each.body.shape for each in meshes]),
             "mesh_rotations": torch.cat([each.body.rotations for each in meshes]),
             "mesh_translation": torch.cat([each.body.translation for each in meshes]),
-            "stature": _statures(meshes),
+            "stature": statures(meshes[0].body.model, torch.cat([each.body.shape for each in meshes])),
             "clothes": torch.cat([each.clothes for each in meshes]),
         }
     numbers = {name: values.cpu().numpy() for name, values in arrays.items()}
@@ -217,11 +218,3 @@ def _keypoint_error(result: FitResult, points: np.ndarray) -> float | None:
     sure, height = keypoints.confident, person_height(keypoints)
     distance = np.linalg.norm(points[sure] - keypoints.points[sure], axis=1).mean()
     return float(distance / height) if height > 0 else None
-
-
-def _statures(meshes: Sequence[MeshFit]) -> torch.Tensor:
-    """Heights of the models at rest, where y is up [m], shape (B,)."""
-    model = meshes[0].body.model
-    shapes = torch.cat([each.body.shape for each in meshes])
-    heights = model.rest(shapes).vertices[..., 1]
-    return heights.amax(1) - heights.amin(1)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, cause
+from ..files.disk import sync
 from ..results.result_sets import scratch_folder
 from .rows import FORMAT, METADATA
 
@@ -110,10 +111,10 @@ class Shards:
             with scratch_folder(self.folder) as scratch:
                 new = scratch / path.name
                 pq.write_table(table, new, compression="zstd")
-                _flush(new)
+                sync(new)
                 new.replace(path)
             if os.name == "posix":  # elsewhere folders can't be opened
-                _flush(self.folder)
+                sync(self.folder)
         except OSError as error:
             told = os.strerror(error.errno) if error.errno else cause(error)
             room = f"room for shard {index} of {self.count}: the same command goes on there"
@@ -121,7 +122,7 @@ class Shards:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a shard's file says about itself.
+    """Facts that a shard's file states about itself.
 
     Raises:
         InputError: If it is no such file.
@@ -139,12 +140,3 @@ def read_about(path: Path) -> dict[str, Any]:
 def digest(value: Any) -> str:
     """SHA-256 of what JSON takes, whatever the order of keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _flush(path: Path) -> None:
-    """Wait until a file, or a folder's entries, are on the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

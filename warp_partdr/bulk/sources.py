@@ -5,7 +5,6 @@ A source has names, in an order that is the same in each run, and reads one pict
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,13 +16,12 @@ import numpy as np
 
 from ..detection.person import SKELETON
 from ..errors import InputError, cause, shown
+from ..files.disk import file_sha256
 from ..files.json_files import read_json
 from ..inputs.keypoint_files import parse_keypoints
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import read_photo
+from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
 from ..inputs.person import Box
-
-PICTURES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -159,10 +157,10 @@ def open_source(path: Path, images: Path | None = None) -> PictureFiles | CocoPi
         raise InputError(f"--images: {images}, with {path}; expected a COCO file of annotations with it")
     source: PictureFiles | CocoPictures
     if path.is_dir():
-        files = (file for file in path.rglob("*") if file.suffix.lower() in PICTURES and file.is_file())
+        files = (file for file in path.rglob("*") if file.suffix.lower() in PHOTO_SUFFIXES and file.is_file())
         parts = (file.relative_to(path) for file in files)
         names = sorted(name.as_posix() for name in parts if not any(part.startswith(".") for part in name.parts))
-        source, expected = PictureFiles(path, tuple(names)), f"some: {', '.join(PICTURES)}"
+        source, expected = PictureFiles(path, tuple(names)), f"some: {', '.join(PHOTO_SUFFIXES)}"
     elif path.suffix.lower() == ".json":
         source, expected = _open_coco(path, images or path.parent), "some in the list images"
     elif path.suffix.lower() == ".txt":
@@ -218,8 +216,7 @@ def _open_coco(path: Path, folder: Path) -> CocoPictures:
         if not isinstance(entry, Mapping) or entry.get("image_id") not in names:
             raise InputError(f"{path}: annotations: {shown(entry)}; expected the image_id of one of the images")
         entries[names[entry["image_id"]]].append(entry)
-    with path.open("rb") as file:
-        return CocoPictures(folder, entries, hashlib.file_digest(file, "sha256").hexdigest())
+    return CocoPictures(folder, entries, file_sha256(path))
 
 
 def _box(given: Any, keypoints: Keypoints2D, where: str) -> Box:

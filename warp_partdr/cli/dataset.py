@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from dataclasses import dataclass
@@ -15,9 +14,11 @@ import typer
 from typer import Argument, Option
 
 from .. import __version__
+from ..detection import MIN_SCORE
 from ..errors import InputError, shown
+from ..files.disk import file_sha256
 from .loading import load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, people_at_a_time, say_people
+from .options import CameraOptions, DeviceOption, check_score, people_at_a_time, say_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
@@ -65,12 +66,13 @@ class BulkOptions:
         Path | None,
         Option(help="A network of `partdr train`; by default the packaged one.", metavar="FILE.safetensors"),
     ] = None
-    min_score: Annotated[float, Option(help="Least confidence that there is a person, 0 to 1.", metavar="SHARE")] = 0.5
+    min_score: Annotated[float, Option(help="Least confidence that there is a person, 0 to 1.", metavar="SHARE")] = (
+        MIN_SCORE
+    )
 
     def record(self, view: CameraOptions, annotations: str | None) -> dict[str, Any]:
         """All that rows depend on but the pictures, as shards state it; ``annotations`` is their SHA-256."""
-        if not 0 <= self.min_score < 1:
-            raise InputError(f"--min-score: {self.min_score}; expected 0 to below 1")
+        check_score("--min-score", self.min_score)
         model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
@@ -183,8 +185,7 @@ def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:
 
 def _sha256(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_sha256(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected a file") from error
 

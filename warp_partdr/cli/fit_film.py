@@ -44,6 +44,7 @@ def fit_motions(
         raise InputError("--model: none, with a film; expected a detailed model")
     if view.focal == "exif":
         raise InputError("--focal: exif, with a film; expected pixels, or --fov")
+    view.check()
     film_facts(film)  # faults of the file are told before anything is loaded
 
     from ..detection.film_people import find_film_people

@@ -13,8 +13,8 @@ import numpy as np
 import typer
 
 from ..errors import InputError
-from ..inputs.films import check_pyav, film_facts, is_film, read_frames
-from ..inputs.part_labels import read_photo
+from ..inputs.films import check_pyav, film_facts, is_film
+from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
 from .options import CameraOptions, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
@@ -24,10 +24,7 @@ if TYPE_CHECKING:
     from ..network.label_network import LabelNetwork
     from .progress import PictureProgress
 
-_PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 _PIXELS = 2**24  # of photos that are in memory at a time
-_LOOKS = 3  # a second, of the detector in films
-_SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
 
 
 @dataclass(frozen=True)
@@ -181,14 +178,13 @@ class _Run:
 
     def film(self, source: _Source) -> None:
         """Take a film, frame by frame."""
-        from ..detection.tracks import PeopleTracker
+        from ..detection.film_people import SHORTEST, follow_people
 
         size, count = (0, 0), 0
+        how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
         try:
-            every = max(round(film_facts(source.path).rate / _LOOKS), 1)
-            tracker = PeopleTracker(device=self.device, min_score=self.choice.min_score, every=every)
-            for frame in read_frames(source.path):
-                found, size, count = tracker.find(frame.picture), frame.picture.shape[:2], count + 1
+            for frame, found in follow_people(source.path, film_facts(source.path).rate, **how):
+                size, count = frame.picture.shape[:2], count + 1
                 self._add(source, frame.picture, found, set(found), frame.index, frame.time)
                 self.passed["frame"] += 1
                 self.progress(source.path.name)
@@ -196,7 +192,7 @@ class _Run:
             self._fail(source, error)
         self._predict()
         tracks, self._rows = [np.concatenate(rows) for rows in self._rows.values()], {}
-        tracks = [rows for rows in tracks if len(rows) >= min(_SHORTEST, count)]
+        tracks = [rows for rows in tracks if len(rows) >= min(SHORTEST, count)]
         if tracks:
             self._save_film(source, tracks, (size[0], size[1]))
         elif count:
@@ -204,9 +200,10 @@ class _Run:
 
     def _save_film(self, source: _Source, tracks: list[np.ndarray], size: tuple[int, int]) -> None:
         """Write a film's people, the most and largest seen first."""
+        from ..detection.film_people import areas
         from ..results.predictions import FilmBodies
 
-        tracks.sort(key=lambda rows: -_areas(rows["boxes"]).sum())
+        tracks.sort(key=lambda rows: -areas(rows["boxes"]).sum())
         wanted = self.choice.person
         if wanted is not None and wanted >= len(tracks):
             self._nobody(source, f"no person {wanted}, but {say_people(len(tracks))} in it")
@@ -236,6 +233,7 @@ class _Run:
         at: float,
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
+        from ..detection.film_people import SEEN, seen_values
         from ..detection.masks import instance_map
         from ..fit.photo import person_evidence
         from ..inputs.observation import crop_evidence
@@ -252,12 +250,7 @@ class _Run:
             evidence = person_evidence(person.keypoints, owners, index)
             cut = crop_evidence(evidence, device=self.device, camera=camera)
             row = np.zeros(1, ROW)
-            keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
-            for name, value in zip(
-                ("frames", "times", "scores", "boxes", "keypoints"),
-                (frame, at, person.score, person.box, keypoints),
-                strict=True,
-            ):
+            for name, value in zip(SEEN, seen_values(person, frame, at), strict=True):
                 row[name] = value
             self._waiting.append(_Seen(source, number, row, size, cut))
             if len(self._waiting) >= people_at_a_time(self.choice.batch, self.device):
@@ -301,10 +294,6 @@ class _Run:
             self.progress.say(f"partdr: {line}")
 
 
-def _areas(boxes: np.ndarray) -> np.ndarray:
-    return (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
-
-
 def _sources(paths: Sequence[Path]) -> list[_Source]:
     """Photos and films, those of folders by name; two of one name are told apart by their endings."""
     files: dict[Path, None] = {}
@@ -312,7 +301,9 @@ def _sources(paths: Sequence[Path]) -> list[_Source]:
         if path.is_dir():
             there = [each for each in sorted(path.iterdir()) if _is_picture(each)]
             if not there:
-                raise InputError(f"{path}: no photos or films in it; expected some: {', '.join(_PHOTOS)}, .mp4 ...")
+                raise InputError(
+                    f"{path}: no photos or films in it; expected some: {', '.join(PHOTO_SUFFIXES)}, .mp4 ..."
+                )
             files |= dict.fromkeys(there)
         elif path.is_file():
             files[path] = None
@@ -327,7 +318,7 @@ def _sources(paths: Sequence[Path]) -> list[_Source]:
 
 
 def _is_picture(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith(".") and (path.suffix.lower() in _PHOTOS or is_film(path))
+    return path.is_file() and not path.name.startswith(".") and (path.suffix.lower() in PHOTO_SUFFIXES or is_film(path))
 
 
 def _count(sources: Iterable[_Source]) -> int | None:

@@ -8,6 +8,7 @@ from ..body.posing import pose
 from ..body.rotations import rotation_between
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
 from .growth import Growth
+from .model import DetailedModel
 from .pose import end_joints, rest_turns
 from .registration import Registered
 from .surfaces import vertex_parts
@@ -34,6 +35,12 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
     origin = joints.new_zeros(len(joints), 3)
     there = pose(orientation, origin, rotations, lengths, thicknesses, validate=False)
     return orientation, (joints - there.joints).mean(1), rotations, lengths, thicknesses
+
+
+def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
+    """Heights of standing people of shape values (B, S), shape (B,) [m]."""
+    low, high = model.rest(shape).vertices[..., 1].aminmax(dim=1)
+    return high - low
 
 
 def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

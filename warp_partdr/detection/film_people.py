@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from ..errors import InputError
-from ..inputs.films import film_facts, read_frames
+from ..inputs.films import Frame, film_facts, read_frames
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.person import crop_nearest
 from . import MIN_SCORE
@@ -19,7 +20,7 @@ from .masks import instance_map
 from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
 
-LOOKS = 3  # a second, of the detector in films
+_LOOKS = 3  # a second, of the detector in films
 SHORTEST = 3  # frames of a person in a film; fewer are taken for a mistake
 _SIDE = 640  # [px], longer side at which it is kept whom pixels show; masks have 256 px a person
 _USUAL_RATE = 30.0  # frames a second of a film that does not tell
@@ -100,41 +101,46 @@ def find_film_people(
         InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
     """
     facts = film_facts(path)
-    rate = facts.rate or _USUAL_RATE
-    tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / LOOKS), 1))
     rows: list[np.ndarray] = []
     packed: list[bytes] = []
     times: list[float] = []
     size, fault = (0, 0), ""
-    frames = read_frames(path)
-    while True:
-        try:
-            frame = next(frames)
-        except StopIteration:
-            break
-        except InputError as error:
-            if not times:
-                raise
-            fault = str(error)
-            break
-        found = tracker.find(frame.picture)
-        size = (frame.picture.shape[0], frame.picture.shape[1])
-        packed.append(_pack(list(found.values()), size))
-        times.append(frame.time)
-        for place, (number, person) in enumerate(found.items()):
-            rows.append(seen_row(person, frame.index, frame.time, number, place))
-        if progress is not None:
-            progress(len(times), max(facts.frames, len(times)))
+    try:
+        for frame, found in follow_people(path, facts.rate, min_score=min_score, device=device):
+            size = (frame.picture.shape[0], frame.picture.shape[1])
+            packed.append(_pack(list(found.values()), size))
+            times.append(frame.time)
+            for place, (number, person) in enumerate(found.items()):
+                rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            if progress is not None:
+                progress(len(times), max(facts.frames, len(times)))
+    except InputError as error:
+        if not times:
+            raise
+        fault = str(error)
     numbered = _by_size(np.concatenate(rows) if rows else np.zeros(0, _ROW), len(times))
     if not len(numbered):
         raise InputError(fault or f"{path}: nobody found in {len(times)} frames; expected people")
-    return FilmPeople(size, rate, np.array(times), numbered, tuple(packed), fault)
+    return FilmPeople(size, facts.rate or _USUAL_RATE, np.array(times), numbered, tuple(packed), fault)
 
 
-def seen_row(person: FoundPerson, frame: int, time: float, track: int, place: int) -> np.ndarray:
-    """A row, shape (1,), of somebody in a frame."""
+def follow_people(
+    path: str | Path, rate: float, *, min_score: float, device: torch.device | str
+) -> Iterator[tuple[Frame, dict[int, FoundPerson]]]:
+    """Frames of a film, so many a second, and their people by numbers that stay.
+
+    Raises:
+        InputError: As of ``read_frames``.
+    """
+    tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
+    for frame in read_frames(path):
+        yield frame, tracker.find(frame.picture)
+
+
+def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:
+    """Values of ``SEEN`` for somebody in a frame at this time [s]."""
     keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
-    return np.array([(frame, time, person.score, person.box, keypoints, track, place)], _ROW)
+    return frame, time, person.score, person.box, keypoints
 
 
 def areas(boxes: np.ndarray) -> np.ndarray:

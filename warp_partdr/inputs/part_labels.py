@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 # [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
 LARGEST_PICTURE = 2**27
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")  # of files that are taken for photos
 
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)  # [mm]
 _CUT = 0.01  # change of the sides' ratio that says a photo was cut

@@ -8,7 +8,6 @@ by side; readers (``check_result``) look for both. A folder of results that isn'
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..files.disk import file_sha256
 
 REPORTS = "report.json", "registration.json", "predictions.json", "people.json"
 FIT_REPORT, REGISTRATION_REPORT, PREDICTIONS_REPORT, PEOPLE_REPORT = REPORTS
@@ -63,7 +63,7 @@ def replacing(folder: Path, name: str, report: dict[str, Any], *, outdates: tupl
             yield temporary
             if taken := [path.name for path in temporary.iterdir() if (place / path.name).is_dir()]:
                 raise InputError(f"{folder / taken[0]}: a folder; expected a file, or nothing")
-            report[FILES] = {path.name: _sha256(path) for path in sorted(temporary.iterdir())}
+            report[FILES] = {path.name: file_sha256(path) for path in sorted(temporary.iterdir())}
             (temporary / name).write_text(json.dumps(report, indent=1) + "\n")
             if missing := [path for path in (place, *place.parents) if not path.exists()]:
                 (scratch / missing[-1].relative_to(top)).rename(missing[-1])
@@ -82,7 +82,7 @@ def check_result(path: str | Path) -> None:
     """
     path = Path(path)
     for report, digest in _naming(path):
-        if _sha256(path) != digest:
+        if file_sha256(path) != digest:
             raise InputError(
                 f"{path}: not of the same run as {report} beside it, which has another SHA-256 of it; expected the "
                 "files of one run, or this one in a folder of its own"
@@ -129,7 +129,7 @@ def _take_places(new: Path, name: str, outdates: tuple[str, ...]) -> None:
         with suppress(InputError):  # what is no report names nothing
             for other, digest in _named(source).items():
                 path = folder / other
-                if other not in names and path.is_file() and _sha256(path) == digest:
+                if other not in names and path.is_file() and file_sha256(path) == digest:
                     path.unlink()
     for file in names:
         (new / file).replace(folder / file)
@@ -210,11 +210,6 @@ def _naming(path: Path) -> Iterator[tuple[str, str]]:
     for report in REPORTS:
         if (digest := _named(path.parent / report).get(path.name)) is not None:
             yield report, digest
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

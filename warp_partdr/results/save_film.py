@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from ..clothing.measuring import measure_ellipbody
 from ..clothing.registration import Registered
 from ..detection.film_people import SEEN
 from ..errors import check_type
+from ..fit.fitting import Progress
 from ..inputs.films import read_frames
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
@@ -23,6 +24,7 @@ from .film_file import write_film
 from .pictures import blend, shade_detailed
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
+from .save import shown_at
 from .skinned_files import Poses, bvh, glb
 
 OVERLAY = "overlay.mp4"
@@ -32,7 +34,7 @@ _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 @one_torch_thread()
 def save_film_fit(
-    fit: FilmFit, folder: str | Path, *, film: str | Path, progress: Callable[[str, int, int], None] | None = None
+    fit: FilmFit, folder: str | Path, *, film: str | Path, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Write overlay.mp4 and people.json, and of each person N personN.npz, personN.glb and personN.bvh.
 
@@ -71,9 +73,7 @@ def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
     """Frames of the film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8."""
     from PIL import Image
 
-    height, width = fit.people.image_size
-    zoom = min(1.0, _SIDE / max(height, width))
-    size = max(round(height * zoom), 1), max(round(width * zoom), 1)
+    zoom, size = shown_at(fit.people.image_size, _SIDE)
     camera = zoomed(fit.camera, zoom, size)
     tracks = {
         person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
@@ -91,7 +91,7 @@ def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
         yield picture
 
 
-def _told(picture: np.ndarray, number: int, total: int, tell: Callable[[str, int, int], None]) -> np.ndarray:
+def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.ndarray:
     tell("drawing", number + 1, max(total, number + 1))
     return picture
 

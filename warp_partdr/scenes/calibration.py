@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..body.labels import IGNORE
 from ..body.rotations import rotation_from_axis_angle
 from ..cameras import Perspective
 from ..errors import InputError, shown
@@ -48,7 +49,6 @@ _NAMES = {
     "rotation": ("R", "rvec", "rotation"),
     "translation": ("T", "tvec", "translation"),
 }
-_OUTSIDE = 255  # ignore: what the camera never saw
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,14 @@ class CalibratedCamera:
     matrix: np.ndarray
     distortion: np.ndarray
 
+    @property
+    def _pinhole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Focal lengths and principal point [px], shape (2,) each."""
+        return self.matrix[[0, 1], [0, 1]], self.matrix[:2, 2]
+
     def straight(self, points: np.ndarray) -> np.ndarray:
         """Places in the camera's pictures [px], shape (N, 2), as the view's camera sees them."""
-        focal, centre = self.matrix[[0, 1], [0, 1]], self.matrix[:2, 2]
+        focal, centre = self._pinhole
         seen = (points.astype(np.float64) - centre) / focal
         rays = seen.copy()
         for _ in range(_STEPS):
@@ -96,7 +101,7 @@ class CalibratedCamera:
             given, expected = labels.groups.shape[::-1], self.size[::-1]
             raise InputError(f"labels: {given}; expected {expected}, as of camera {self.name}")
         rows, columns = np.indices(self.size).reshape(2, -1) + 0.5
-        focal, centre = self.matrix[[0, 1], [0, 1]], self.matrix[:2, 2]
+        focal, centre = self._pinhole
         rays = (np.stack([columns, rows], axis=1) - centre) / focal[0]
         across, down = np.floor(distort(rays, self.distortion) * focal + centre).astype(np.int64).T
         inside = (across >= 0) & (across < self.size[1]) & (down >= 0) & (down < self.size[0])
@@ -106,8 +111,8 @@ class CalibratedCamera:
             return np.where(inside, image[..., *place], fill).astype(image.dtype).reshape(*image.shape[:-2], *self.size)
 
         maps = None if labels.maps is None else moved(labels.maps, 0.0)
-        instances = None if labels.instances is None else moved(labels.instances, _OUTSIDE)
-        return replace(labels, groups=moved(labels.groups, _OUTSIDE), maps=maps, instances=instances)
+        instances = None if labels.instances is None else moved(labels.instances, IGNORE)
+        return replace(labels, groups=moved(labels.groups, IGNORE), maps=maps, instances=instances)
 
 
 def distort(rays: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

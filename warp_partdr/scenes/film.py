@@ -7,8 +7,8 @@ a film may be of any length.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -20,13 +20,12 @@ from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..detection.film_people import FilmPeople, kept_size, row_keypoints
 from ..errors import check_type
+from ..fit.fitting import Progress
 from ..fit.photo import mask_labels, person_place
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .options import SceneOptions
 from .scene import PersonShape, Scene, Sight, View
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def fit_film(
     options: SceneOptions | None = None,
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
-    progress: Told | None = None,
+    progress: Progress | None = None,
     pieces: FilmPieces | None = None,
 ) -> FilmFit:
     """Fit detailed bodies to the people of a film: one shape each, a pose a frame, smooth in time.
@@ -106,9 +105,10 @@ def fit_film(
 
     def kept(name: str, scene: Scene, chosen: SceneOptions) -> _Bodies:
         def fit() -> dict[str, np.ndarray]:
-            return _Bodies.of(fit_scene(scene, options=chosen, model=model, device=device)).arrays()
+            return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device)))
 
-        return _Bodies(**(fit() if pieces is None else pieces.piece(name, fit)))
+        names = [field.name for field in fields(_Bodies)]
+        return _Bodies(**(fit() if pieces is None else pieces.piece(name, names, fit)))
 
     parts = list(film.windows(options))
     shapes: dict[int, PersonShape] = {}
@@ -216,10 +216,6 @@ class _Bodies:
         """Of the people."""
         pairs = zip(self.values, self.clothes, strict=True)
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """By name."""
-        return dict(vars(self))
 
 
 class _Blend:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ..detection.film_people import FilmPeople
 from ..errors import InputError
 from ..files.array_files import read_npz
 
+_PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
 
 
@@ -35,16 +37,14 @@ class FilmPieces:
         about = __version__, str(film.resolve()), stat.st_size, stat.st_mtime_ns, *map(repr, how)
         self.folder = there / f"{_FOLDER}{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
 
-    def piece(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Arrays of a piece, which are made unless they are there."""
+    def piece(
+        self, name: str, arrays: Sequence[str], make: Callable[[], dict[str, np.ndarray]]
+    ) -> dict[str, np.ndarray]:
+        """Arrays of a piece by their names, which are made unless they are there."""
         path = self.folder / f"{name}.npz"
         if path.is_file():
-            try:
-                with np.load(path, allow_pickle=False) as data:
-                    names = data.files
-                return read_npz(path, names, expected="a piece of an unfinished run")
-            except (InputError, OSError, ValueError):
-                pass  # the disk was full, for example
+            with suppress(InputError):  # the disk was full, for example
+                return read_npz(path, arrays, expected="a piece of an unfinished run")
         made = make()
         self.folder.mkdir(exist_ok=True)
         unfinished = path.with_suffix(".part.npz")
@@ -54,7 +54,7 @@ class FilmPieces:
 
     def people(self, find: Callable[[], FilmPeople]) -> FilmPeople:
         """People of the film, who are looked for unless they were found."""
-        data = self.piece("people", lambda: _people_arrays(find()))
+        data = self.piece("people", _PEOPLE, lambda: _people_arrays(find()))
         starts = np.cumsum([0, *data["sizes"]])
         height, width = data["image_size"].tolist()
         whole = data["packed"].tobytes()

@@ -162,7 +162,7 @@ def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], t
 
 
 def _warnings(looks: Sequence[Looked]) -> tuple[str, ...]:
-    """What looks wrong with sights, each sentence once, with the first sight that it is about."""
+    """Faults of sights, each sentence once, with the first sight that it is about."""
     first: dict[str, str] = {}
     for look in looks:
         for warning in look.evidence.warnings:

@@ -15,6 +15,7 @@ from ..body.skeletons import MPJPE_JOINTS, skeleton
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Camera, Perspective, WeakPerspective, zoomed
 from ..clothing.anny import anny, anny_shape
+from ..clothing.measuring import statures
 from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from ..render.part_mesh import PartMesh
@@ -96,7 +97,7 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
     posed = mean_body(rotations, people.seen_by_camera(people.upright(up, yaw), pitch, roll).float())
     model = anny()
-    body, stature = people.pose_anny(model, shape, posed), float(people.statures(model, shape))
+    body, stature = people.pose_anny(model, shape, posed), float(statures(model, shape))
 
     vertices = body.vertices[0].numpy()
     weak = rng.random() < _WEAK and not near

@@ -37,12 +37,6 @@ def pose_anny(model: DetailedModel, shape: torch.Tensor, posed: Posed) -> Detail
     return model.pose(shape, *pose_from_ellipbody(model, posed, shape))
 
 
-def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
-    """Heights of standing people of shape values (B, S), shape (B,) [m]."""
-    low, high = model.rest(shape).vertices[..., 1].aminmax(dim=1)
-    return high - low
-
-
 def upright(ups: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Rotations of the pelvis in a world with y up, shape (B, 3, 3).
 

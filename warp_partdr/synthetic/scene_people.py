@@ -15,6 +15,7 @@ from ..body.skeletons import MPJPE_JOINTS
 from ..body.template import MEAN_STATURE, NUM_PARTS
 from ..cameras import Perspective
 from ..clothing.anny import anny, anny_shape
+from ..clothing.measuring import statures
 from ..clothing.model import Detailed
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
@@ -103,7 +104,7 @@ def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic
     posed = mean_body(torch.from_numpy(clip.rotations).float(), people.seen_by_camera(world, zero.expand(len(world))))
     bodies = people.pose_anny(anny(), shape.expand(len(world), -1), posed)
     view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
-    stature = float(people.statures(anny(), shape))
+    stature = float(statures(anny(), shape))
     frames = [bodies.select(slice(frame, frame + 1)) for frame in range(len(world))]
     return _see(f"clip {index:03d}", [frames], [stature], [view], LEVELS[level], rng, frame_rate)
 
@@ -118,7 +119,7 @@ def _draw_body(index: int) -> tuple[Detailed, float]:
     orientation = people.seen_by_camera(people.upright(up, yaw), level).float()
     rotations = rotation_from_axis_angle(torch.from_numpy(pose.rotations)[None].float())
     model = anny()
-    return people.pose_anny(model, shape, mean_body(rotations, orientation)), float(people.statures(model, shape))
+    return people.pose_anny(model, shape, mean_body(rotations, orientation)), float(statures(model, shape))
 
 
 def _place_view(vertices: np.ndarray, turn: float, rng: np.random.Generator) -> View:

@@ -16,6 +16,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, MEAN_STATURE, SHAPE_INDICES
 from ..cameras import ScreenCamera
 from ..clothing.anny import PHENOTYPE_ANCHORS, anny, anny_shape
+from ..clothing.measuring import statures
 from ..inputs.observation import CROP_MARGIN
 from ..network.heads import cell_centres
 from ..network.landmarks import LANDMARKS
@@ -208,7 +209,7 @@ class PeopleMaker:
         orientation = self.orientations(ups)
         shape = anny_shape(self.phenotypes(count))
         posed = mean_body(rotation_from_axis_angle(vectors), orientation)
-        body, stature = people.pose_anny(self.model, shape, posed), people.statures(self.model, shape)
+        body, stature = people.pose_anny(self.model, shape, posed), statures(self.model, shape)
         known = self._landmark_weights @ torch.cat([body.vertices, body.joints], dim=1)
         plain, coco, joints = known.split(self._landmark_counts, dim=1)
         noted = torch.where(rng.chance(_COCO, count, 1, 1), coco, plain)

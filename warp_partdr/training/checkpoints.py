@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -24,6 +23,7 @@ from typing import Any
 import torch
 
 from ..errors import InputError, cause
+from ..files.disk import file_sha256, sync
 from ..files.json_files import parse_json
 
 FORMAT = "warp-partdr training 1"
@@ -62,13 +62,13 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint, keep: int) -> None:
     hashes = {}
     for name, tensors in files.items():
         save_file({key: value.contiguous() for key, value in tensors.items()}, new / f"{name}.safetensors")
-        hashes[name] = _hash(new / f"{name}.safetensors")
+        hashes[name] = file_sha256(new / f"{name}.safetensors")
     state = {"format": FORMAT, **checkpoint.about, "ranks": ranks, "sha256": hashes}
     (new / _STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
     for path in (*new.iterdir(), new):
-        _sync(path)
+        sync(path)
     os.replace(new, place)
-    _sync(folder)
+    sync(folder)
     for old in list_checkpoints(folder)[:-keep]:
         gone = old.with_name(f".{old.name}")
         os.replace(old, gone)
@@ -100,7 +100,7 @@ def load_checkpoint(place: Path) -> Checkpoint:
         tensors = {}
         for name, digest in about.pop("sha256").items():
             path = place / f"{Path(name).name}.safetensors"
-            if _hash(path) != digest:
+            if file_sha256(path) != digest:
                 raise InputError(f"{path}: damaged (its SHA-256 is another); expected {expected}")
             tensors[name] = load_file(path)
         ranks = [join_tensors(tensors.pop(f"rank-{rank}"), rest) for rank, rest in enumerate(about.pop("ranks"))]
@@ -172,16 +172,3 @@ def load_optimizer(
             value = torch.empty_like(parameters[index[name]], device="cpu", dtype=value.dtype).copy_(value)
         state.setdefault(index[name], {})[key] = value
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-
-
-def _hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
