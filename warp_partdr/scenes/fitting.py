@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,7 +27,7 @@ from .depth_order import exchange, order_people
 from .energy import SceneEnergy
 from .options import SceneOptions
 from .scene import Scene
-from .start import gather_scene, look_at
+from .start import Looked, gather_scene, look_at
 
 _ROUNDS = 2  # of refinement, where people turn out to stand in another order
 
@@ -75,6 +76,7 @@ def fit_scene(
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
+    looks: Sequence[Looked] | None = None,
 ) -> SceneFit:
     """Fit detailed bodies to a scene: one shape a person, a pose a frame, places in the world.
 
@@ -88,6 +90,7 @@ def fit_scene(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
+        looks: Of ``look_at`` on the same device, where somebody looked already or starts otherwise.
 
     Raises:
         InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
@@ -102,15 +105,18 @@ def fit_scene(
     tell = progress or (lambda name, done, total: None)
     started = time.perf_counter()
     tell("network", 0, 1)
-    looks = look_at(scene, where)
+    looks = look_at(scene, where) if looks is None else list(looks)
     label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
     one = mesh_energy(model, options.mesh, label_set)
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
-        people, looks = order_people(energy, model, scene, looks)
+        if options.exchanges:
+            people, looks = order_people(energy, model, scene, looks)
+        else:
+            people = gather_scene(energy, model, scene, looks)
     looked = time.perf_counter()
     iterations = options.mesh.iterations
-    for left in reversed(range(_ROUNDS)):
+    for left in reversed(range(_ROUNDS if options.exchanges else 1)):
         steps = find_steps(energy, people, options.mesh)
         for iteration in range(iterations):
             steps.step(rate_share(iteration, iterations))

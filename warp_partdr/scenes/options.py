@@ -18,11 +18,14 @@ class SceneOptions:
         mesh: Of each person, and of the steps.
         smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
             [s]; 0 leaves frames to themselves.
+        exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
+            for a z gradient (``mesh.gradient``).
         together: Side of the crop in which several people are drawn together [px].
     """
 
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.035
+    exchanges: bool = True
     together: int = 256
 
     def __post_init__(self) -> None:
