@@ -13,13 +13,14 @@ from ...synthetic.scene_people import LABELS, SceneSample
 from ..scene_scoring import SceneBodies, draw_scene
 
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
+_FILL = 0.9  # of the side of the picture from above
 _SHADES = 0.55  # of the colours of every other person
 
 
 def draw_scene_case(sample: SceneSample, bodies: SceneBodies) -> Image.Image:
     """First and last picture, a row each: labels and keypoints as seen, true labels, the fit's, and from above.
 
-    From above, the first camera stands in the middle of the bottom edge.
+    From above, the first camera is below, out of the picture, and looks up.
     """
     fitted = draw_scene(sample, bodies.vertices)
     joints = bodies.landmarks(MPJPE_JOINTS)
@@ -57,10 +58,12 @@ def _from_above(sample: SceneSample, joints: np.ndarray, frame: int, side: int) 
     both = [each[:, frame] @ turn.T + move for each in (sample.joints, joints)]
     picture = Image.new("RGB", (side, side), "white")
     draw = ImageDraw.Draw(picture)
-    scale = 0.95 * side / max(float(np.abs(both[0][..., 2]).max()), float(2 * np.abs(both[0][..., 0]).max()))
+    ground = np.concatenate(both, axis=1)[..., [0, 2]].reshape(-1, 2)
+    low, high = ground.min(0), ground.max(0)
+    scale = _FILL * side / float((high - low).max())
     for people, colour in zip(both, (_TRUE, _FITTED), strict=True):
         for each in people:
-            points = np.stack([side / 2 + scale * each[:, 0], side - scale * each[:, 2]], axis=-1)
+            points = side / 2 + scale * (each[:, [0, 2]] - (low + high) / 2) * [1, -1]
             for start, end in skeleton(MPJPE_SKELETON).edges:
                 draw.line([*points[start].tolist(), *points[end].tolist()], fill=colour, width=3)
     return picture
