@@ -10,7 +10,7 @@ the Brown-Conrady model (Brown, 1966; the rational form as in OpenCV) at::
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -136,16 +136,45 @@ class CalibratedCamera:
         Raises:
             InputError: If the camera's pictures have another size.
         """
-        height, width = picture.shape[:2]
-        if self.size is not None and self.size != (height, width):
-            raise InputError(f"picture: {width} x {height} px; expected {self.size[1]} x {self.size[0]}, as calibrated")
-        rows, columns = np.mgrid[:height, :width]
-        seen = self.distort_points(np.stack([columns, rows], axis=-1) + 0.5)
-        inside = np.all([seen >= 0, seen < [width, height]], axis=(0, -1))
-        u, v = np.moveaxis(np.where(inside[..., None], seen, 0.0).astype(np.int64), -1, 0)
-        shown = picture[v, u]
+        size = (picture.shape[0], picture.shape[1])
+        self.check_size(size)
+        inside, place = (self if self.size is not None else replace(self, size=size))._places
+        shown = picture[place]
         shown[~inside] = fill
         return shown
+
+    def check_size(self, size: tuple[int, int]) -> None:
+        """Raise InputError if the camera's pictures are of another (H, W)."""
+        if self.size is not None and self.size != size:
+            expected = f"{self.size[1]} x {self.size[0]}"
+            raise InputError(f"picture: {size[1]} x {size[0]} px; expected {expected}, as calibrated")
+
+    def resized(self, size: tuple[int, int]) -> CalibratedCamera:
+        """The camera of its pictures drawn smaller or larger, at (H, W) of about their shape; its size is known."""
+        assert self.size is not None
+        zoom = size[1] / self.size[1]
+        focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
+        return replace(self, focal=focal, principal=principal, size=size)
+
+    def seen_from(self, first: CalibratedCamera) -> CalibratedCamera:
+        """The same in another world, which is the first one's frame."""
+        rotation = self.rotation @ first.rotation.T
+        return replace(self, rotation=rotation, translation=self.translation - rotation @ first.translation)
+
+    @property
+    def distorts(self) -> bool:
+        """True unless its pictures are as without distortion."""
+        return any(self.distortion) or self.focal[0] != self.focal[1]
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Pixels without distortion that are in the picture as taken, and where: rows and columns."""
+        assert self.size is not None
+        rows, columns = np.mgrid[: self.size[0], : self.size[1]]
+        seen = self.distort_points(np.stack([columns, rows], axis=-1) + 0.5)
+        inside = np.all([seen >= 0, seen < self.size[::-1]], axis=(0, -1))
+        u, v = np.moveaxis(np.where(inside[..., None], seen, 0.0).astype(np.int64), -1, 0)
+        return inside, (v, u)
 
     @property
     def _square(self) -> float:

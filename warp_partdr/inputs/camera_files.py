@@ -9,7 +9,7 @@ points are moved there::
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,25 @@ def read_cameras(path: str | Path) -> dict[str, CalibratedCamera]:
     if not found:
         raise InputError(f"{path}: no camera in it; expected {_EXPECTED}")
     return found
+
+
+def cameras_of_films(path: str | Path, films: Sequence[Path]) -> list[CalibratedCamera]:
+    """Calibrated cameras of films, in the frame of the first: by the films' names, else in the order of the file.
+
+    Raises:
+        InputError: As of ``read_cameras``, or if it is not clear which camera took which film.
+    """
+    cameras = read_cameras(path)
+    names = [film.stem for film in films]
+    if set(names) <= cameras.keys() and len(set(names)) == len(names):
+        found = [cameras[name] for name in names]
+    elif len(cameras) == len(films):
+        found = list(cameras.values())
+    else:
+        raise InputError(
+            f"{path}: cameras {', '.join(cameras)}; expected one a film: {', '.join(names)}, by name or in order"
+        )
+    return [camera.seen_from(found[0]) for camera in found]
 
 
 def _read(path: Path) -> dict[str, Any]:
