@@ -43,6 +43,15 @@ def test_rays_say_who_is_who(pair: SceneSample) -> None:
     assert ray_distance(films[0], rows[0], films[1], rows[1]) > 0.1
 
 
+def test_rays_miss_by_as_much_as_a_camera_is_too_high(pair: SceneSample) -> None:
+    one, other = camera_at(-0.3), camera_at(0.3)
+    seen = [film_of(pair, camera) for camera in (one, other)]
+    high = replace(other, translation=other.translation + [0.0, 0.05, 0.0])
+    films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, (one, high), strict=True)]
+    found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
+    assert found == pytest.approx(0.05, rel=0.1)
+
+
 def test_one_whom_one_camera_sees_is_a_person_too(pair: SceneSample) -> None:
     cameras = [camera_at(-0.5), camera_at(0.4)]
     first, second = (film_of(pair, camera) for camera in cameras)
