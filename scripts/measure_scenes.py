@@ -1,6 +1,6 @@
 """Measure and print a level of scenes of PartBench on some of its people.
 
-    python scripts/measure_scenes.py pairs|clip|views [FIRST LAST] [--mocap FOLDER] [--method NAME]...
+    python scripts/measure_scenes.py pairs|clip|views [FIRST LAST] [--mocap FOLDER] [--device cuda] [--method NAME]...
 
 People are 100 to 139 if nothing is said. Intervals are of 95 %, over scenes.
 """
@@ -25,11 +25,13 @@ def main() -> None:
     parser.add_argument("people", type=int, nargs="*", default=[100, 139], help="first and last")
     parser.add_argument("--mocap", type=Path, help="motion capture, for the level clip")
     parser.add_argument("--method", action="append", choices=SCENE_METHODS, help="may be given again; default: all")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
     options = parser.parse_args()
     first, last = options.people
     one_thread()
     samples = partbench_scenes(range(first, last + 1), [options.level], options.mocap)
-    report = evaluate(samples, {name: SCENE_METHODS[name] for name in options.method or SCENE_METHODS})
+    methods = {name: SCENE_METHODS[name] for name in options.method or SCENE_METHODS}
+    report = evaluate(samples, methods, device=options.device)
     for table in tables(report):
         Console(width=170).print(table)
     for finding in compare_methods(report):

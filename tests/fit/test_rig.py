@@ -46,7 +46,7 @@ def test_rays_say_who_is_who(pair: SceneSample) -> None:
 def test_rays_miss_by_as_much_as_a_camera_is_too_high(pair: SceneSample) -> None:
     one, other = camera_at(-0.3), camera_at(0.3)
     seen = [film_of(pair, camera) for camera in (one, other)]
-    high = replace(other, translation=other.translation + [0.0, 0.05, 0.0])
+    high = replace(other, translation=other.translation + np.array([0.0, 0.05, 0.0]))
     films = [SeenFilm.calibrated(people, camera) for people, camera in zip(seen, (one, high), strict=True)]
     found = ray_distance(films[0], films[0].people.of(0), films[1], films[1].people.of(0))
     assert found == pytest.approx(0.05, rel=0.1)
