@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ import torch
 from ..body.landmarks import landmark_points
 from ..body.template import NUM_PARTS
 from ..inputs.observation import Observation, resize_nearest
-from .energy import Energy, stack_depth_scales
+from .energy import Energy, split_votes, stack_depth_scales
 from .tables import LANDMARK_NAMES
 
 
@@ -52,13 +53,11 @@ class Batch:
             torch.from_numpy(np.concatenate(rows)).to(device)
             for rows in zip(*(_places(each.landmarks, each.body_points) for each in people), strict=True)
         )
-        confidence = torch.cat([each.confidence for each in people])
-        # Those of a part share its vote, for ten of a face say little more than one.
-        shared = confidence.new_zeros(len(people), NUM_PARTS)
-        shared.view(-1).scatter_add_(0, person * NUM_PARTS + parts, confidence)
-        votes = confidence.new_zeros(len(people), len(LANDMARK_NAMES))
-        votes[person, columns] = confidence / shared.clamp_min(1.0)[person, parts]
-        points = confidence.new_zeros(*votes.shape, 2)
+        sure = torch.zeros(len(people), len(LANDMARK_NAMES), device=device)
+        sure[person, columns] = torch.cat([each.confidence for each in people])
+        on_parts = torch.zeros_like(sure, dtype=torch.int64)
+        on_parts[person, columns] = parts
+        points = sure.new_zeros(*sure.shape, 2)
         points[person, columns] = torch.cat([each.points for each in people])
 
         def stacked(name: str, usual: torch.Tensor) -> torch.Tensor:
@@ -67,12 +66,12 @@ class Batch:
 
         return cls(
             points=points,
-            votes=votes,
+            votes=split_votes(sure, on_parts),
             lengths=stacked("lengths", energy.usual_lengths),
             thicknesses=stacked("thicknesses", energy.usual_thicknesses),
-            depths=stacked("depths", confidence.new_zeros(NUM_PARTS)),
+            depths=stacked("depths", sure.new_zeros(NUM_PARTS)),
             depth_scales=stack_depth_scales([each.depth_spreads for each in people], device),
-            lenses=stacked("lens", confidence.new_zeros(3)),
+            lenses=stacked("lens", sure.new_zeros(3)),
             targets=None if energy.target is None else _targets(people, energy.size),
             seen=frozenset(name for each in people for name in each.body_points),
         )
@@ -83,7 +82,8 @@ class Batch:
 
     def select(self, rows: torch.Tensor | slice) -> Batch:
         """Some of the people; one may come several times."""
-        return replace(self, **{name: each[rows] for name, each in vars(self).items() if torch.is_tensor(each)})
+        chosen: dict[str, Any] = {name: each[rows] for name, each in vars(self).items() if torch.is_tensor(each)}
+        return replace(self, **chosen)
 
 
 def _targets(people: Sequence[Observation], size: int) -> torch.Tensor:
