@@ -204,6 +204,8 @@ class Perspective(Movable):
 
 _MIN_DEPTH = 1e-6  # [m]
 _MOST_FOV = 170  # [degrees]
+_SQUARE = 1e-3  # share by which the focal lengths of square pixels may differ
+_ROTATION_ERROR = 1e-3  # of R^T R
 
 
 def _check_near(near: float) -> None:
@@ -296,6 +298,22 @@ def first_of(camera: Camera) -> Camera:
 def zoomed(camera: Camera, zoom: float, size: tuple[int, int]) -> Camera:
     """The camera of the whole picture at another size, (H, W) [px], ``zoom`` pixels a pixel."""
     return camera.in_crop(Crop(left=0.0, top=0.0, zoom=zoom, size=size))
+
+
+def check_square(camera: Perspective) -> None:
+    """Raise ValueError unless this is one camera with square pixels."""
+    if len(camera.focal) != 1:
+        raise ValueError(f"camera: {len(camera.focal)} of them; expected one")
+    across, down = camera.focal[0].tolist()
+    if not (camera.intrinsics.isfinite().all() and across > 0 and abs(across - down) <= _SQUARE * across):
+        raise ValueError(f"camera: focal lengths {across:g} and {down:g}; expected square pixels")
+
+
+def is_rotation(matrix: torch.Tensor) -> bool:
+    """True for a rotation (3, 3), as files round it; a mirror image is none."""
+    turn = matrix.double()
+    off = (turn.mT @ turn - torch.eye(3, dtype=turn.dtype, device=turn.device)).abs().max()
+    return bool(off < _ROTATION_ERROR and torch.linalg.det(turn) > 0)
 
 
 def check_camera(camera: Camera, batch: int, like: tuple[str, torch.Tensor]) -> torch.Tensor:

@@ -13,7 +13,7 @@ from warp_partdr.body.lens import place_bodies
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.template import JOINT_NAMES
-from warp_partdr.fit.depth_flips import flip_depths, repair_depth_order
+from warp_partdr.fit.depth_flips import flip_depths, repair_depth_order, repair_depth_orders
 from warp_partdr.results.save import make_report
 from warp_partdr.synthetic.pose_recipes import draw_pose
 
@@ -83,6 +83,22 @@ def test_labels_repair_a_mirrored_arm_and_leave_a_right_one(device):
     stays, order = repair_depth_order(truth, seen, prior)
     assert order.flipped is None
     assert stays is truth
+
+
+def test_people_side_by_side_are_repaired_as_each_alone(device):
+    truth, prior = arm_before_trunk(device), PosePrior().to(device)
+    flips, names = flip_depths(truth, prior)
+    wrong = flips.select(torch.tensor([1 + names.index("left arm: upper_arm")], device=device))
+    apart = BodyParameters.mean(1, device=device)
+    pairs = [(wrong, truth), (apart, apart), (truth, truth), (wrong, wrong), (wrong, truth)]
+    seen = [observation_of(shown) for _, shown in pairs]
+    together, orders = repair_depth_orders(BodyParameters.joined([body for body, _ in pairs]), seen, prior)
+    for row, (body, _) in enumerate(pairs):
+        alone, order = repair_depth_order(body, seen[row], prior)
+        assert orders[row] == order
+        torch.testing.assert_close(together.rotations[row], alone.rotations[0], atol=2e-3, rtol=0)
+    assert [order.flipped is not None for order in orders] == [True, False, False, False, True]
+    assert orders[1].tried == ()
 
 
 def test_a_fit_says_what_was_tried(device):

@@ -21,6 +21,7 @@ from warp_partdr.scenes.film_pieces import FilmPieces
 from warp_partdr.scenes.fitting import SceneFit, fit_scene
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.scene import Scene
+from warp_partdr.scenes.seen_film import SeenFilm
 
 COUNT, STEP = 14, 3  # frames, and pixels that the person moves to the right a frame
 QUICK = SceneOptions(mesh=MeshOptions(iterations=4), window=8, overlap=3, shape_frames=3)
@@ -39,7 +40,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> FilmPeople:
 
 @pytest.fixture(scope="module")
 def fit(people: FilmPeople) -> FilmFit:
-    return fit_film(people, options=QUICK)
+    return fit_film([SeenFilm.of(people)], options=QUICK)
 
 
 def test_people_of_a_film_are_kept_small(people: FilmPeople) -> None:
@@ -71,7 +72,8 @@ def test_a_motion_is_smooth_across_windows(fit: FilmFit) -> None:
 
 def test_one_window_needs_no_shape_before(people: FilmPeople, fit: FilmFit) -> None:
     told: list[str] = []
-    whole = fit_film(people, options=replace(QUICK, window=64), progress=lambda name, done, total: told.append(name))
+    film = [SeenFilm.of(people)]
+    whole = fit_film(film, options=replace(QUICK, window=64), progress=lambda name, done, total: told.append(name))
     assert set(told) == {"motions"}
     joints = [each.motions[0].bodies().detailed.joints for each in (fit, whole)]
     apart = [each - each[:, :1] for each in joints]
@@ -83,8 +85,8 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 ) -> None:
     film = tmp_path / "walk.mp4"
     film.write_bytes(b"film")
-    pieces = FilmPieces(tmp_path / "out", film, QUICK)
-    seen = pieces.people(lambda: people)
+    pieces = FilmPieces(tmp_path / "out", [film], QUICK)
+    seen = pieces.people(0, lambda: people)
     done: list[int] = []
     refine = fit_scene
 
@@ -96,23 +98,23 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 
     monkeypatch.setattr("warp_partdr.scenes.film.fit_scene", fit_twice)
     with pytest.raises(KeyboardInterrupt):
-        fit_film(seen, options=QUICK, pieces=pieces)
+        fit_film([SeenFilm.of(seen)], options=QUICK, pieces=pieces)
     assert done == [3, 8]  # the shape, and the first window
     (pieces.folder / "window0.npz").write_bytes(b"a full disk")  # a damaged piece is made again
     done.clear()
-    again = FilmPieces(tmp_path / "out", film, QUICK)
-    found = again.people(lambda: pytest.fail("people are known"))
+    again = FilmPieces(tmp_path / "out", [film], QUICK)
+    found = again.people(0, lambda: pytest.fail("people are known"))
     np.testing.assert_array_equal(found.rows, people.rows)
     assert found.packed == people.packed
     with pytest.raises(KeyboardInterrupt):
-        fit_film(found, options=QUICK, pieces=again)
+        fit_film([SeenFilm.of(found)], options=QUICK, pieces=again)
     done.clear()
-    whole = fit_film(found, options=QUICK, pieces=again)
+    whole = fit_film([SeenFilm.of(found)], options=QUICK, pieces=again)
     assert done == [8]  # the last window
     # Bit for bit what a run without a break gives.
     assert torch.equal(whole.motions[0].rotations, fit.motions[0].rotations)
     assert torch.equal(whole.motions[0].translation, fit.motions[0].translation)
-    assert FilmPieces(tmp_path / "out", film, replace(QUICK, window=9)).folder != again.folder
+    assert FilmPieces(tmp_path / "out", [film], replace(QUICK, window=9)).folder != again.folder
     again.remove()
     assert not again.folder.exists()
 
@@ -131,9 +133,9 @@ def test_a_person_has_one_shape(fit: FilmFit) -> None:
 
 def test_faults(people: FilmPeople, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="person: 1; expected 0 to 0"):
-        fit_film(people, person=1)
+        fit_film([SeenFilm.of(people)], person=1)
     with pytest.raises(TypeError, match="people"):
-        fit_film("walk.mp4")
+        SeenFilm.of("walk.mp4")  # type: ignore[arg-type]
     gray = write_film(tmp_path / "gray.mp4", [np.full((64, 96, 3), 90, np.uint8)] * 6)
     with pytest.raises(InputError, match=r"gray\.mp4: nobody found in 6 frames"):
         find_film_people(gray)

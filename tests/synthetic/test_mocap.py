@@ -94,6 +94,32 @@ def test_held_out_frames_come_from_held_out_clips_of_every_kind(shared: Path) ->
         assert np.abs(pool - rotations).max(1).min() == 0.0
 
 
+def test_windows_leave_out_limbs_that_turn_around() -> None:
+    rotations = np.tile(np.eye(3), (60, 20, 1, 1))
+    still = mocap.Clip("still", rotations[:, 0], rotations, np.zeros((60, 20, 3)), np.zeros((60, 3)))
+    assert [len(each) for each in mocap.smooth_windows(still, 20)] == [20, 20, 20]
+    rotations[25, PART_NAMES.index("left_forearm")] = mocap.rotation_matrices(np.array([0.0, np.pi, 0.0]))
+    windows = mocap.smooth_windows(still, 20)
+    assert [len(each) for each in windows] == [20, 20]
+    np.testing.assert_array_equal(windows[1].rotations, rotations[26:46])  # after it
+    assert windows[0].positions.shape == (20, 3)
+    assert mocap.smooth_windows(still, 61) == []
+
+
+def test_held_out_windows_are_smooth_and_of_every_kind(shared: Path) -> None:
+    windows = mocap_files.held_out_windows(shared / "data" / "mocap", 2.0)
+    assert len(windows) > 20
+    assert all(len(each) == 60 and mocap.is_held_out(each) for each in windows)
+    assert len({each.name.partition("_")[0] for each in windows[:5]}) == 5
+    walking = next(each for each in windows if "walking" in each.name)
+    steps = np.diff(walking.positions, axis=0)
+    assert 0.8 < np.linalg.norm(steps.mean(0)) * mocap_files.FRAME_RATE < 1.8  # [m/s]
+    assert 0.8 < walking.positions[:, 1].mean() < 1.1  # [m] above the ground
+    for each in windows[::6]:
+        joints = mocap.joint_positions(each.global_orient, each.rotations)
+        assert np.linalg.norm(np.diff(joints, 2, axis=0), axis=-1).mean(1).max() < 0.02
+
+
 def test_a_folder_without_mocap_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"cmu_expmap\.npz"):
         mocap_files.load_clips(tmp_path)

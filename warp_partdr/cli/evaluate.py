@@ -17,7 +17,7 @@ from .options import DeviceOption, LabelsOption, grouped
 
 if TYPE_CHECKING:
     from ..body.labels import LabelSet
-    from ..evaluation.evaluate import Method, Report
+    from ..evaluation.evaluate import Evaluated, Fitting, Report
     from ..inputs.sample import Sample
 
 QUICK_LEVELS = ("clean", "realistic")
@@ -120,13 +120,17 @@ def partbench(
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic, hard (default: these), near, tilted or clothed; may be given again.",
+            help="clean, mild, realistic, hard (default: these), near, tilted, clothed, pairs, clip, views; may be "
+            "given again.",
             metavar="NAME",
         ),
     ] = None,
     method: Annotated[
         list[str] | None,
         Option("--method", "--methods", help="A row of the tables; may be given again. Default: all.", metavar="NAME"),
+    ] = None,
+    mocap: Annotated[
+        Path | None, Option(help="Motion capture for --level clip, with cmu_expmap.npz in it.", metavar="FOLDER")
     ] = None,
     jobs: Annotated[
         int | None, Option(help="Fits at a time, a process each; default: one a core.", metavar="N")
@@ -144,17 +148,22 @@ def partbench(
     from ..bench.report import save_figures
     from ..evaluation.partbench.methods import METHODS, QUICK
     from ..evaluation.partbench.report import compare_methods, write_report
-    from ..evaluation.partbench.samples import partbench_samples
+    from ..evaluation.partbench.samples import SCENES, partbench_samples
+    from ..evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
     from ..results.result_sets import check_folder
     from ..synthetic.noise import LEVELS
 
     if out is not None:
         check_folder(out)
-    methods = _choose(METHODS, method or (QUICK if quick else METHODS))
+    every: dict[str, Fitting] = {**METHODS, **SCENE_METHODS}
+    methods = _choose(every, method or ([*QUICK, *SCENE_METHODS] if quick else every))
     levels = level or (QUICK_LEVELS if quick else tuple(LEVELS))
     where = _one_thread(device)
     processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
-    samples = partbench_samples(people or (QUICK_PEOPLE if quick else PEOPLE), levels)
+    count = people or (QUICK_PEOPLE if quick else PEOPLE)
+    scenes = [each for each in levels if each in SCENES]
+    singles = [each for each in levels if each not in SCENES]
+    samples: list[Evaluated] = [*partbench_samples(count, singles), *partbench_scenes(range(count), scenes, mocap)]
     report, figures = _fit(samples, methods, processes, where)
     for finding in compare_methods(report):
         typer.echo(finding)
@@ -208,7 +217,7 @@ def _check_counts(**options: int | None) -> None:
             raise InputError(f"--{name}: {number}; expected 1 or more")
 
 
-def _choose(methods: Mapping[str, Method], names: Collection[str]) -> dict[str, Method]:
+def _choose(methods: Mapping[str, Fitting], names: Collection[str]) -> dict[str, Fitting]:
     """Some of the methods, in their order."""
     if unknown := sorted(set(names) - methods.keys()):
         raise InputError(f"--method: {', '.join(unknown)}; expected {'; '.join(methods)}")
@@ -226,7 +235,7 @@ def _one_thread(device: str) -> str:
 
 
 def _fit(
-    people: Sequence[Sample], methods: Mapping[str, Method], jobs: int, device: str
+    people: Sequence[Evaluated], methods: Mapping[str, Fitting], jobs: int, device: str
 ) -> tuple[Report, dict[str, Any]]:
     """Fit everybody and print what came of it; returns all figures for a file, too."""
     from ..bench.machine import about

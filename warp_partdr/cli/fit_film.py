@@ -1,7 +1,8 @@
-"""``partdr fit FILM``: the motion of everyone in a film."""
+"""``partdr fit FILM``, and films of several cameras: the motion of everyone in them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,37 +48,81 @@ def fit_motions(
     view.check()
     film_facts(film)  # faults of the file are told before anything is loaded
 
+    fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, view))
+
+
+@dataclass(frozen=True)
+class FilmRun:
+    """Films that are to be fitted, and how.
+
+    Attributes:
+        films: Of the same moments.
+        out: Folder for the results.
+        device: As the option says.
+        model: Name or file of the detailed model.
+        person: Whom alone.
+        min_score: Least confidence that there is a person.
+        values: Settings: ``threads``, and fields of ``SceneOptions``.
+        view: The one camera.
+        cameras: Or the file of calibrated ones.
+    """
+
+    films: tuple[Path, ...]
+    out: Path
+    device: str
+    model: str
+    person: int | None
+    min_score: float
+    values: dict[str, Any]
+    view: CameraOptions = field(default_factory=CameraOptions)
+    cameras: Path | None = None
+
+
+def fit_films(run: FilmRun) -> None:
+    """Find people, fit their motions, write and tell the results."""
     from ..detection.film_people import find_film_people
     from ..files.sections import read_section
+    from ..inputs.camera_files import cameras_of_films
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
-    from ..results.save_film import OVERLAY, save_film_fit
+    from ..results.save_film import overlay_name, save_film_fit
     from ..scenes.film import fit_film
     from ..scenes.film_pieces import FilmPieces
     from ..scenes.options import SceneOptions
+    from ..scenes.seen_film import SeenFilm
     from .progress import FitProgress
 
-    where = choose_device(device)
-    set_num_threads(take_whole(values, "threads"))
-    options = read_section(SceneOptions, values, base=SceneOptions.film())
-    check_folder(out)
-    check_inputs(out, (film,), (OVERLAY,))
-    detailed = read_model(model, where)
+    films, where = run.films, choose_device(run.device)
+    set_num_threads(take_whole(run.values, "threads"))
+    options = read_section(SceneOptions, run.values, base=SceneOptions.film())
+    check_folder(run.out)
+    check_inputs(run.out, films, [overlay_name(place) for place in range(len(films))])
+    rig = None if run.cameras is None else cameras_of_films(run.cameras, films)
+    detailed = read_model(run.model, where)
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        pieces = FilmPieces(out, film, view, options, files.person, model, min_score)
-        told = partial(progress, "people")
-        people = pieces.people(partial(find_film_people, film, min_score=min_score, device=where, progress=told))
-        camera = view.read(people.image_size, None)
-        how: dict[str, Any] = {"options": options, "model": detailed, "device": where, "camera": camera}
-        fit = fit_film(people, person=files.person, progress=progress, pieces=pieces, **how)
-        report = save_film_fit(fit, out, film=film, progress=progress)
+        given = films if run.cameras is None or run.cameras.is_dir() else (*films, run.cameras)
+        pieces = FilmPieces(run.out, given, rig, run.view, options, run.person, run.model, run.min_score)
+        seen: list[SeenFilm] = []
+        for place, film in enumerate(films):
+            told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
+            find = partial(find_film_people, film, min_score=run.min_score, device=where, progress=told)
+            people = pieces.people(place, find)
+            if rig is None:
+                seen.append(SeenFilm.of(people, run.view.read(people.image_size, None)))
+            else:
+                seen.append(SeenFilm.calibrated(people, rig[place]))
+        how: dict[str, Any] = {"options": options, "model": detailed, "device": where}
+        fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **how)
+        report = save_film_fit(fit, run.out, films=films, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)
-    about = "" if camera is not None else "about "
+    about = "about " if rig is None and not run.view.given else ""
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"
-        typer.echo(f"person{person['person']}: {frames}; {about}{person['distance_m']:.1f} m away")
-    typer.echo(f"{out / OVERLAY} shows all bodies, {out / report['people'][0]['files'][1]} moves in Blender")
+        by = "" if len(films) == 1 else f", by {', '.join(person['seen_by'])}"
+        typer.echo(f"person{person['person']}: {frames}{by}; {about}{person['distance_m']:.1f} m away")
+    out = run.out
+    typer.echo(f"{out / overlay_name(0)} shows all bodies, {out / report['people'][0]['files'][1]} moves in Blender")

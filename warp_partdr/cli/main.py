@@ -23,6 +23,7 @@ from .fit import FIT_HELP, fit
 from .options import grouped
 from .predict import PREDICT_HELP, predict
 from .register import REGISTER_HELP, register_body
+from .scene import SCENE_HELP, scene
 from .train import TRAIN_HELP, train_network
 
 _UsageError: Any = typer.BadParameter.__base__  # typer keeps it in different places, its subclass in one
@@ -51,6 +52,7 @@ def _root(
 
 
 app.command("fit", help=FIT_HELP)(grouped(fit))
+app.command("scene", help=SCENE_HELP)(grouped(scene))
 app.command("register", help=REGISTER_HELP)(register_body)
 app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("dataset", help=DATASET_HELP)(grouped(dataset))

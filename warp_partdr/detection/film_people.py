@@ -151,7 +151,12 @@ def areas(boxes: np.ndarray) -> np.ndarray:
 def _pack(people: Sequence[FoundPerson], size: tuple[int, int]) -> bytes:
     height, width = size
     owners = instance_map(people, size).clip(0, 255).astype(np.uint8)
-    return zlib.compress(crop_nearest(owners, (0.0, 0.0, width, height), kept_size(size), fill=0).tobytes(), 1)
+    return pack_owners(crop_nearest(owners, (0.0, 0.0, width, height), kept_size(size), fill=0))
+
+
+def pack_owners(owners: np.ndarray) -> bytes:
+    """Compress owners, uint8, as ``FilmPeople.packed`` has them."""
+    return zlib.compress(owners.tobytes(), 1)
 
 
 def _by_size(rows: np.ndarray, num_frames: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from itertools import starmap
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -46,6 +46,31 @@ def no_labels(parts: PartLabels) -> None:
     """Keypoints alone."""
 
 
+class Evaluated(Protocol):
+    """Person or scene of known truth, such as a ``Sample``."""
+
+    @property
+    def source(self) -> str:
+        """Group whose figures are pooled."""
+
+    @property
+    def name(self) -> str:
+        """Name within the source."""
+
+
+class Fitting(Protocol):
+    """One way to fit, such as a ``Method``."""
+
+    def serves(self, sample: Any) -> bool:
+        """True for what it fits."""
+
+    def fit_sample(self, sample: Any, device: str) -> Any:
+        """Fit a sample."""
+
+    def score(self, sample: Any, name: str, result: Any, seconds: float) -> Score:
+        """Compare the result with the truth."""
+
+
 @dataclass(frozen=True)
 class Method:
     """One way to fit. Its functions are called in other processes, so they must be those of a module.
@@ -65,6 +90,15 @@ class Method:
         parts = None if sample.parts is None else self.see(sample.parts)
         given = {"camera": sample.camera} if self.camera else {}
         return self.fit(sample.keypoints, parts, others=sample.others, options=self.options, device=device, **given)
+
+    def serves(self, sample: object) -> bool:
+        """True for single people."""
+        return isinstance(sample, Sample)
+
+    def score(self, sample: Sample, name: str, result: Any, seconds: float) -> Score:
+        """Compare the result with what is known of the sample."""
+        vertices = None if self.vertices is None else self.vertices(result)
+        return score_fit(sample, name, result, seconds, vertices)
 
 
 METHODS: dict[str, Method] = {
@@ -111,14 +145,14 @@ class Report:
 
 
 def evaluate(
-    samples: Sequence[Sample],
-    methods: Mapping[str, Method] = METHODS,
+    samples: Sequence[Evaluated],
+    methods: Mapping[str, Fitting] = METHODS,
     *,
     jobs: int = 1,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Report:
-    """Fit every sample by every method and score the results.
+    """Fit every sample by every method that serves it and score the results.
 
     A method's first fit in a process is done twice, so that no time counted has the compiling of kernels in it.
 
@@ -131,12 +165,19 @@ def evaluate(
         progress: Called with ("fits", done, total).
 
     Raises:
-        InputError: If nothing could be fitted: why the first could not.
+        InputError: If nothing could be fitted: why the first could not, or that no method serves.
         ValueError: If ``jobs`` is less than 1.
     """
     if jobs < 1:
         raise ValueError(f"jobs: {jobs}; expected 1 or more")
-    tasks = [(sample, name, method, device) for sample in samples for name, method in methods.items()]
+    tasks = [
+        (sample, name, method, device)
+        for sample in samples
+        for name, method in methods.items()
+        if method.serves(sample)
+    ]
+    if samples and not tasks:
+        raise InputError(f"methods: {', '.join(methods)}; expected one that fits {samples[0].source}")
 
     def counted(finished: Iterable[Any]) -> Iterator[Any]:
         for done, each in enumerate(finished, start=1):
@@ -170,7 +211,7 @@ def one_thread() -> None:
 _warm: set[tuple[str, str]] = set()  # (method, device) that this process has fitted by
 
 
-def _run(sample: Sample, name: str, method: Method, device: str) -> Score | Failure:
+def _run(sample: Evaluated, name: str, method: Fitting, device: str) -> Score | Failure:
     try:
         if (name, device) not in _warm:
             method.fit_sample(sample, device)
@@ -180,7 +221,7 @@ def _run(sample: Sample, name: str, method: Method, device: str) -> Score | Fail
         seconds = time.perf_counter() - started
     except InputError as error:
         return Failure(sample.source, sample.name, name, str(error))
-    return score_fit(sample, name, result, seconds, None if method.vertices is None else method.vertices(result))
+    return method.score(sample, name, result, seconds)
 
 
 _COLUMNS = {  # figure: its heading, a factor, and digits
@@ -192,6 +233,10 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "mpjpe_mm": ("MPJPE\n[mm]", 1, 1),
     "pa_mpjpe_mm": ("PA-MPJPE\n[mm]", 1, 1),
     "pve_mm": ("PVE\n[mm]", 1, 1),
+    "world_mpjpe_mm": ("world\nMPJPE [mm]", 1, 1),
+    "acceleration_mm": ("acceleration\noff [mm/frame²]", 1, 1),
+    "order_right": ("order right\n[%]", 100, 0),
+    "shared_volume_cm3": ("shared\n[cm³]", 1, 0),
     "seconds": ("time\n[s]", 1, 2),
 }
 
@@ -200,7 +245,8 @@ def tables(report: Report) -> Iterator[Table]:
     """One table a source: a row a method, with 95 % intervals below the figures."""
     for source, rows in report.pooled().items():
         people = max(row["people"] for row in rows.values())
-        title = Text(f"{source}: {people} {'person' if people == 1 else 'people'}", style="bold")
+        what = ("scene", "scenes") if any("world_mpjpe_mm" in row for row in rows.values()) else ("person", "people")
+        title = Text(f"{source}: {people} {what[people != 1]}", style="bold")
         table = Table(title=title, title_justify="left")
         table.add_column("fitted to", no_wrap=True)
         shown = [name for name in _COLUMNS if any(name in row for row in rows.values())]

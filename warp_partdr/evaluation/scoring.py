@@ -26,6 +26,10 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("mpjpe_mm", "mpjpe", 1),
     ("pa_mpjpe_mm", "pa_mpjpe", 1),
     ("pve_mm", "pve", 1),
+    ("world_mpjpe_mm", "world_mpjpe", 1),
+    ("acceleration_mm", "acceleration", 2),
+    ("order_right", "order", 3),
+    ("shared_volume_cm3", "shared_volume", 1),
     ("seconds", "seconds", 2),
 )
 
@@ -54,6 +58,10 @@ class Score:
     mpjpe: float = math.nan  # [mm], pelvis-centred; NaN if the true joints are not known
     pa_mpjpe: float = math.nan  # [mm], the same
     pve: float = math.nan  # [mm], the same for vertices, and NaN if the method has none
+    world_mpjpe: float = math.nan  # [mm], as joints stand in the world; NaN but for scenes
+    acceleration: float = math.nan  # [mm/frame²], how far joints' are from the true ones; NaN but for motion
+    order: float = math.nan  # share of pairs of people in the right order in depth; NaN but for several people
+    shared_volume: float = math.nan  # [cm³], of people who stand in one another, a frame; NaN but for several people
 
 
 def score_fit(

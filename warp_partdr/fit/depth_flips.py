@@ -6,6 +6,7 @@ order that it begins with; a flip jumps. What hides what is all that labels say 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -19,8 +20,10 @@ from ..body.posing import Posed
 from ..body.rotations import rotation_between, rotation_to_axis_angle
 from ..body.template import BONE_STARTS, PARENTS, PART_NAMES
 from ..inputs.observation import Observation
-from ..refinement.energy import Energy, Weights
+from ..refinement.captured import refine_captured
+from ..refinement.energy import SEG, Energy, Weights
 from ..refinement.refine import refine
+from ..refinement.stepper import Refined
 from ..render.renderers import RendererEllipsoids
 
 # Bones of a limb: each may be mirrored, and what follows the last one turns with it.
@@ -52,23 +55,74 @@ class DepthOrder:
 
 def repair_depth_order(body: BodyParameters, seen: Observation, prior: PosePrior) -> tuple[BodyParameters, DepthOrder]:
     """The body, or the flip of it that labels prefer by far; a flip is refined a little, as it was compared."""
-    every, names = flip_depths(body, prior, seen.lens)
+    found, (order,) = repair_depth_orders(body, [seen], prior)
+    return found, order
+
+
+def repair_depth_orders(
+    bodies: BodyParameters, seen: Sequence[Observation], prior: PosePrior
+) -> tuple[BodyParameters, list[DepthOrder]]:
+    """Bodies of people after ``repair_depth_order`` of each, all at once.
+
+    Args:
+        bodies: One of each person.
+        seen: With labels of one set; of several people no probabilities. Cameras of all or of none are known.
+        prior: Of poses.
+    """
+    count, lens = bodies.batch_size, seen[0].lens
+    lenses = None if lens is None else torch.stack([each.lens for each in seen if each.lens is not None])
+    flips, owners, names = _propose(bodies, prior, lenses)
+    whose = owners.tolist()
+    orders = [
+        DepthOrder(tuple(name for name, owner in zip(names, whose, strict=True) if owner == person), None)
+        for person in range(count)
+    ]
     if not names:
-        return body, DepthOrder((), None)
-    energy = Energy(seen, _SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
-    with torch.no_grad():
-        losses = energy.segmentation(every, every.posed())
-    worth = losses <= losses[0] * (1 - _WORTH_REFINING)
+        return bodies, orders
+    energies = {
+        person: Energy(seen[person], _SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
+        for person in set(whose)
+    }
+    # Each one's own body comes before its flips.
+    asked = torch.tensor(sorted(energies), device=owners.device)
+    both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])
+    losses = _label_losses(both, people, energies)
+    own = losses.new_zeros(count).index_copy(0, asked, losses[: len(asked)])
+    worth = (losses <= own[people] * (1 - _WORTH_REFINING))[len(asked) :]
     if not worth.any():
-        return body, DepthOrder(tuple(names), None)
-    worth[0] = True
-    some = worth.nonzero()[:, 0]
-    refined = refine(every.select(some), energy, iterations=_ITERATIONS, learning_rate=_RATE)
-    best = int(refined.energy.argmin())
-    if refined.energy[best] > (1 - _MARGIN) * refined.energy[0]:
-        return body, DepthOrder(tuple(names), None)
-    order = DepthOrder(tuple(names), names[int(some[best]) - 1])
-    return refined.parameters.select(torch.tensor([best], device=some.device)), order
+        return bodies, orders
+    doubted = torch.isin(asked, owners[worth])
+    some = torch.cat([doubted, worth]).nonzero()[:, 0]
+    refined = _refine(both.select(some), people[some], energies)
+    chosen = torch.arange(count)
+    totals, of_row, flip = refined.energy.tolist(), people[some].tolist(), (some - len(asked)).tolist()
+    for person in set(of_row):
+        rows = [row for row, owner in enumerate(of_row) if owner == person]
+        best = min(rows, key=totals.__getitem__)
+        if totals[best] <= (1 - _MARGIN) * totals[rows[0]]:
+            chosen[person] = count + best
+            orders[person] = replace(orders[person], flipped=names[flip[best]])
+    if bool((chosen < count).all()):
+        return bodies, orders
+    return BodyParameters.joined([bodies, refined.parameters]).select(chosen.to(owners.device)), orders
+
+
+@torch.no_grad()
+def _label_losses(bodies: BodyParameters, people: torch.Tensor, energies: Mapping[int, Energy]) -> torch.Tensor:
+    """What labels say against each body, in one unit, shape (N,); ``people``, (N,), says whose each is."""
+    if len(energies) == 1:
+        (energy,) = energies.values()
+        return energy.segmentation(bodies, bodies.posed())
+    own = [energies[person] for person in people.tolist()]
+    return refine_captured(bodies, own, {"iterations": 0}).terms[SEG.name]
+
+
+def _refine(bodies: BodyParameters, people: torch.Tensor, energies: Mapping[int, Energy]) -> Refined:
+    if len(energies) == 1:
+        (energy,) = energies.values()
+        return refine(bodies, energy, iterations=_ITERATIONS, learning_rate=_RATE)
+    own = [energies[person] for person in people.tolist()]
+    return refine_captured(bodies, own, {"iterations": _ITERATIONS, "learning_rate": _RATE})
 
 
 def flip_depths(
@@ -84,32 +138,45 @@ def flip_depths(
     Returns:
         1 + F bodies, the body first, and the flips' names, such as "left arm: forearm".
     """
-    posed = body.posed()
-    view = torch.tensor([0.0, 0.0, 1.0], device=posed.joints.device)
-    if lens is not None:
-        view = (ray_rotations(body, lens) @ view)[0]
-    found, names = [body.rotations], ["itself"]
+    flips, _, names = _propose(body, prior, None if lens is None else lens[None])
+    return BodyParameters.joined([body, flips]), names
+
+
+def _propose(
+    bodies: BodyParameters, prior: PosePrior, lenses: torch.Tensor | None
+) -> tuple[BodyParameters, torch.Tensor, list[str]]:
+    """Flips of B bodies, whose each is, (F,), in their order, and names."""
+    posed = bodies.posed()
+    view = posed.joints.new_tensor([0.0, 0.0, 1.0]).expand(bodies.batch_size, 3)
+    if lenses is not None:
+        view = ray_rotations(bodies, lenses)[..., 2]
+    found, good, names = [], [], []
     crossing = _crossing(posed, view)
     for limb, parts in _LIMBS.items():
-        if not crossing[list(parts)].any():
+        over = crossing[:, list(parts)].any(1)
+        if not over.any():
             continue
         for upper, lower in ((True, False), (False, True), (True, True)):
-            turned = _mirrored(posed, parts, (upper, lower), view)
-            if turned is not None:
-                found.append(torch.where(_is_one_of(parts, turned), turned, body.rotations))
-                bones = [
-                    PART_NAMES[part].split("_", 1)[1]
-                    for part, flipped in zip(parts[:2], (upper, lower), strict=True)
-                    if flipped
-                ]
-                names.append(f"{limb}: {' and '.join(bones)}")
-    rotations = torch.cat(found)
-    excess = prior.joint_limits(rotations)
-    kept = excess <= excess[0] + _OVER_LIMITS
-    kept[0] = True
-    every = body.select(torch.zeros(int(kept.sum()), dtype=torch.int64, device=kept.device))
-    names = [name for name, good in zip(names, kept.tolist(), strict=True) if good]
-    return replace(every, rotations=rotations[kept]), names[1:]
+            turned, steep = _mirrored(posed, parts, (upper, lower), view)
+            found.append(torch.where(_is_one_of(parts, turned), turned, bodies.rotations))
+            good.append(over & steep)
+            bones = [
+                PART_NAMES[part].split("_", 1)[1]
+                for part, flipped in zip(parts[:2], (upper, lower), strict=True)
+                if flipped
+            ]
+            names.append(f"{limb}: {' and '.join(bones)}")
+    if not found:
+        return bodies.select(slice(0)), torch.zeros(0, dtype=torch.int64, device=view.device), []
+    rotations = torch.stack(found, dim=1)
+    excess = prior.joint_limits(rotations.flatten(0, 1)).view(len(view), -1)
+    own = prior.joint_limits(bodies.rotations)[:, None]
+    owners, which = (torch.stack(good, dim=1) & (excess <= own + _OVER_LIMITS)).nonzero(as_tuple=True)
+    return (
+        replace(bodies.select(owners), rotations=rotations[owners, which]),
+        owners,
+        [names[n] for n in which.tolist()],
+    )
 
 
 def _is_one_of(parts: tuple[int, ...], like: torch.Tensor) -> torch.Tensor:
@@ -120,33 +187,36 @@ def _is_one_of(parts: tuple[int, ...], like: torch.Tensor) -> torch.Tensor:
 
 def _mirrored(
     posed: Posed, parts: tuple[int, ...], flipped: tuple[bool, bool], view: torch.Tensor
-) -> torch.Tensor | None:
-    """Local rotations with bones of a limb mirrored, shape (1, 20, 3); None if one hardly changes."""
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Local rotations with bones of a limb mirrored, shape (B, 20, 3); and False where one hardly changes, (B,)."""
     world = torch.cat([posed.rotations[:, :1], posed.rotations], dim=1).clone()  # of the pelvis, whose hips don't turn
-    turn = torch.eye(3, device=world.device)
+    still = torch.eye(3, device=world.device).expand(len(world), 3, 3)
+    turn, steep = still, torch.ones(len(world), dtype=torch.bool, device=world.device)
     for part, flip in zip(parts[:2], flipped, strict=True):
-        bone = posed.joints[0, part + 1] - posed.joints[0, BONE_STARTS[part]]
-        bone = bone / bone.norm()
-        slope = bone @ view
-        if flip and slope.abs() < _FLAT:
-            return None
-        turn = rotation_between(bone, bone - 2 * slope * view) if flip else torch.eye(3, device=world.device)
+        turn = still
+        if flip:
+            bone = posed.joints[:, part + 1] - posed.joints[:, BONE_STARTS[part]]
+            bone = bone / bone.norm(dim=-1, keepdim=True)
+            slope = (bone * view).sum(-1, keepdim=True)
+            steep = steep & (slope[:, 0].abs() >= _FLAT)
+            turn = rotation_between(bone, bone - 2 * slope * view)
         world[:, part + 1] = turn @ world[:, part + 1]
     world[:, parts[2] + 1] = turn @ world[:, parts[2] + 1]
-    return rotation_to_axis_angle(world[:, BONE_STARTS].mT @ world[:, 1:])
+    return rotation_to_axis_angle(world[:, BONE_STARTS].mT @ world[:, 1:]), steep
 
 
 def _crossing(posed: Posed, view: torch.Tensor) -> torch.Tensor:
-    """Parts with a bone that lies, in the picture, over a part that they don't hang on, shape (20,), bool."""
-    across = rotation_between(view, view.new_tensor([0.0, 0.0, 1.0]))[:2]  # the picture's plane, square to the view
-    axes = across @ posed.axes[0]  # (20, 2, 3)
-    outlines = (axes * posed.semi_axes[0, :, None].square()) @ axes.mT  # ellipses x^T outlines^-1 x = 1
-    bones = posed.semi_axes[0, :, :1] * axes[..., 0]
-    places = posed.centres[0] @ across.T
-    points = places[:, None] + _PLACES.to(bones)[:, None] * bones[:, None]  # (20, places, 2)
-    offsets = points[:, :, None] - places  # (20, places, 20, 2)
-    inside = (offsets[..., None, :] @ torch.linalg.inv(outlines) @ offsets[..., None])[..., 0, 0] < _BESIDE
-    return (inside.any(1) & _apart(inside.device)).any(1)
+    """Parts with a bone that lies, in the picture, over a part that they don't hang on, shape (B, 20), bool."""
+    forward = view.new_tensor([0.0, 0.0, 1.0]).expand_as(view)
+    across = rotation_between(view, forward)[:, None, :2]  # the picture's plane, square to the view, (B, 1, 2, 3)
+    axes = across @ posed.axes  # (B, 20, 2, 3)
+    outlines = (axes * posed.semi_axes[:, :, None].square()) @ axes.mT  # ellipses x^T outlines^-1 x = 1
+    bones = posed.semi_axes[:, :, :1] * axes[..., 0]
+    places = posed.centres @ across[:, 0].mT
+    points = places[:, :, None] + _PLACES.to(bones)[:, None] * bones[:, :, None]  # (B, 20, places, 2)
+    offsets = points[:, :, :, None] - places[:, None, None]  # (B, 20, places, 20, 2)
+    squares = (offsets[..., None, :] @ torch.linalg.inv(outlines)[:, None, None] @ offsets[..., None])[..., 0, 0]
+    return ((squares < _BESIDE).any(2) & _apart(view.device)).any(2)
 
 
 @lru_cache(maxsize=8)

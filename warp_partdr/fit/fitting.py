@@ -13,7 +13,7 @@ from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..body.template import NUM_PARTS
-from ..cameras import Crop, Perspective
+from ..cameras import Crop, Perspective, check_square
 from ..errors import check_type
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
@@ -249,8 +249,4 @@ class _Fit:
 def _check_camera(camera: Perspective | None) -> None:
     check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
     if camera is not None:
-        if len(camera.focal) != 1:
-            raise ValueError(f"camera: {len(camera.focal)} of them; expected one")
-        across, down = camera.focal[0].tolist()
-        if not (camera.intrinsics.isfinite().all() and across > 0 and abs(across - down) <= 1e-3 * across):
-            raise ValueError(f"camera: focal lengths {across:g} and {down:g}; expected square pixels")
+        check_square(camera)

@@ -24,7 +24,7 @@ from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
-from .depth_flips import DepthOrder, repair_depth_order
+from .depth_flips import DepthOrder, repair_depth_orders
 from .options import FitOptions
 from .plausibility import describe_misfit, person_pixels
 from .result import FitResult
@@ -101,9 +101,9 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     stages = options.stages
     if first.label_set is None:
         stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
-    orders: list[DepthOrder | None] = [None] * len(people)
+    orders: Sequence[DepthOrder | None] = [None] * len(people)
     if stages and first.label_set is not None and first.label_set.num_groups > 1:
-        bodies, orders = _repair(bodies, seen, prior)
+        bodies, orders = repair_depth_orders(bodies, seen, prior)
     depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()
     seen = [replace(each, depths=depths[row], depth_spreads=spreads[row]) for row, each in enumerate(seen)]
     terms: dict[str, torch.Tensor] = {}
@@ -167,11 +167,3 @@ def _complaints(bodies: BodyParameters, energies: Sequence[Energy]) -> list[list
     people = person_pixels(torch.stack([each.target for each in energies if each.target is not None]))
     wrongs = (terms[SEG.name] / energies[0].weight(SEG) / (2 * people)).tolist()
     return [describe_misfit(off, wrong) for off, wrong in zip(offs, wrongs, strict=True)]
-
-
-def _repair(
-    bodies: BodyParameters, seen: Sequence[Observation], prior: PosePrior
-) -> tuple[BodyParameters, list[DepthOrder | None]]:
-    """Bodies after ``repair_depth_order`` of each."""
-    pairs = [repair_depth_order(bodies.select(slice(row, row + 1)), each, prior) for row, each in enumerate(seen)]
-    return BodyParameters.joined([body for body, _ in pairs]), [order for _, order in pairs]

@@ -1,8 +1,9 @@
-"""The files of a film's people: a motion each, and the film with their bodies over it."""
+"""The files of films' people: a motion each, and the films with their bodies over them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from ..fit.fitting import Progress
 from ..inputs.films import read_frames
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
+from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
 from .pictures import blend, shade_detailed
 from .predictions import ROW, FilmBodies
@@ -34,18 +36,20 @@ _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 @one_torch_thread()
 def save_film_fit(
-    fit: FilmFit, folder: str | Path, *, film: str | Path, progress: Progress | None = None
+    fit: FilmFit, folder: str | Path, *, films: Sequence[str | Path], progress: Progress | None = None
 ) -> dict[str, Any]:
     """Write overlay.mp4 and people.json, and of each person N personN.npz, personN.glb and personN.bvh.
 
-    ``personN.npz`` is as ``predictions`` has it, with ``detailed_model`` (), ``detailed_shape`` (S,), in the camera
-    frame ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
-    EllipBodies are measured from these. GLB and BVH hold the motion at the film's rate.
+    ``personN.npz`` is as ``predictions`` has it, with ``detailed_model`` (), ``detailed_shape`` (S,),
+    ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
+    EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
+    the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on.
+    ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation.
 
     Args:
         fit: Of ``fit_film``.
         folder: Made if it is not there.
-        film: The file.
+        films: The files, as in the fit.
         progress: Told the stage, frames done and in all.
 
     Returns:
@@ -57,38 +61,71 @@ def save_film_fit(
     """
     check_type("fit", fit, FilmFit, "of fit_film")
     tell = progress or (lambda name, done, total: None)
-    report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.people.times), "people": []}
-    report |= {"warnings": [fit.people.fault] if fit.people.fault else []}
+    faults = [seen.people.fault for seen in fit.films if seen.people.fault]
+    report: dict[str, Any] = {"rate": fit.people.rate, "frames": len(fit.times), "warnings": faults, "people": []}
+    report["views"] = [_view(Path(film).name, seen) for film, seen in zip(films, fit.films, strict=True)]
     with replacing(Path(folder), PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
         for place, (person, motion) in enumerate(fit.motions.items()):
             tell("writing motions", place, len(fit.motions))
-            report["people"].append(_save_motion(fit, person, motion, temporary))
-        total = len(fit.people.times)
-        shown = (_told(picture, number, total, tell) for number, picture in enumerate(draw_film(fit, film)))
-        write_film(temporary / OVERLAY, shown, fit.people.rate)
+            by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
+            report["people"].append({**_save_motion(fit, person, motion, temporary), "seen_by": by})
+        total, done = sum(len(seen.people.times) for seen in fit.films), 0
+        for place, film in enumerate(films):
+            shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(draw_film(fit, film, place)))
+            write_film(temporary / overlay_name(place), shown, fit.people.rate)
+            done += len(fit.films[place].people.times)
     return report
 
 
-def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
-    """Frames of the film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8."""
+def overlay_name(film: int) -> str:
+    """File of a film with the bodies over it."""
+    return OVERLAY if film == 0 else f"overlay{film}.mp4"
+
+
+def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.ndarray]:
+    """Frames of a film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8.
+
+    Args:
+        fit: The fit.
+        film: The file.
+        place: Of the film in the fit. Distortion of its lens is taken away.
+    """
     from PIL import Image
 
-    zoom, size = shown_at(fit.people.image_size, _SIDE)
-    camera = zoomed(fit.camera, zoom, size)
+    seen = fit.films[place]
+    zoom, size = shown_at(seen.people.image_size, _SIDE)
+    camera = zoomed(seen.view.camera, zoom, size)
+    lens = None if seen.lens is None else seen.lens.resized(size)
     tracks = {
         person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
     }
+    depths = {person: seen.view.to_camera(each.translation)[:, 2].cpu().numpy() for person, each in fit.motions.items()}
     posed: dict[int, tuple[int, Registered]] = {}
-    for frame in islice(read_frames(film), len(fit.people.times)):
+    for frame in islice(read_frames(film), len(seen.people.times)):
         picture = np.asarray(Image.fromarray(frame.picture).resize(size[::-1], Image.Resampling.BILINEAR))
+        if lens is not None:
+            picture = lens.undistort_picture(picture)
         there = {person: rows[frame.index] for person, rows in tracks.items() if frame.index in rows}
-        for person in sorted(there, key=lambda one: -float(fit.motions[one].translation[there[one], 2])):
+        for person in sorted(there, key=lambda one: -float(depths[one][there[one]])):
             chunk, row = divmod(there[person], _POSED)
             if person not in posed or posed[person][0] != chunk:
                 posed[person] = chunk, fit.motions[person].bodies(slice(chunk * _POSED, (chunk + 1) * _POSED))
             body = posed[person][1].detailed.select(slice(row, row + 1))
+            body = replace(body, vertices=seen.view.to_camera(body.vertices))
             picture = blend(picture, shade_detailed(body, fit.motions[person].model, camera, size), 0.9)
         yield picture
+
+
+def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
+    camera = seen.view.camera
+    return {
+        "film": name,
+        "size": list(seen.people.image_size[::-1]),
+        "focal": float(camera.focal[0, 0]),
+        "principal": camera.centre[0].tolist(),
+        "rotation": seen.view.rotation.tolist(),
+        "translation": seen.view.translation.tolist(),
+    }
 
 
 def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.ndarray:
@@ -113,25 +150,30 @@ def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path) -> dic
     first = motion.bodies(slice(0, 1))
     (folder / f"{name}.glb").write_bytes(glb(first, poses))
     (folder / f"{name}.bvh").write_text(bvh(first, poses))
-    seen = fit.people.of(person)
+    seen = _seen(fit, person)
     return {
         "person": person,
         "files": [f"{name}.{kind}" for kind in ("npz", "glb", "bvh")],
-        "score": round(float(seen["scores"].mean()), 3),
+        "score": round(float(np.concatenate([rows["scores"] for rows in seen]).mean()), 3),
         "first_frame": int(motion.frames[0]),
         "last_frame": int(motion.frames[-1]),
-        "frames_seen": len(seen),
+        "frames_seen": len(np.unique(np.concatenate([rows["frames"] for rows in seen]))),
         "distance_m": round(float(rows["translation"][:, 2].mean()), 2),
         "lengths_cm": dict(zip(LENGTH_NAMES, _centimetres(rows["lengths"][0]), strict=True)),
         "clothes_cm": dict(zip(CLOTHED, _centimetres(motion.shape.clothes.cpu().numpy()), strict=True)),
     }
 
 
+def _seen(fit: FilmFit, person: int) -> list[np.ndarray]:
+    """Rows of a person, film by film."""
+    return [fit.rows(person, film) for film in range(len(fit.films))]
+
+
 def _rows(fit: FilmFit, person: int, motion: Motion) -> tuple[np.ndarray, float]:
     """Rows of ``FilmBodies``, and the y of the lowest vertex of all frames, y up [m]."""
     rows, lowest = np.zeros(len(motion.frames), ROW), np.inf
-    rows["frames"], rows["times"] = motion.frames, fit.people.times[motion.frames]
-    seen = fit.people.of(person)
+    rows["frames"], rows["times"] = motion.frames, fit.times[motion.frames]
+    seen = fit.rows(person)
     at = np.searchsorted(motion.frames, seen["frames"])
     for name in SEEN:
         rows[name][at] = seen[name]

@@ -1,4 +1,4 @@
-"""Fit of a film: windows of frames, each a scene; what two of them share passes from one to the other.
+"""Fit of a film, or of several of one moment: windows of frames, each a scene, and what they share passes on.
 
 A person's shape is found first, from frames spread over the whole film. With it windows know nothing of one another, so
 a film may be of any length.
@@ -6,26 +6,29 @@ a film may be of any length.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
 
 from ..body.rotations import nearest_rotation
-from ..cameras import Perspective, zoomed
+from ..cameras import Perspective
 from ..clothing.anny import anny
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
-from ..detection.film_people import FilmPeople, kept_size, row_keypoints
-from ..errors import check_type
+from ..detection.film_people import FilmPeople
+from ..errors import InputError, check_each
 from ..fit.fitting import Progress
-from ..fit.photo import mask_labels, person_place
+from ..fit.photo import person_place
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .options import SceneOptions
-from .scene import PersonShape, Scene, Sight, View
+from .same_people import Track, match_people
+from .scene import PersonShape, Scene, View
+from .seen_film import SeenFilm
+
+_RATES = 0.01  # share by which rates of films may differ
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Motion:
         frames: Of the film, in order, shape (T,), int64; also those between in which the person is not seen.
         shape: The person's.
         rotations: Local rotation of each joint, shape (T, J, 3, 3).
-        translation: Position of the root joint in the camera frame [m], shape (T, 3).
+        translation: Position of the root joint in the world [m], shape (T, 3).
     """
 
     model: DetailedModel
@@ -47,7 +50,7 @@ class Motion:
     translation: torch.Tensor
 
     def bodies(self, rows: slice = slice(None)) -> Registered:
-        """Detailed bodies of some of the frames in the camera frame; all of a long film's take memory."""
+        """Detailed bodies of some of the frames in the world; all of a long film's take memory."""
         rotations = self.rotations[rows]
         values = self.shape.values.expand(len(rotations), -1)
         return ungrown(self.model, values, rotations, self.translation[rows], {})
@@ -55,23 +58,41 @@ class Motion:
 
 @dataclass(frozen=True)
 class FilmFit:
-    """Bodies of the people of a film.
+    """Bodies of the people of a film, or of several.
 
     Attributes:
-        people: Who was seen.
-        camera: The film's, in its pixels; it stands still, and the world is its frame.
+        films: The films; of one, the world is its camera's frame.
+        tracks: Of each person, who it is in which film.
         motions: By person.
     """
 
-    people: FilmPeople
-    camera: Perspective
+    films: tuple[SeenFilm, ...]
+    tracks: dict[int, tuple[Track, ...]]
     motions: dict[int, Motion]
+
+    @property
+    def people(self) -> FilmPeople:
+        """Who was seen in the first film."""
+        return self.films[0].people
+
+    @property
+    def camera(self) -> Perspective:
+        """The first film's, in its pixels."""
+        return self.films[0].view.camera
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of the longest film's frames since the first [s], shape (F,)."""
+        return max((film.people.times for film in self.films), key=len)
+
+    def rows(self, person: int, film: int = 0) -> np.ndarray:
+        """Rows of ``FilmPeople`` of a person in a film, frame by frame."""
+        return _rows_of(self.films, self.tracks[person], film)
 
 
 def fit_film(
-    people: FilmPeople,
+    films: Sequence[SeenFilm],
     *,
-    camera: Perspective | None = None,
     person: int | None = None,
     options: SceneOptions | None = None,
     model: DetailedModel | None = None,
@@ -79,11 +100,11 @@ def fit_film(
     progress: Progress | None = None,
     pieces: FilmPieces | None = None,
 ) -> FilmFit:
-    """Fit detailed bodies to the people of a film: one shape each, a pose a frame, smooth in time.
+    """Fit detailed bodies to the people of films: one shape each, a pose a frame, smooth in time.
 
     Args:
-        people: Of ``find_film_people``.
-        camera: The film's; default: one whose focal length is the picture's diagonal.
+        films: One, such as ``[SeenFilm.of(find_film_people("walk.mp4"))]``, or several of the same moments, frame by
+            frame, whose cameras share a world.
         person: This one alone, 0 = the most and largest seen; the others' pixels are still known to be theirs.
         options: Of windows, and of their fits; default: ``SceneOptions.film()``.
         model: On the device, float32; default Anny.
@@ -92,15 +113,15 @@ def fit_film(
         pieces: What an earlier run of the same fit has done already, and where this one keeps what it does.
 
     Raises:
-        InputError: If there are not so many people.
+        InputError: If there are not so many people, or films differ in their rates.
         TypeError: If an argument is of another type.
     """
-    check_type("people", people, FilmPeople, "of find_film_people")
-    check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
+    check_each("films", films, SeenFilm, "such as SeenFilm.of(find_film_people('walk.mp4'))")
     options, model = options or SceneOptions.film(), model or anny(device)
-    camera = camera or Perspective.of_picture(people.image_size, focal=math.hypot(*people.image_size))
-    everyone = range(people.num_people) if person is None else [person_place(person, people.num_people)]
-    film = _Film(people, camera, tuple(everyone))
+    everyone = dict(enumerate(match_people(films)))
+    if person is not None:
+        everyone = {person: everyone[person_place(person, len(everyone))]}
+    film = _Films(tuple(films), everyone)
     tell = progress or (lambda name, done, total: None)
 
     def kept(name: str, scene: Scene, chosen: SceneOptions) -> _Bodies:
@@ -114,37 +135,53 @@ def fit_film(
     shapes: dict[int, PersonShape] = {}
     if len(parts) > 1:
         apart = replace(options, smoothing=0.0)  # frames that are far from one another
-        for place, track in enumerate(film.tracks):
-            tell("shapes", place, len(film.tracks))
-            scene = film.surest(track, options.shape_frames)
-            shapes[track] = kept(f"shape{track}", scene, apart).shapes[0]
-    found = {track: _Blend() for track in film.tracks}
+        for place, number in enumerate(everyone):
+            tell("shapes", place, len(everyone))
+            scene = film.surest(number, options.shape_frames)
+            shapes[number] = kept(f"shape{number}", scene, apart).shapes[0]
+    found = {number: _Blend() for number in everyone}
     for place, part in enumerate(parts):
         tell("motions", place, len(parts))
-        tracks, scene = film.scene(part, shapes)
+        numbers, scene = film.scene(part, shapes)
         window = kept(f"window{place}", scene, options)
-        for person, track in enumerate(tracks):
-            found[track].add(part, window, person)
+        for row, number in enumerate(numbers):
+            found[number].add(part, window, row)
     tell("motions", len(parts), len(parts))
-    return FilmFit(people, camera, {track: found[track].motion(model, film.span(track)) for track in film.tracks})
+    motions = {number: found[number].motion(model, film.span(number)) for number in everyone}
+    return FilmFit(film.films, everyone, motions)
+
+
+def _rows_of(films: Sequence[SeenFilm], tracks: Sequence[Track], film: int) -> np.ndarray:
+    mine = [track for each, track in tracks if each == film]
+    rows = films[film].people.rows
+    return rows[np.isin(rows["tracks"], mine)]
 
 
 @dataclass(frozen=True)
-class _Film:
-    """Film whose scenes are wanted."""
+class _Films:
+    """Films whose scenes are wanted.
 
-    people: FilmPeople
-    camera: Perspective
-    tracks: tuple[int, ...]
+    Attributes:
+        films: Of the same moments.
+        tracks: By person.
+    """
 
-    def span(self, track: int) -> range:
+    films: tuple[SeenFilm, ...]
+    tracks: Mapping[int, tuple[Track, ...]]
+
+    def __post_init__(self) -> None:
+        rates = [film.people.rate for film in self.films]
+        if max(rates) > (1 + _RATES) * min(rates):
+            raise InputError(f"films: {', '.join(f'{rate:g}' for rate in rates)} frames a second; expected one rate")
+
+    def span(self, person: int) -> range:
         """Frames from the first in which a person is seen to the last."""
-        frames = self.people.of(track)["frames"]
-        return range(int(frames[0]), int(frames[-1]) + 1)
+        frames = np.concatenate([rows["frames"] for _, rows in self._rows(person)])
+        return range(int(frames.min()), int(frames.max()) + 1)
 
     def windows(self, options: SceneOptions) -> Iterable[range]:
         """Frames that are fitted together; those in which nobody is seen are left out."""
-        seen = self._rows()["frames"]
+        seen = np.concatenate([rows["frames"] for person in self.tracks for _, rows in self._rows(person)])
         for window in windows(int(seen.min()), int(seen.max()) + 1, options.window, options.overlap):
             inside = seen[(seen >= window.start) & (seen < window.stop)]
             if len(inside):
@@ -152,37 +189,44 @@ class _Film:
 
     def scene(self, window: range, shapes: Mapping[int, PersonShape]) -> tuple[list[int], Scene]:
         """People of some frames, and the scene of them."""
-        rows = self._rows()
-        rows = rows[(rows["frames"] >= window.start) & (rows["frames"] < window.stop)]
-        tracks = np.unique(rows["tracks"]).tolist()
-        sights = [self._sight(row, tracks.index(row["tracks"]), int(row["frames"]) - window.start) for row in rows]
-        known = {tracks.index(track): shape for track, shape in shapes.items() if track in tracks}
-        return tracks, Scene([self._view()], sights, self.people.rate, known)
+        there: dict[int, list[tuple[int, np.ndarray]]] = {}
+        for person in self.tracks:
+            for view, rows in self._rows(person):
+                inside = rows[(rows["frames"] >= window.start) & (rows["frames"] < window.stop)]
+                if len(inside):
+                    there.setdefault(person, []).append((view, inside))
+        people = list(there)
+        known = {people.index(person): shape for person, shape in shapes.items() if person in there}
+        sights = [
+            replace(sight, frame=sight.frame - window.start)
+            for person, seen in there.items()
+            for view, rows in seen
+            for sight in self.films[view].sights(rows, people.index(person), view)
+        ]
+        return people, Scene(self._views(), sights, self.films[0].people.rate, known)
 
-    def surest(self, track: int, count: int) -> Scene:
-        """A person in so many frames, spread over the film, those where the keypoints are surest."""
-        rows = self.people.of(track)
-        groups = np.array_split(rows, min(count, len(rows)))
-        best = [group[group["keypoints"][..., 2].sum(1).argmax()] for group in groups]
-        return Scene([self._view()], [self._sight(row, 0, place) for place, row in enumerate(best)])
+    def surest(self, person: int, count: int) -> Scene:
+        """A person in so many frames, spread over the films, those where the keypoints are surest."""
+        span = self.span(person)
+        sure = np.zeros(len(span))
+        for _, rows in self._rows(person):
+            np.add.at(sure, rows["frames"] - span.start, rows["keypoints"][..., 2].sum(1))
+        groups = np.array_split(np.flatnonzero(sure) + span.start, min(count, int((sure > 0).sum())))
+        best = [int(group[sure[group - span.start].argmax()]) for group in groups]
+        sights = [
+            replace(sight, frame=best.index(sight.frame))
+            for view, rows in self._rows(person)
+            for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
+        ]
+        return Scene(self._views(), sights)
 
-    def _rows(self) -> np.ndarray:
-        return self.people.rows[np.isin(self.people.rows["tracks"], self.tracks)]
+    def _rows(self, person: int) -> Iterator[tuple[int, np.ndarray]]:
+        """Views that see a person, and the rows there."""
+        for view in sorted({view for view, _ in self.tracks[person]}):
+            yield view, _rows_of(self.films, self.tracks[person], view)
 
-    def _view(self) -> View:
-        size = kept_size(self.people.image_size)
-        camera = zoomed(self.camera, self._zoom(), size)
-        assert isinstance(camera, Perspective)
-        return View(camera)
-
-    def _zoom(self) -> float:
-        return kept_size(self.people.image_size)[1] / self.people.image_size[1]
-
-    def _sight(self, row: np.ndarray, person: int, frame: int) -> Sight:
-        full = row_keypoints(row)
-        keypoints = replace(full, points=full.points * np.float32(self._zoom()))
-        parts = mask_labels(self.people.owners(int(row["frames"])).astype(np.int32), int(row["places"]))
-        return Sight(keypoints, parts, person, frame)
+    def _views(self) -> list[View]:
+        return [film.small_view for film in self.films]
 
 
 @dataclass(frozen=True)
@@ -193,7 +237,7 @@ class _Bodies:
         values: Shape values, shape (P, S).
         clothes: Thicknesses [m], shape (P, 8).
         rotations: Local rotation of each joint, shape (P, T, J, 3, 3).
-        translation: Position of the root joint in the camera frame [m], shape (P, T, 3).
+        translation: Position of the root joint in the world [m], shape (P, T, 3).
     """
 
     values: np.ndarray

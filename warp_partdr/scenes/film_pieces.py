@@ -1,4 +1,4 @@
-"""Pieces of a film's fit that are done, kept in a folder, so that a run that was ended goes on where it was."""
+"""Pieces of a fit of films that are done, kept in a folder, so that a run that was ended goes on where it was."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on w
 
 
 class FilmPieces:
-    """Pieces of one film's fit.
+    """Pieces of one fit of films.
 
     Args:
         near: Folder for the results; pieces lie in it, or in the nearest one above that exists.
-        film: The film's file.
-        *how: All that the result depends on beside the film.
+        films: The films' files, and others that the result depends on.
+        *how: All else that it depends on.
     """
 
-    def __init__(self, near: Path, film: Path, *how: object) -> None:
+    def __init__(self, near: Path, films: Sequence[Path], *how: object) -> None:
         there = next((path for path in (near, *near.absolute().parents) if path.is_dir()), Path())
-        stat = film.stat()
-        about = __version__, str(film.resolve()), stat.st_size, stat.st_mtime_ns, *map(repr, how)
+        stats = [(str(film.resolve()), film.stat().st_size, film.stat().st_mtime_ns) for film in films]
+        about = __version__, *stats, *map(repr, how)
         self.folder = there / f"{_FOLDER}{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
 
     def piece(
@@ -52,9 +52,9 @@ class FilmPieces:
         os.replace(unfinished, path)
         return made
 
-    def people(self, find: Callable[[], FilmPeople]) -> FilmPeople:
-        """People of the film, who are looked for unless they were found."""
-        data = self.piece("people", _PEOPLE, lambda: _people_arrays(find()))
+    def people(self, film: int, find: Callable[[], FilmPeople]) -> FilmPeople:
+        """People of a film, who are looked for unless they were found."""
+        data = self.piece(f"people{film}", _PEOPLE, lambda: _people_arrays(find()))
         starts = np.cumsum([0, *data["sizes"]])
         height, width = data["image_size"].tolist()
         whole = data["packed"].tobytes()

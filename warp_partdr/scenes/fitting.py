@@ -78,6 +78,7 @@ def fit_scene(
     model: DetailedModel | None = None,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
+    looks: Sequence[Looked] | None = None,
 ) -> SceneFit:
     """Fit detailed bodies to a scene: one shape a person, a pose a frame, places in the world.
 
@@ -91,6 +92,7 @@ def fit_scene(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
+        looks: Of ``look_at`` on the same device, where somebody looked already or starts otherwise.
 
     Raises:
         InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
@@ -106,18 +108,21 @@ def fit_scene(
     tell = progress or (lambda name, done, total: None)
     started = time.perf_counter()
     tell("network", 0, 1)
-    looks = look_at(scene, where)
+    looks = look_at(scene, where) if looks is None else list(looks)
     label_set = next((look.seen.label_set for look in looks if look.seen.label_set is not None), None)
     one = mesh_energy(model, options.mesh, label_set)
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
-        people, looks = order_people(energy, model, scene, looks)
+        if options.exchanges:
+            people, looks = order_people(energy, model, scene, looks)
+        else:
+            people = gather_scene(energy, model, scene, looks)
     warnings = _warnings(looks)
     looked = time.perf_counter()
     best = _refine(energy, people, looks, tell)
     # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
     least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
-    for _ in range(1, scene.num_people):
+    for _ in range(1, scene.num_people if options.exchanges else 1):
         with torch.no_grad():
             exchanged = exchange(energy, best.people, best.unknowns, best.looks, least_gain)
             if exchanged is None:

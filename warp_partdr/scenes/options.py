@@ -19,6 +19,8 @@ class SceneOptions:
         smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
             [s]; 0 leaves frames to themselves.
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
+        exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
+            for a z gradient (``mesh.gradient``).
         together: Side of the crop in which several people are drawn together [px].
         window: Frames of a film that are fitted together.
         overlap: Frames that two windows share, from one to the other.
@@ -28,6 +30,7 @@ class SceneOptions:
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.15
     apart: float = 0.1
+    exchanges: bool = True
     together: int = 256
     window: int = 64
     overlap: int = 12

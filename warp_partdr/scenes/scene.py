@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 
 import torch
 
-from ..cameras import Perspective
+from ..cameras import Perspective, check_square, is_rotation
 from ..errors import InputError, check_each, check_type, check_whole
+from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..interop.checks import FLOATS, check_tensor
-
-_ROTATION_ERROR = 1e-3  # of R^T R
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class View:
         translation: t [m], shape (3,).
 
     Raises:
-        ValueError: If there is not one camera, a shape is wrong, or R is no rotation.
+        ValueError: If there is not one camera with square pixels, a shape is wrong, or R is no rotation.
     """
 
     camera: Perspective
@@ -36,16 +35,19 @@ class View:
 
     def __post_init__(self) -> None:
         check_type("camera", self.camera, Perspective, "such as Perspective.of_picture(size, focal=1500)")
-        if len(self.camera.focal) != 1:
-            raise ValueError(f"camera: {len(self.camera.focal)} of them; expected one")
+        check_square(self.camera)
         check_tensor("rotation", self.rotation, (3, 3), dtypes=FLOATS)
         check_tensor("translation", self.translation, (3,), dtypes=FLOATS)
-        turn = self.rotation.double()
-        off = (turn.mT @ turn - torch.eye(3, dtype=turn.dtype, device=turn.device)).abs().max()
-        if not (off < _ROTATION_ERROR and torch.linalg.det(turn) > 0):
+        if not is_rotation(self.rotation):
             raise ValueError("rotation: not orthonormal, or a mirror image; expected a rotation, world to camera")
         if not self.translation.isfinite().all():
             raise ValueError(f"translation: {self.translation.tolist()}; expected finite numbers [m]")
+
+    @classmethod
+    def of(cls, camera: CalibratedCamera) -> View:
+        """The view of a calibrated camera, in whose pictures distortion is removed."""
+        turn, move = (torch.from_numpy(each).float() for each in (camera.rotation, camera.translation))
+        return cls(camera.without_distortion, turn, move)
 
     def to_camera(self, points: torch.Tensor) -> torch.Tensor:
         """Points of the world (..., 3) in the camera's frame [m]."""

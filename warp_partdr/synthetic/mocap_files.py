@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,10 @@ from ..body.landmarks import without_side
 from ..body.rotations import rotation_between, skew
 from ..body.template import LOCKED_PARTS, NUM_PARTS, PARENTS, PART_NAMES, template
 from ..files.json_files import read_json
-from .mocap import Clip, concatenate, is_held_out, rotation_matrices, rotation_vectors
+from .mocap import Clip, concatenate, is_held_out, rotation_matrices, rotation_vectors, smooth_windows
+
+FRAME_RATE = 30.0  # of the clips of ``cmu_expmap.npz``, every fourth frame of CMU's
+_CMU_UNIT = 0.0254 / 0.45  # [m]
 
 # Angle below the horizontal of a flat foot's line from ankle to ball [degrees]: median of CMU's slow, low feet.
 FLAT_FOOT_PITCH = 18.0
@@ -77,6 +81,23 @@ def load_clips(folder: Path | str) -> list[Clip]:
     if not clips:
         raise FileNotFoundError(f"{folder}: no cmu_expmap.npz, cmu_asfamc/ or deepmimic/ in it")
     return clips
+
+
+def held_out_windows(folder: Path | str, seconds: float) -> list[Clip]:
+    """Windows of motion that no network and no prior has seen, at ``FRAME_RATE``, kinds of motion in turn.
+
+    Raises:
+        FileNotFoundError: If the folder holds no ``cmu_expmap.npz``.
+    """
+    if not (Path(folder) / "cmu_expmap.npz").is_file():
+        raise FileNotFoundError(f"{folder}: no cmu_expmap.npz in it")
+    kinds: dict[str, list[Clip]] = {}
+    for clip in _read_expmap(Path(folder)):
+        if is_held_out(clip):
+            windows = smooth_windows(clip, round(seconds * FRAME_RATE))
+            kinds.setdefault(clip.name.rpartition("_")[0], []).extend(windows)
+    rounds = zip_longest(*(kinds[kind] for kind in sorted(kinds)))
+    return [clip for each in rounds for clip in each if clip is not None]
 
 
 def held_out_frames(folder: Path | str, count: int) -> Clip:
@@ -175,7 +196,8 @@ def _read_expmap(folder: Path) -> Iterator[Clip]:
             world: dict[str, np.ndarray] = {}
             for joint, (name, parent) in enumerate(zip(names, parents, strict=True)):
                 world[name] = world[parent] @ exponentials[:, joint] if parent else exponentials[:, joint]
-            yield _retarget(f"expmap.{key}", world[names[0]], _follow(_EXPMAP, world, rest))
+            clip = _retarget(f"expmap.{key}", world[names[0]], _follow(_EXPMAP, world, rest))
+            yield replace(clip, positions=_CMU_UNIT * values[:, :3])
 
 
 @dataclass(frozen=True)

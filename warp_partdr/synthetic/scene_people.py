@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,7 +22,9 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
+from ..scenes.depth_order import grown
 from ..scenes.scene import Scene, Sight, View
+from ..scenes.start import Looked, time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
@@ -35,7 +38,9 @@ _FILL = 0.8  # of the picture's height or width that the people take
 _DISTANCE = (3.0, 5.0)  # [m]
 _PITCH = (-5.0, 20.0)  # [degrees], how far cameras look down
 _BESIDE, _BEHIND = (0.1, 0.35), (0.3, 0.9)  # [m], of the second of a pair
+_APART = 1.08  # ratio of the distances of two people in the wrong order
 _HIDDEN = (0.05, 0.6)  # share of the one behind that the other hides
+_ROUNDING = 1.5  # [frames], standard deviation over which places of motion capture are averaged
 _LASTS = 0.7  # correlation of a keypoint's noise from frame to frame
 _VIEWS, _PAIR, _CLIP = 19, 20, 21  # of the seeds
 
@@ -45,11 +50,13 @@ class SceneSample:
     """A scene and its truth.
 
     Attributes:
-        name: Such as "views 007".
+        name: Such as "person 007", of PartBench.
         scene: As it is seen, with noise.
         joints: LSP's 14 joints in the world [m], shape (P, T, 14, 3).
         vertices: Anny's in the world [m], shape (P, T, V, 3).
         parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
+        source: Group whose figures are pooled.
+        wrong_order: A fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
     """
 
     name: str
@@ -57,6 +64,36 @@ class SceneSample:
     joints: np.ndarray
     vertices: np.ndarray
     parts: np.ndarray
+    source: str = ""
+    wrong_order: bool = False
+
+    @property
+    def order(self) -> np.ndarray:
+        """People from front to back, in the first frame of the first view, shape (P,)."""
+        return depths_of(self.scene, self.joints).argsort()
+
+
+def depths_of(scene: Scene, joints: np.ndarray) -> np.ndarray:
+    """Distances of people's middles along the first view in the first frame [m], of joints (P, T, J, 3), shape (P,)."""
+    middles = torch.from_numpy(np.asarray(joints)[:, 0].mean(1)).float()
+    return scene.views[0].to_camera(middles)[:, 2].numpy()
+
+
+def in_wrong_order(sample: SceneSample, looks: Sequence[Looked]) -> list[Looked]:
+    """Sights of a pair with the one behind in front: each grows about the camera, and so looks alone as before."""
+    front = int(sample.order[0])
+    away = {look.sight.person: _distance(look) for look in looks}
+    ratio = away[1 - front] / away[front]
+    if ratio < 1:  # wrong as it is
+        return list(looks)
+    factor = math.sqrt(_APART * ratio)
+    return [grown(look, factor if look.sight.person == front else 1 / factor) for look in looks]
+
+
+def _distance(look: Looked) -> float:
+    """Of the pelvis from the camera [m]."""
+    assert look.seen.lens is not None
+    return float(look.seen.lens[0] / look.body.log_scale.exp())
 
 
 def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSample:
@@ -67,11 +104,11 @@ def make_views(index: int, num_views: int, level: str = "realistic") -> SceneSam
     start = rng.uniform(0, 2 * np.pi)
     turns = start + even * (np.arange(num_views) + rng.uniform(-0.2, 0.2, num_views) * (num_views > 1))
     views = [_place_view(body.vertices.numpy(), turn, rng) for turn in turns]
-    return _see(f"views {index:03d}", [[body]], [stature], views, LEVELS[level], rng)
+    return _see(f"person {index:03d}", [[body]], [stature], views, LEVELS[level], rng)
 
 
 def make_pair(index: int, level: str = "realistic") -> SceneSample:
-    """Two people, one partly before the other; the first is ``index`` of PartBench."""
+    """Two people, one partly before the other, the first of them ``index``; odd ones start in the wrong order."""
     rng = np.random.default_rng([SEED, index, _PAIR])
     (one, first), (other, second) = _draw_body(index), _draw_body(index + 1)
     # Both stand on the same ground.
@@ -91,7 +128,9 @@ def make_pair(index: int, level: str = "realistic") -> SceneSample:
         left = int((both > NUM_PARTS).sum()) if behind > 0 else int(((both > 0) & (both <= NUM_PARTS)).sum())
         if _HIDDEN[0] <= 1 - left / counts[int(behind > 0)] <= _HIDDEN[1]:
             break
-    return _see(f"pair {index:03d}", [[one], [beyond]], [first, second], [view], LEVELS[level], rng)
+    name = f"people {index:03d}, {index + 1:03d}"
+    sample = _see(name, [[one], [beyond]], [first, second], [view], LEVELS[level], rng)
+    return replace(sample, wrong_order=index % 2 == 1)
 
 
 def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic") -> SceneSample:
@@ -103,10 +142,16 @@ def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic
     zero = torch.zeros(1, dtype=world.dtype)
     posed = mean_body(torch.from_numpy(clip.rotations).float(), people.seen_by_camera(world, zero.expand(len(world))))
     bodies = people.pose_anny(anny(), shape.expand(len(world), -1), posed)
-    view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
     stature = float(statures(anny(), shape))
+    if clip.positions is not None:
+        # Files round places to 2 mm, which would be most of the acceleration; who is taller goes farther.
+        shares = time_shares(torch.ones(1, len(clip), dtype=torch.bool), _ROUNDING)[0].numpy()
+        smooth = shares @ clip.positions * (stature / MEAN_STATURE)
+        bodies = bodies.moved(torch.from_numpy((smooth - smooth.mean(0)) * [1, -1, -1]).float())
+    view = _place_view(bodies.vertices.numpy(), rng.uniform(0, 2 * np.pi), rng)
     frames = [bodies.select(slice(frame, frame + 1)) for frame in range(len(world))]
-    return _see(f"clip {index:03d}", [frames], [stature], [view], LEVELS[level], rng, frame_rate)
+    name = f"person {index:03d}, {clip.name}"
+    return _see(name, [frames], [stature], [view], LEVELS[level], rng, frame_rate)
 
 
 @one_torch_thread()
@@ -176,10 +221,12 @@ def _see(
                 true = pixels[0].numpy()
                 seen = noisy_keypoints(true, hidden, COCO.landmarks, height, _SIZE, level=level, rng=rng)
                 off = lasting.get((person, place))
-                lasting[person, place] = seen[:, :2] - true
+                there = seen[:, 2:] > 0
+                lasting[person, place] = np.where(there, seen[:, :2] - true, 0.0)
                 if off is not None:
-                    lasting[person, place] = _LASTS * off + math.sqrt(1 - _LASTS**2) * (seen[:, :2] - true)
-                placed = np.where(seen[:, 2:] > 0, true + lasting[person, place], 0.0).astype(np.float32)
+                    lasting[person, place] *= math.sqrt(1 - _LASTS**2)
+                    lasting[person, place] += _LASTS * off
+                placed = np.where(there, true + lasting[person, place], 0.0).astype(np.float32)
                 keypoints = Keypoints2D(COCO.name, placed, seen[:, 2].astype(np.float32))
                 if keypoints.visible.any():
                     sights.append(Sight(keypoints, PartLabels(LABELS, groups), person, frame, place))

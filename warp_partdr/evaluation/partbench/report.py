@@ -20,15 +20,17 @@ from ...fit.result import FitResult
 from ...inputs.sample import Sample
 from ...results.palette import group_colours
 from ...results.pictures import draw_keypoints
-from ...synthetic.noise import LEVELS
-from ..evaluate import Method, Report, tables
+from ...synthetic.scene_people import SceneSample
+from ..evaluate import Evaluated, Fitting, Report, tables
 from ..scoring import Score
 from . import VERSION
 from .methods import KNOWN_CAMERA
-from .samples import LABELS, SETTINGS, source_name
+from .samples import LABELS, source_name
+from .scene_pictures import draw_scene_case
+from .scenes import SMOOTHED
 
 WORST = 10
-DRAWN = "parts"  # the method whose worst fits are drawn
+DRAWN = ("parts", "scene")  # methods whose worst fits are drawn
 # Each pair: what should be better, and than what.
 ORDER = (
     ("parts", "full silhouette"),
@@ -38,6 +40,16 @@ ORDER = (
     ("network, 50 iterations", "network"),
     ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, PartDR's rule"),
+    ("scene", "each alone"),
+    ("scene", "scene, no exchanges"),
+    ("scene, z gradient, no exchanges", "scene, no z gradient, no exchanges"),
+    *(("scene", name) for name in SMOOTHED),
+    ("scene", "first camera alone"),
+)
+_GAINS = (  # figure, field of ``Score``, unit
+    ("PA-MPJPE", "pa_mpjpe", "mm"),
+    ("world MPJPE", "world_mpjpe", "mm"),
+    ("acceleration", "acceleration", "mm/frame²"),
 )
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"
@@ -47,31 +59,34 @@ def compare_methods(report: Report) -> Iterator[str]:
     """Differences between methods on the same people, with 95 % intervals: a sentence for each level and pair."""
     scores = {(each.source, each.method, each.sample): each for each in report.scores}
     people = sorted({each.sample for each in report.scores})
-    for level, pair in product((*LEVELS, *SETTINGS), ORDER):
-        keys = ([(source_name(level), method, person) for method in pair] for person in people)
+    for source, pair in product(dict.fromkeys(each.source for each in report.scores), ORDER):
+        keys = ([(source, method, person) for method in pair] for person in people)
         matched = [[scores[key] for key in both] for both in keys if scores.keys() >= set(both)]
         if matched:
-            yield f"{level}: {pair[0]} minus {pair[1]}: {_compare(matched)}"
+            yield f"{source.removeprefix(source_name(''))}: {pair[0]} minus {pair[1]}: {_compare(matched)}"
 
 
 def _compare(pairs: list[list[Score]]) -> str:
-    """PA-MPJPE and part F1 of the first score of each pair minus those of the second."""
-    gains = np.array([better.pa_mpjpe - worse.pa_mpjpe for better, worse in pairs])
-    low, high = metrics.bootstrap_sum(gains, lambda sums: sums / len(gains))
-    text = f"PA-MPJPE {gains.mean():+.1f} ({low:+.1f} to {high:+.1f}) mm"
+    """Errors and part F1 of the first score of each pair minus those of the second."""
+    parts = []
+    for name, field, unit in _GAINS:
+        gains = np.array([getattr(better, field) - getattr(worse, field) for better, worse in pairs])
+        if np.isfinite(gains).all():
+            low, high = metrics.bootstrap_sum(gains, lambda sums: sums / len(pairs))
+            parts.append(f"{name} {gains.mean():+.1f} ({low:+.1f} to {high:+.1f}) {unit}")
     counts = np.array([[score.pixels.parts for score in pair if score.pixels is not None] for pair in pairs])
     if counts.ndim == 4:
         gain = lambda sums: metrics.part_f1(sums[..., 0, :, :]) - metrics.part_f1(sums[..., 1, :, :])  # noqa: E731
         low, high = metrics.bootstrap_sum(counts, gain)
-        text += f", part F1 {float(gain(counts.sum(0))):+.4f} ({low:+.4f} to {high:+.4f})"
-    return text
+        parts.append(f"part F1 {float(gain(counts.sum(0))):+.4f} ({low:+.4f} to {high:+.4f})")
+    return ", ".join(parts)
 
 
 def write_report(
     path: Path,
     report: Report,
-    samples: Sequence[Sample],
-    methods: Mapping[str, Method],
+    samples: Sequence[Evaluated],
+    methods: Mapping[str, Fitting],
     measured_with: Mapping[str, Any],
     *,
     device: str = "cpu",
@@ -90,11 +105,17 @@ def write_report(
     for table in tables(report):
         console.print(table)
     cases = []
-    drawn = DRAWN if DRAWN in methods else next(iter(methods))
-    for score in worst(report, drawn):
+    fitted = dict.fromkeys(score.method for score in report.scores)
+    drawn = [name for name in DRAWN if name in fitted] or list(fitted)[:1]
+    for score in (each for name in drawn for each in worst(report, name)):
         sample = next(each for each in samples if (each.source, each.name) == (score.source, score.sample))
         caption = f"{score.source}: {score.sample}: PA-MPJPE {score.pa_mpjpe:.0f} mm, MPJPE {score.mpjpe:.0f} mm"
-        picture = draw_case(sample, methods[drawn].fit_sample(sample, device))
+        result = methods[score.method].fit_sample(sample, device)
+        if isinstance(sample, Sample):
+            picture = draw_case(sample, result)
+        else:
+            assert isinstance(sample, SceneSample)
+            picture = draw_scene_case(sample, result)
         cases.append(f"<h3>{html.escape(caption)}</h3>{_img(picture)}")
     listed = "".join(f"<li>{html.escape(finding)}</li>" for finding in compare_methods(report))
     about = ", ".join(f"{key} {value}" for key, value in measured_with.items())
@@ -103,9 +124,9 @@ def write_report(
         f"<style>{_STYLE}</style><h1>PartBench {VERSION}</h1><p>{html.escape(about)}</p>"
         f"{console.export_html(inline_styles=True, code_format='<pre>{code}</pre>')}"
         f"<h2>Differences on the same people</h2><ul>{listed}</ul>"
-        f"<h2>The worst fits of &ldquo;{html.escape(drawn)}&rdquo;, one a person</h2>"
-        "<p>What the fit saw; the truth; the fit; joints from the person's side as the camera has it (blue: true, red: "
-        f"fitted).</p>{''.join(cases)}</html>\n",
+        f"<h2>The worst fits of &ldquo;{html.escape(' and '.join(drawn))}&rdquo;, one a person</h2>"
+        "<p>What the fit saw; the truth; the fit; joints from the person's side as the camera has it, of scenes from "
+        f"above (blue: true, red: fitted).</p>{''.join(cases)}</html>\n",
         encoding="utf-8",
     )
 

@@ -20,6 +20,7 @@ from . import VERSION
 LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, TILTED, CLOTHED = SETTINGS = ("near", "tilted", "clothed")
+PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
@@ -34,11 +35,17 @@ def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEV
     Raises:
         InputError: If a level is unknown, or there are not so many people.
     """
-    if not 1 <= count <= NUM_PEOPLE:
-        raise InputError(f"people: {count}; expected 1 to {NUM_PEOPLE}")
+    check_people(range(count))
     if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS)]:
-        raise InputError(f"level: {', '.join(unknown)}; expected {', '.join((*LEVELS, *SETTINGS))}")
+        known = ", ".join((*LEVELS, *SETTINGS, *SCENES))
+        raise InputError(f"level: {', '.join(unknown)}; expected {known}")
     return [make_sample(index, level) for level in levels for index in range(count)]
+
+
+def check_people(indices: Sequence[int]) -> None:
+    """Raise InputError unless there are people of these indices."""
+    if not indices or min(indices) < 0 or max(indices) >= NUM_PEOPLE:
+        raise InputError(f"people: {len(indices)}; expected 1 to {NUM_PEOPLE}")
 
 
 def make_sample(index: int, name: str) -> Sample:

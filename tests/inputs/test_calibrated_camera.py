@@ -1,0 +1,127 @@
+"""Distortion is removed: the formula is OpenCV's, points go there and back, and pictures are cut where nothing is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from warp_partdr.body.labels import IGNORE, label_set
+from warp_partdr.errors import InputError
+from warp_partdr.inputs.calibrated_camera import CalibratedCamera
+from warp_partdr.inputs.keypoints import Keypoints2D
+from warp_partdr.inputs.part_labels import PartLabels
+
+LENSES = {
+    "none": (),
+    "barrel": (-0.25, 0.06, 0.001, -0.002),
+    "pincushion": (0.2, 0.05, -0.003, 0.001, 0.02),
+    "rational": (0.5, 0.1, 0.0005, -0.0005, 0.01, 0.8, 0.2, 0.02),
+}
+
+
+def camera(distortion: tuple[float, ...]) -> CalibratedCamera:
+    return CalibratedCamera((900.0, 880.0), (620.0, 370.0), distortion, size=(720, 1280))
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_go_there_and_back(lens: str) -> None:
+    taken = np.stack(np.meshgrid(np.linspace(0, 1280, 33), np.linspace(0, 720, 19)), axis=-1)
+    one = camera(LENSES[lens])
+    straight = one.undistort_points(taken)
+    np.testing.assert_allclose(one.distort_points(straight), taken, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(one.undistort_points(one.distort_points(straight)), straight, rtol=0, atol=1e-6)
+    if lens == "none":
+        across, down = np.sqrt(880 / 900), np.sqrt(900 / 880)  # square pixels
+        np.testing.assert_allclose(straight - one.principal, (taken - one.principal) * [across, down])
+    else:
+        assert np.abs(straight - taken).max() > 10
+
+
+def test_the_formula_by_hand() -> None:
+    # x, y = 0.3, -0.4: r^2 = 0.25; each coefficient alone.
+    one = CalibratedCamera((100.0, 100.0), (0.0, 0.0))
+    place = np.array([30.0, -40.0])
+    for index, seen in enumerate(
+        (
+            (30 * 1.025, -40 * 1.025),  # k1 0.1: 1 + 0.1 r^2
+            (30 * 1.00625, -40 * 1.00625),  # k2: 1 + 0.1 r^4
+            (30 - 2.4, -40 + 5.7),  # p1: 2 p1 x y, p1 (r^2 + 2 y^2)
+            (30 + 4.3, -40 - 2.4),  # p2: p2 (r^2 + 2 x^2), 2 p2 x y
+            (30 * 1.0015625, -40 * 1.0015625),  # k3: 1 + 0.1 r^6
+            (30 / 1.025, -40 / 1.025),  # k4: divided by 1 + 0.1 r^2
+        )
+    ):
+        lens = tuple(0.1 if place == index else 0.0 for place in range(6))
+        np.testing.assert_allclose(replace(one, distortion=lens).distort_points(place), seen)
+
+
+@pytest.mark.skipif(find_spec("cv2") is None, reason="cv2 is not installed")
+@pytest.mark.parametrize("lens", LENSES)
+def test_as_opencv(lens: str) -> None:
+    import cv2
+
+    one = camera(LENSES[lens])
+    inner = np.array([[900.0, 0, 620.0], [0, 880.0, 370.0], [0, 0, 1]])
+    places = np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3)) + np.array([0, 0, 1.0])
+    seen, _ = cv2.projectPoints(places, np.zeros(3), np.zeros(3), inner, np.array(LENSES[lens] or (0.0,) * 4))
+    focal = one.without_distortion.focal[0, 0].double().item()
+    straight = places[:, :2] / places[:, 2:] * focal + one.principal
+    np.testing.assert_allclose(one.distort_points(straight), seen[:, 0], rtol=0, atol=1e-4)
+
+
+def test_what_the_lens_can_t_show() -> None:
+    # r (1 - 0.3 r^2) is largest at r = 1.054, where it is 0.703: 703 px from the middle.
+    one = CalibratedCamera((1000.0, 1000.0), (0.0, 0.0), (-0.3,))
+    found = one.undistort_points(np.array([[0.0, 700.0], [0.0, 710.0]]))
+    assert 0.97 < found[0, 1] / 1000 < 1.054
+    assert np.isnan(found[1]).all()
+    assert np.isnan(one.distort_points(np.array([0.0, 1100.0]))).all()
+    points = np.array([[0.0, 700.0], [0.0, 710.0], *[[10.0, 10.0]] * 15], dtype=np.float32)
+    seen = one.undistort_keypoints(Keypoints2D("coco17", points, np.full(17, 0.7, dtype=np.float32)))
+    assert (seen.confidence > 0).tolist() == [True, False] + [True] * 15
+    assert seen.points[1].tolist() == [0, 0]
+    assert seen.points.dtype == np.float32
+
+
+def test_pictures_lose_their_distortion() -> None:
+    """An edge that the lens bent is straight again, and border pixels that nobody saw are ignored."""
+    one = CalibratedCamera((300.0, 300.0), (160.0, 120.0), (0.3, 0.1, 0.0, 0.0), size=(240, 320))
+    rows, columns = np.mgrid[:240, :320] + 0.5
+    straight = one.undistort_points(np.stack([columns, rows], axis=-1))
+    groups = np.where(straight[..., 0] > 270, 2, 1).astype(np.uint8)
+    assert len({int((row == 1).sum()) for row in groups}) > 4  # bent
+    labels = label_set("cdcl14")
+    maps = np.stack([groups == group for group in range(labels.num_groups + 1)]).astype(np.float32)
+    seen = one.undistort_parts(PartLabels(labels, groups, maps, groups[None]))
+    known = seen.groups != IGNORE
+    assert not known[0, 0]
+    assert known[60:180, 80:240].all()
+    wrong = (seen.groups != np.where(columns > 270, 2, 1)) & known
+    assert set(columns[wrong]) <= {269.5, 270.5}
+    np.testing.assert_array_equal(seen.maps.argmax(0)[known], seen.groups[known])
+    assert not seen.maps[:, ~known].any()
+    np.testing.assert_array_equal(seen.instances[0], seen.groups)
+    photo = np.repeat(groups[..., None], 3, axis=-1)
+    np.testing.assert_array_equal(one.undistort_picture(photo)[known][:, 0], seen.groups[known])
+    with pytest.raises(InputError, match="picture: 240 x 320 px; expected 320 x 240"):
+        one.undistort_picture(photo.swapaxes(0, 1))
+
+
+def test_without_distortion_nothing_moves() -> None:
+    one = CalibratedCamera((300.0, 300.0), (160.0, 120.0))
+    picture = np.random.default_rng(0).integers(0, 255, (240, 320), dtype=np.uint8)
+    np.testing.assert_array_equal(one.undistort_picture(picture), picture)
+    lens = one.without_distortion
+    assert lens.intrinsics[0].tolist() == [300, 300, 160, 120]
+
+
+def test_cameras_that_can_t_be() -> None:
+    with pytest.raises(InputError, match=r"distortion: .*expected up to 8 numbers"):
+        CalibratedCamera((1.0, 1.0), (0.0, 0.0), (0.0,) * 9)
+    with pytest.raises(InputError, match="rotation: not orthonormal"):
+        CalibratedCamera((1.0, 1.0), (0.0, 0.0), rotation=np.zeros((3, 3)))
+    with pytest.raises(InputError, match=r"translation: .*expected 3 numbers"):
+        CalibratedCamera((1.0, 1.0), (0.0, 0.0), translation=np.zeros(2))

@@ -1,0 +1,206 @@
+"""Calibrated camera, and its distortion, which is removed from keypoints, labels and pictures before a fit.
+
+Without distortion a picture has the same size and principal point and square pixels. A place x, y at depth 1 is seen by
+the Brown-Conrady model (Brown, 1966; the rational form as in OpenCV) at::
+
+    x' = x s + 2 p1 x y + p2 (r^2 + 2 x^2)        s = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+    y' = y s + p1 (r^2 + 2 y^2) + 2 p2 x y
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from ..body.labels import IGNORE
+from ..cameras import Perspective, is_rotation
+from ..errors import InputError
+from .keypoints import Keypoints2D
+from .part_labels import PartLabels
+
+_MOST_STEPS = 50  # of Newton's iteration; a few serve
+_CLOSE = 1e-12  # at depth 1; about 1e-9 px
+_STEP = 1e-6  # of its derivatives
+_WIDEST = np.linspace(0.0, 10.0, 10_001)  # radii at depth 1, up to 84 degrees beside the axis
+_FARTHEST = 1_000.0  # [m], of the world's origin from a camera; more is in millimetres
+
+
+@dataclass(frozen=True)
+class CalibratedCamera:
+    """Camera of known lens and place: X_camera = R X_world + t.
+
+    Attributes:
+        focal: (f_x, f_y) [px].
+        principal: Principal point (u, v) [px], where the middle of the first pixel is at (0.5, 0.5): OpenCV's + 0.5.
+        distortion: k1, k2, p1, p2, k3, k4, k5, k6; those left out are 0.
+        rotation: R, world to camera, shape (3, 3), float64.
+        translation: t [m], shape (3,), float64.
+        size: (H, W) of its pictures [px]; None: unknown.
+
+    Raises:
+        InputError: If a number is out of range or R is no rotation.
+    """
+
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    distortion: tuple[float, ...] = ()
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not all(0 < each < math.inf for each in self.focal) or not all(map(math.isfinite, self.principal)):
+            raise InputError(f"focal, principal: {self.focal}, {self.principal}; expected pixels, focal above 0")
+        if len(self.distortion) > 8 or not all(map(math.isfinite, self.distortion)):
+            raise InputError(f"distortion: {self.distortion}; expected up to 8 numbers, k1, k2, p1, p2, k3, k4, k5, k6")
+        if self.rotation.shape != (3, 3) or not is_rotation(torch.from_numpy(self.rotation)):
+            raise InputError("rotation: not orthonormal, or a mirror image; expected a rotation, world to camera")
+        distance = float(np.linalg.norm(self.translation))
+        if self.translation.shape != (3,) or not distance <= _FARTHEST:
+            raise InputError(
+                f"translation: {self.translation.tolist()}; expected 3 numbers in metres, up to {_FARTHEST:g}"
+            )
+
+    @property
+    def without_distortion(self) -> Perspective:
+        """The camera of pictures from which distortion is removed, B = 1."""
+        focal = self._square
+        return Perspective(torch.tensor([[focal, focal]]), torch.tensor([self.principal]))
+
+    def undistort_points(self, points: np.ndarray) -> np.ndarray:
+        """Places (..., 2) [px] in the picture as taken, where they are without distortion; float64.
+
+        NaN where the lens shows nothing: this distortion moves no place there.
+        """
+        seen = (np.asarray(points, dtype=np.float64) - self.principal) / self.focal
+        found = seen.copy()
+        for _ in range(_MOST_STEPS):
+            off = self._distort(found) - seen
+            if not (np.abs(off) > _CLOSE).any():
+                break
+            # The inverse of the 2 x 2 derivatives, which differences give closely enough for quadratic convergence.
+            right, down = (
+                (self._distort(found + move) - self._distort(found - move)) / (2 * _STEP) for move in _STEP * np.eye(2)
+            )
+            determinant = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+            moves = np.stack(
+                [
+                    off[..., 0] * down[..., 1] - off[..., 1] * down[..., 0],
+                    off[..., 1] * right[..., 0] - off[..., 0] * right[..., 1],
+                ],
+                axis=-1,
+            )
+            with np.errstate(all="ignore"):
+                found = found - moves / determinant[..., None]
+        with np.errstate(invalid="ignore"):
+            off = np.abs(self._distort(found) - seen).max(axis=-1)
+            wrong = ~((off < 1e3 * _CLOSE) & (np.linalg.norm(found, axis=-1) <= self._reach))
+        found[wrong] = np.nan
+        return found * self._square + self.principal
+
+    def distort_points(self, points: np.ndarray) -> np.ndarray:
+        """Places (..., 2) [px] without distortion in the picture as taken; float64. NaN beyond what the lens shows."""
+        there = (np.asarray(points, dtype=np.float64) - self.principal) / self._square
+        with np.errstate(invalid="ignore"):
+            beyond = ~(np.linalg.norm(there, axis=-1) <= self._reach)
+        seen = self._distort(there) * self.focal + self.principal
+        seen[beyond] = np.nan
+        return seen
+
+    def undistort_keypoints(self, keypoints: Keypoints2D) -> Keypoints2D:
+        """Keypoints of the picture as taken, without distortion; those that the lens can't show are missing."""
+        points = self.undistort_points(keypoints.points)
+        there = np.isfinite(points).all(axis=1) & keypoints.visible
+        confidence = np.where(there, keypoints.confidence, 0.0).astype(np.float32)
+        return Keypoints2D(keypoints.skeleton, np.where(there[:, None], points, 0.0).astype(np.float32), confidence)
+
+    def undistort_parts(self, parts: PartLabels) -> PartLabels:
+        """Part labels of the picture as taken, without distortion; what it does not show is ignored."""
+        maps, instances = parts.maps, parts.instances
+        return PartLabels(
+            parts.label_set,
+            self.undistort_picture(parts.groups, fill=IGNORE),
+            None if maps is None else np.moveaxis(self.undistort_picture(np.moveaxis(maps, 0, -1)), -1, 0),
+            None
+            if instances is None
+            else np.moveaxis(self.undistort_picture(np.moveaxis(instances, 0, -1), fill=IGNORE), -1, 0),
+        )
+
+    def undistort_picture(self, picture: np.ndarray, *, fill: int = 0) -> np.ndarray:
+        """A picture as taken, (H, W) or (H, W, C), without distortion: at each pixel what is nearest, or ``fill``.
+
+        Raises:
+            InputError: If the camera's pictures have another size.
+        """
+        size = (picture.shape[0], picture.shape[1])
+        self.check_size(size)
+        inside, place = (self if self.size is not None else replace(self, size=size))._places
+        shown = picture[place]
+        shown[~inside] = fill
+        return shown
+
+    def check_size(self, size: tuple[int, int]) -> None:
+        """Raise InputError if the camera's pictures are of another (H, W)."""
+        if self.size is not None and self.size != size:
+            expected = f"{self.size[1]} x {self.size[0]}"
+            raise InputError(f"picture: {size[1]} x {size[0]} px; expected {expected}, as calibrated")
+
+    def resized(self, size: tuple[int, int]) -> CalibratedCamera:
+        """The camera of its pictures drawn smaller or larger, at (H, W) of about their shape; its size is known."""
+        assert self.size is not None
+        zoom = size[1] / self.size[1]
+        focal, principal = ((zoom * pair[0], zoom * pair[1]) for pair in (self.focal, self.principal))
+        return replace(self, focal=focal, principal=principal, size=size)
+
+    def seen_from(self, first: CalibratedCamera) -> CalibratedCamera:
+        """The same in another world, which is the first one's frame."""
+        rotation = self.rotation @ first.rotation.T
+        return replace(self, rotation=rotation, translation=self.translation - rotation @ first.translation)
+
+    @property
+    def distorts(self) -> bool:
+        """True unless its pictures are as without distortion."""
+        return any(self.distortion) or self.focal[0] != self.focal[1]
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Pixels without distortion that are in the picture as taken, and where: rows and columns."""
+        assert self.size is not None
+        rows, columns = np.mgrid[: self.size[0], : self.size[1]]
+        seen = self.distort_points(np.stack([columns, rows], axis=-1) + 0.5)
+        inside = np.all([seen >= 0, seen < self.size[::-1]], axis=(0, -1))
+        u, v = np.moveaxis(np.where(inside[..., None], seen, 0.0).astype(np.int64), -1, 0)
+        return inside, (v, u)
+
+    @property
+    def _square(self) -> float:
+        """Focal length without distortion [px]."""
+        return math.sqrt(self.focal[0] * self.focal[1])
+
+    @cached_property
+    def _reach(self) -> float:
+        """Radius at depth 1 up to which a place that is farther out is seen farther out."""
+        with np.errstate(all="ignore"):
+            seen = _WIDEST * self._stretch(_WIDEST**2)
+            outward = (np.diff(seen) > 0) & (seen[1:] > 0)
+        return math.inf if outward.all() else float(_WIDEST[outward.argmin()])
+
+    def _stretch(self, square: np.ndarray) -> np.ndarray:
+        """s of squared radii."""
+        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *[0.0] * (8 - len(self.distortion)))
+        return (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
+
+    def _distort(self, places: np.ndarray) -> np.ndarray:
+        """Places (..., 2) at depth 1 as the lens shows them."""
+        _, _, p1, p2 = (*self.distortion, *[0.0] * 4)[:4]
+        x, y = np.moveaxis(places, -1, 0)
+        with np.errstate(all="ignore"):
+            square = x * x + y * y
+            stretch = self._stretch(square)
+            across = x * stretch + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+            down = y * stretch + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([across, down], axis=-1)
