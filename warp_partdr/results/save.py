@@ -194,9 +194,9 @@ def _over(
     return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
 
 
-def shown_at(size: tuple[int, int], side: int = OVERLAY_SIDE) -> tuple[float, tuple[int, int]]:
-    """Zoom and (H, W) at which a picture of this size is shown and compared: at most so many pixels a side."""
-    zoom = min(1.0, side / max(size))
+def shown_at(size: tuple[int, int], side: int | None = None) -> tuple[float, tuple[int, int]]:
+    """Zoom and (H, W) at which a picture is shown and compared: at most ``side`` px a side, or ``OVERLAY_SIDE``."""
+    zoom = min(1.0, (side or OVERLAY_SIDE) / max(size))
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
