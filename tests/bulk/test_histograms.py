@@ -50,7 +50,7 @@ def test_a_single_outlier_does_not_squeeze_the_bars() -> None:
     assert 1 <= bars.above <= 51  # the half per cent at this end, and it
 
 
-@pytest.mark.parametrize("values", [[1.0] * 5, [0.0] * 5, [0.8, 1.0]])
+@pytest.mark.parametrize("values", [[1.0] * 5, [0.0] * 5, [0.8, 1.0], [*np.linspace(50, 99.9, 1000), 100.0]])
 def test_the_largest_number_is_in_the_last_bar(values: list[float]) -> None:
     bars = counted(np.array(values)).bars()
     assert (bars.below, bars.above, bars.counts.sum()) == (0, 0, len(values))

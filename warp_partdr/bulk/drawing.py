@@ -27,7 +27,7 @@ _OPACITY = {False: 0.72, True: 0.9}  # of ellipsoids, and of a detailed body, as
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnPerson:
     """A person who was drawn.
 
     Attributes:
@@ -51,7 +51,7 @@ class Drawn:
 
 def draw_worst(
     files: PeopleFiles, worst: Worst, read: Callable[[str], np.ndarray] | None, model: DetailedModel | None
-) -> Iterator[Drawn]:
+) -> Iterator[DrawnPerson]:
     """Draw the worst people, shard by shard.
 
     Args:
@@ -71,7 +71,7 @@ def draw_worst(
             buffer = io.BytesIO()
             draw_person(person, form, photo, model).save(buffer, "JPEG", quality=80)
             told = row["picture"], row["person"], row["warnings"] or ()
-            yield Drawn(address, values[address], *told, photo is not None, buffer.getvalue())
+            yield DrawnPerson(address, values[address], *told, photo is not None, buffer.getvalue())
 
 
 def _photo(read: Callable[[str], np.ndarray], person: PersonRow) -> np.ndarray | None:

@@ -50,7 +50,7 @@ class Histogram:
         """Count finite numbers; negative ones count as 0."""
         if not len(values):
             return
-        values = np.maximum(values, 0).astype(np.float32) + np.float32(0.0)  # no negative 0, whose bits are large
+        values = np.abs(np.maximum(values, 0)).astype(np.float32)  # no negative 0, whose bits are large
         bins, counts = np.unique(values.view(np.uint32) >> _CUT, return_counts=True)
         self._counts[bins] += counts
         self.total += len(values)
@@ -74,7 +74,7 @@ class Histogram:
         there = np.flatnonzero(self._counts)
         numbers = np.clip(_middles()[there], self.low, self.high)
         place = np.floor(numbers / step).astype(np.int64) - first
-        place[(place == number) & (numbers <= (first + number) * step)] -= 1  # the end itself
+        place[(place == number) & (numbers <= (first + number) * step * (1 + 1e-9))] -= 1  # the end itself
         counts = self._counts[there]
         inside = (place >= 0) & (place < number)
         drawn = np.bincount(place[inside], weights=counts[inside], minlength=number).astype(np.int64)

@@ -8,10 +8,10 @@ from html import escape
 
 import numpy as np
 
-from .drawing import Drawn
+from .drawing import DrawnPerson
 from .histograms import Histogram, round_up
 from .reading import PeopleFiles
-from .survey import SCORES, Kinds, Score, Survey
+from .survey import SCORES, Kinds, PersonScore, Survey
 
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 420, 202, 24, 34, 32  # [px] of a histogram, and its margins
 _MOST_LISTED = 40  # kinds of errors or warnings
@@ -36,7 +36,7 @@ td{overflow-wrap:anywhere}td.n,th.n{text-align:right}
 """
 
 
-def write_page(files: PeopleFiles, survey: Survey, people: Sequence[Drawn], *, note: str) -> str:
+def write_page(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], *, note: str) -> str:
     """The page as text; ``note`` says what the people are drawn over."""
     title = f"Data set {files.folder.resolve().name}"
     parts = [
@@ -100,7 +100,7 @@ def _marks(files: PeopleFiles, survey: Survey) -> str:
     return "".join(f"<p class=mark>{escape(each)}</p>" for each in told)
 
 
-def _figure(score: Score, histogram: Histogram | None) -> str:
+def _figure(score: PersonScore, histogram: Histogram | None) -> str:
     if histogram is None or not histogram.total:
         return ""
     shares = (0.01, 0.05) if score.worst == "low" else (0.95, 0.99)
@@ -110,7 +110,7 @@ def _figure(score: Score, histogram: Histogram | None) -> str:
     return f"<figure>{_histogram(score, histogram)}<figcaption>{escape(told)}</figcaption></figure>"
 
 
-def _histogram(score: Score, histogram: Histogram) -> str:
+def _histogram(score: PersonScore, histogram: Histogram) -> str:
     """Bars as SVG, with the median, and how many lie beyond."""
     bars = histogram.bars()
     width, height = _WIDTH - 2 * _LEFT, _HEIGHT - _BOTTOM - _TOP
@@ -186,7 +186,7 @@ def _provenance(made: Mapping[str, Kinds]) -> str:
     return f"<h2>Made with</h2><p class=soft>{told}</p><table>{''.join(lines)}</table>"
 
 
-def _people(files: PeopleFiles, survey: Survey, people: Sequence[Drawn], note: str) -> str:
+def _people(files: PeopleFiles, survey: Survey, people: Sequence[DrawnPerson], note: str) -> str:
     score = survey.worst.score
     end = "largest" if score.worst == "high" else "smallest"
     command = f"partdr export {files.folder} --rows {people[0].address if people else '0/0'} --to glb --out out"

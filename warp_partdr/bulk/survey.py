@@ -34,7 +34,7 @@ _LIST = re.compile(rf"\b(?:{_NAME})\b(?:(?:, | and )(?:{_NAME})\b)*")
 
 
 @dataclass(frozen=True)
-class Score:
+class PersonScore:
     """A number of each person.
 
     Attributes:
@@ -88,16 +88,16 @@ def _distance(batch: pa.RecordBatch) -> np.ndarray:
 
 
 SCORES = (
-    Score(
+    PersonScore(
         "keypoint_error", "Distance of keypoints from the body", "% of height", ("keypoint_error",),
         _plain("keypoint_error"), 100.0,
     ),
-    Score("energy", "Energy of the last stage", "", ("energy",), _plain("energy")),
-    Score("score", "Confidence that there is a person", "%", ("score",), _plain("score"), 100.0, "low"),
-    Score("depth", "Uncertainty of depths, mean of joints", "cm", ("joint_spreads",), _spread, 100.0),
-    Score("size", "Height of the person's box", "px", ("box",), _box_height, worst="low"),
-    Score("stature", "Stature, standing", "cm", ("stature",), _plain("stature"), 100.0, None),
-    Score(
+    PersonScore("energy", "Energy of the last stage", "", ("energy",), _plain("energy")),
+    PersonScore("score", "Confidence that there is a person", "%", ("score",), _plain("score"), 100.0, "low"),
+    PersonScore("depth", "Uncertainty of depths, mean of joints", "cm", ("joint_spreads",), _spread, 100.0),
+    PersonScore("size", "Height of the person's box", "px", ("box",), _box_height, worst="low"),
+    PersonScore("stature", "Stature, standing", "cm", ("stature",), _plain("stature"), 100.0, None),
+    PersonScore(
         "distance", "Distance from the camera", "m", ("camera_perspective", "translation"), _distance, worst=None
     ),
 )  # fmt: skip
@@ -148,7 +148,7 @@ class Worst:
         places: Shard and row, shape (N, 2).
     """
 
-    score: Score
+    score: PersonScore
     count: int
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     places: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -322,7 +322,7 @@ def _take_worst(worst: Worst, shard: int, first: int, batch: pa.RecordBatch) -> 
     worst.add(values[rows] * worst.score.factor, shard, first + rows)
 
 
-def _scores_in(batch: pa.RecordBatch) -> list[Score]:
+def _scores_in(batch: pa.RecordBatch) -> list[PersonScore]:
     names = set(batch.schema.names)
     return [score for score in SCORES if names.issuperset(score.columns)]
 
