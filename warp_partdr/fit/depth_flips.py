@@ -6,7 +6,7 @@ order that it begins with; a flip jumps. What hides what is all that labels say 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -20,10 +20,10 @@ from ..body.posing import Posed
 from ..body.rotations import rotation_between, rotation_to_axis_angle
 from ..body.template import BONE_STARTS, PARENTS, PART_NAMES
 from ..inputs.observation import Observation
+from ..refinement.batch import Batch
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy, Weights
 from ..refinement.refine import refine
-from ..refinement.stepper import Refined
 from ..render.renderers import RendererEllipsoids
 
 # Bones of a limb: each may be mirrored, and what follows the last one turns with it.
@@ -72,32 +72,39 @@ def repair_depth_orders(
     count, lens = bodies.batch_size, seen[0].lens
     lenses = None if lens is None else torch.stack([each.lens for each in seen if each.lens is not None])
     flips, owners, names = _propose(bodies, prior, lenses)
-    whose = owners.tolist()
-    orders = [
-        DepthOrder(tuple(name for name, owner in zip(names, whose, strict=True) if owner == person), None)
-        for person in range(count)
-    ]
+    tried: list[list[str]] = [[] for _ in range(count)]
+    for name, owner in zip(names, owners.tolist(), strict=True):
+        tried[owner].append(name)
+    orders = [DepthOrder(tuple(each), None) for each in tried]
     if not names:
         return bodies, orders
-    energies = {
-        person: Energy(seen[person], _SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
-        for person in set(whose)
-    }
+    energy = Energy(seen[0], _SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
+    everyone = Batch.of(seen, energy) if count > 1 else None
     # Each one's own body comes before its flips.
-    asked = torch.tensor(sorted(energies), device=owners.device)
+    asked = owners.unique()
     both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])
-    losses = _label_losses(both, people, energies)
+    if everyone is None:
+        with torch.no_grad():
+            losses = energy.segmentation(both, both.posed())
+    else:
+        losses = refine_captured(both, energy, {"iterations": 0}, people=everyone.select(people)).terms[SEG.name]
     own = losses.new_zeros(count).index_copy(0, asked, losses[: len(asked)])
     worth = (losses <= own[people] * (1 - _WORTH_REFINING))[len(asked) :]
     if not worth.any():
         return bodies, orders
     doubted = torch.isin(asked, owners[worth])
     some = torch.cat([doubted, worth]).nonzero()[:, 0]
-    refined = _refine(both.select(some), people[some], energies)
+    if everyone is None:
+        refined = refine(both.select(some), energy, iterations=_ITERATIONS, learning_rate=_RATE)
+    else:
+        rule = {"iterations": _ITERATIONS, "learning_rate": _RATE}
+        refined = refine_captured(both.select(some), energy, rule, people=everyone.select(people[some]))
     chosen = torch.arange(count)
-    totals, of_row, flip = refined.energy.tolist(), people[some].tolist(), (some - len(asked)).tolist()
-    for person in set(of_row):
-        rows = [row for row, owner in enumerate(of_row) if owner == person]
+    totals, flip = refined.energy.tolist(), (some - len(asked)).tolist()
+    rows_of: dict[int, list[int]] = {}
+    for row, person in enumerate(people[some].tolist()):
+        rows_of.setdefault(person, []).append(row)
+    for person, rows in rows_of.items():
         best = min(rows, key=totals.__getitem__)
         if totals[best] <= (1 - _MARGIN) * totals[rows[0]]:
             chosen[person] = count + best
@@ -105,24 +112,6 @@ def repair_depth_orders(
     if bool((chosen < count).all()):
         return bodies, orders
     return BodyParameters.joined([bodies, refined.parameters]).select(chosen.to(owners.device)), orders
-
-
-@torch.no_grad()
-def _label_losses(bodies: BodyParameters, people: torch.Tensor, energies: Mapping[int, Energy]) -> torch.Tensor:
-    """What labels say against each body, in one unit, shape (N,); ``people``, (N,), says whose each is."""
-    if len(energies) == 1:
-        (energy,) = energies.values()
-        return energy.segmentation(bodies, bodies.posed())
-    own = [energies[person] for person in people.tolist()]
-    return refine_captured(bodies, own, {"iterations": 0}).terms[SEG.name]
-
-
-def _refine(bodies: BodyParameters, people: torch.Tensor, energies: Mapping[int, Energy]) -> Refined:
-    if len(energies) == 1:
-        (energy,) = energies.values()
-        return refine(bodies, energy, iterations=_ITERATIONS, learning_rate=_RATE)
-    own = [energies[person] for person in people.tolist()]
-    return refine_captured(bodies, own, {"iterations": _ITERATIONS, "learning_rate": _RATE})
 
 
 def flip_depths(

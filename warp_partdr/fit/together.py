@@ -22,6 +22,7 @@ from ..inputs.observation import Observation
 from ..interop.torch_threads import one_torch_thread
 from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
+from ..refinement.batch import Batch
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
 from .depth_flips import DepthOrder, repair_depth_orders
@@ -112,13 +113,13 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     for stage in stages:
         if stage.name == OUTLINE:
             before_outline = bodies
-        energies = [_energy(each, stage, options, prior) for each in seen]
+        energy = _energy(seen[0], stage, options, prior)
         rule = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "frozen": stage.frozen}
-        refined = refine_captured(bodies, energies, rule)
+        refined = refine_captured(bodies, energy, rule, people=Batch.of(seen, energy))
         bodies, terms = refined.parameters, refined.terms
         history.append(refined.history.cpu())
     numbers = {name: term.tolist() for name, term in terms.items()}
-    told = _complaints(bodies, [Energy(each, _JUDGED, prior=prior) for each in seen])
+    told = _complaints(bodies, seen, Energy(seen[0], _JUDGED, prior=prior))
     results: list[FitResult] = []
     for row, person in enumerate(people):
         own = bodies.select(slice(row, row + 1))
@@ -157,13 +158,12 @@ def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePri
     return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
 
-def _complaints(bodies: BodyParameters, energies: Sequence[Energy]) -> list[list[str]]:
+def _complaints(bodies: BodyParameters, seen: Sequence[Observation], energy: Energy) -> list[list[str]]:
     """Warnings of what each body is too far from, as ``complaints`` of one, at once and of a smaller picture."""
-    terms = refine_captured(bodies, energies, {"iterations": 0}).terms
-    votes = torch.stack([each.votes.sum() for each in energies])
-    offs = (terms["proj"] / energies[0].weights.proj / votes).tolist()
-    if energies[0].target is None:
+    people = Batch.of(seen, energy)
+    terms = refine_captured(bodies, energy, {"iterations": 0}, people=people).terms
+    offs = (terms["proj"] / energy.weights.proj / people.votes.sum(1)).tolist()
+    if people.targets is None:
         return [describe_misfit(off, None) for off in offs]
-    people = person_pixels(torch.stack([each.target for each in energies if each.target is not None]))
-    wrongs = (terms[SEG.name] / energies[0].weight(SEG) / (2 * people)).tolist()
+    wrongs = (terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(people.targets))).tolist()
     return [describe_misfit(off, wrong) for off, wrong in zip(offs, wrongs, strict=True)]

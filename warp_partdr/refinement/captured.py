@@ -34,6 +34,7 @@ from ..kernels.refine.state import (
 from ..kernels.refine.step import BETAS
 from ..render.captured import CapturedEllipsoids
 from ..render.renderers import RendererEllipsoids
+from .batch import Batch
 from .energy import TERMS, Energy
 from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size_bounds
 from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
@@ -49,8 +50,9 @@ class CapturedRefinement:
 
     Args:
         energies: One for all bodies, or N of them, of which body b takes number b % N. They may differ in their
-            observations, and in nothing else.
+            observations, and in nothing else. Or one of the kind of all of ``people``.
         batch_size: B, the number of bodies refined at once.
+        people: N observations, in place of the energies' own.
         iterations: Steps of Adam.
         learning_rate: As in ``refine``.
         frozen: As in ``refine``.
@@ -68,6 +70,7 @@ class CapturedRefinement:
         iterations: int = 50,
         learning_rate: float = LEARNING_RATE,
         frozen: Collection[str] = (),
+        people: Batch | None = None,
     ) -> None:
         free = BodyParameters.free(frozen)
         iterations, batch_size = check_steps(iterations, learning_rate), check_whole("batch_size", batch_size, 0)
@@ -80,6 +83,7 @@ class CapturedRefinement:
             raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
         for other in energies:
             _check_alike(energy, other)
+        people = people or Batch.of([each.observation for each in energies], energy)
 
         # What the host reads or writes, in torch's memory.
         buffer = partial(torch.zeros, device=self._device)
@@ -92,23 +96,22 @@ class CapturedRefinement:
         self._rates = [learning_rate * share for share in (*shares, 0.0)]
         with on_torch_stream(self._device, torch_memory=True) as where:  # a graph's budget counts it
             self._state = self._make_state(where)
-            self._problem = self._make_problem(where, energies, free)
-            self._renderer = self._make_renderer(energies)
+            self._problem = self._make_problem(where, people, free)
+            self._renderer = self._make_renderer(people)
             self._drawn = Drawn() if self._renderer is None else self._renderer.drawn
         if batch_size > 0:
             self._rewind_graph = capture_graph(self._rewind, self._device)
             self._graph = capture_graph(self.iterate, self._device)
 
-    def _make_renderer(self, energies: Sequence[Energy]) -> CapturedEllipsoids | None:
+    def _make_renderer(self, people: Batch) -> CapturedEllipsoids | None:
         """Renderer that draws the posed ellipsoids and compares them with label images; None if there are none."""
         renderer, label_set = self._energy.renderer, self._energy.observation.label_set
-        targets = [energy.target for energy in energies if energy.target is not None]
-        if not targets or label_set is None:
+        if people.targets is None or label_set is None:
             return None
         assert isinstance(renderer, RendererEllipsoids)
         labels = [int(group) for group in label_set.part_groups[1:]]
         perspective = self._energy.observation.lens is not None
-        return CapturedEllipsoids(renderer, labels, torch.stack(targets), self._state.ellipsoids, perspective)
+        return CapturedEllipsoids(renderer, labels, people.targets, self._state.ellipsoids, perspective)
 
     def _make_state(self, where: str) -> State:
         """Allocate the bodies' state."""
@@ -146,28 +149,16 @@ class CapturedRefinement:
         state.loads = zeros(NUM_PARTS + 1, dtype=Load)
         return state
 
-    def _make_problem(self, where: str, energies: Sequence[Energy], free: Collection[str]) -> Problem:
+    def _make_problem(self, where: str, people: Batch, free: Collection[str]) -> Problem:
         """Set up the problem's constants, those of the N observations among them."""
         energy, problem = self._energy, Problem()
-        votes = torch.zeros(len(energies), len(LANDMARK_NAMES), device=self._device)
-        points = torch.zeros(*votes.shape, 2, device=self._device)
-        for row, each in enumerate(energies):
-            index = [LANDMARK_NAMES.index(name) for name in each.observation.body_points]
-            points[row, index], votes[row, index] = each.observation.points, each.votes
-        lengths = torch.stack([each.usual_lengths for each in energies])
-        thicknesses = torch.stack([each.usual_thicknesses for each in energies])
-        nowhere = torch.zeros(NUM_PARTS, device=self._device)
-        depths = torch.stack([nowhere if each.depths is None else each.depths for each in energies])
-        depth_scales = torch.stack([each.depth_scales for each in energies])
-        seen = {name for each in energies for name in each.observation.body_points}
         problem.bones, problem.locked = bone_arrays(where), sum(1 << part for part in LOCKED_PARTS)
         problem.half_size = energy.size / 2
-        weak = torch.zeros(3, device=self._device)
-        lenses = [weak if (lens := each.observation.lens) is None else lens for each in energies]
-        problem.lenses = warp_array(torch.stack(lenses), wp.vec3)
-        problem.landmarks = landmark_arrays(where, seen, warp_array(points, wp.vec2), warp_array(votes))
-        usual = warp_array(lengths), warp_array(thicknesses), warp_array(depths), warp_array(depth_scales)
-        problem.rules = rule_arrays(where, energy.prior, *usual)
+        problem.lenses = warp_array(people.lenses, wp.vec3)
+        points, votes = warp_array(people.points, wp.vec2), warp_array(people.votes)
+        problem.landmarks = landmark_arrays(where, people.seen, points, votes)
+        usual = (people.lengths, people.thicknesses, people.depths, people.depth_scales)
+        problem.rules = rule_arrays(where, energy.prior, *map(warp_array, usual))
         problem.mixture = mixture_arrays(where, energy.prior)
         problem.weights, problem.step_rule = _term_weights(energy), _step_rule(self._rates, free, self._device)
         return problem
@@ -248,13 +239,15 @@ def can_capture(energy: Energy) -> bool:
 
 def refine_captured(
     start: BodyParameters,
-    energy: Energy | Sequence[Energy],
+    energy: Energy,
     rule: dict[str, Any],
+    *,
     on_iteration: Callable[[int], None] | None = None,
+    people: Batch | None = None,
 ) -> Refined:
     """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``.
 
-    Of several energies, each body has its own.
+    Of ``people``, each body has its own.
     """
     device = start.shift.device
     made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
@@ -262,8 +255,8 @@ def refine_captured(
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        own = energy if isinstance(energy, Energy) else energy[part]
-        made[part.start] = CapturedRefinement(own, bodies.batch_size, **rule), bodies
+        own = None if people is None else people.select(part)
+        made[part.start] = CapturedRefinement(energy, bodies.batch_size, people=own, **rule), bodies
 
     def work(part: slice) -> None:
         captured, bodies = made[part.start]

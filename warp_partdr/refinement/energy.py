@@ -6,7 +6,7 @@ in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -117,6 +117,15 @@ def split_votes(confidence: torch.Tensor, parts: torch.Tensor) -> torch.Tensor:
     return confidence / votes.clamp_min(1.0).gather(1, parts)
 
 
+def stack_depth_scales(spreads: Sequence[torch.Tensor | None], device: torch.device) -> torch.Tensor:
+    """1 / ``depth_spreads`` of N people [1/m], of 1 mm each without, shape (N, 20)."""
+    known = [each for each in spreads if each is not None]
+    if len(known) == len(spreads):
+        return 1 / torch.stack(known)
+    even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
+    return torch.stack([even if each is None else 1 / each for each in spreads])
+
+
 TERMS = tuple(Term(row.name, *row.metadata["term"]) for row in fields(Weights))
 SEG = next(term for term in TERMS if term.name == "seg")
 
@@ -159,8 +168,7 @@ class Energy:
         self.usual_lengths = mean.lengths[0] if seen.lengths is None else seen.lengths
         self.usual_thicknesses = mean.thicknesses[0] if seen.thicknesses is None else seen.thicknesses
         self.depths: torch.Tensor | None = seen.depths
-        even = torch.full((NUM_PARTS,), _MILLIMETRES, device=device)
-        self.depth_scales = even if seen.depth_spreads is None else 1 / seen.depth_spreads
+        self.depth_scales = stack_depth_scales([seen.depth_spreads], device)[0]
         self.target: torch.Tensor | None = None
         self.key = object()
         self._fixed: Renderer | None = None

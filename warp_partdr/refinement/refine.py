@@ -52,5 +52,5 @@ def refine(
     rule: dict[str, Any] = {"iterations": iterations, "learning_rate": learning_rate, "frozen": frozen}
     if isinstance(energy, Energy) and can_capture(energy):
         start.check_finite()
-        return refine_captured(start, energy, rule, on_iteration)
+        return refine_captured(start, energy, rule, on_iteration=on_iteration)
     return Refinement(start, energy, **rule).run(on_iteration)
