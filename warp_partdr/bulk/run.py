@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -63,8 +64,10 @@ def make_dataset(
         pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
         for index in todo:
             count = len(shards.pictures(index))
+            started = time.perf_counter()
             rows = fitter.rows(islice(pictures, count), told)
-            shards.write(index, people_table(rows, columns, shards.describe(index)))
+            about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
+            shards.write(index, people_table(rows, columns, about))
             faults = [(row["picture"], row["error"]) for row in rows if row.get("error")]
             tally.shards += 1
             tally.pictures += count

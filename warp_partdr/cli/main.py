@@ -16,6 +16,7 @@ from .. import __version__
 from ..errors import InputError
 from .bench import bench
 from .dataset import DATASET_HELP, dataset
+from .dataset_files import EXPORT_HELP, REPORT_HELP, export, report
 from .demo import DEMO_HELP, demo
 from .evaluate import evaluate
 from .fit import FIT_HELP, fit
@@ -55,6 +56,8 @@ app.command("scene", help=SCENE_HELP)(grouped(scene))
 app.command("register", help=REGISTER_HELP)(register_body)
 app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("dataset", help=DATASET_HELP)(grouped(dataset))
+app.command("report", help=REPORT_HELP)(report)
+app.command("export", help=EXPORT_HELP)(export)
 app.command("demo", help=DEMO_HELP)(grouped(demo))
 app.command("train", help=TRAIN_HELP)(train_network)
 app.add_typer(evaluate, name="evaluate")

@@ -43,7 +43,7 @@ class FitProgress(Progress):
 class PictureProgress(Progress):
     """A bar on stderr for pictures and frames that pass, with their rate and the time that remains."""
 
-    def __init__(self, total: int | None) -> None:
+    def __init__(self, total: int | None, first: str = "loading networks") -> None:
         console = Console(stderr=True)
         super().__init__(
             TextColumn("{task.description:24}"),
@@ -56,7 +56,7 @@ class PictureProgress(Progress):
             transient=True,
             speed_estimate_period=_SPEED_OVER,
         )
-        self._task = self.add_task("loading networks", total=total)
+        self._task = self.add_task(first, total=total)
 
     def __call__(self, name: str, count: int = 1) -> None:
         """Show that ``count`` more have passed, the last of them from the file ``name``."""

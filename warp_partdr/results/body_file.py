@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -58,6 +59,18 @@ class BodyFile:
     image_size: np.ndarray
     camera_perspective: np.ndarray = field(default_factory=lambda: np.array(0))
 
+    @classmethod
+    def read(cls, data: Mapping[str, np.ndarray], where: str) -> BodyFile:
+        """The body of arrays that came from a file, ``where`` for messages.
+
+        Raises:
+            InputError: If one has a wrong shape, or holds NaN, infinity or what is no rotation.
+        """
+        body = cls(**{name: _checked(data[name], name, where) for name in _SHAPES})
+        if body.camera_perspective and not body.translation[2] > 0:
+            raise InputError(f"{where}: translation: {body.translation[2]:g} m away; expected a body before the camera")
+        return body
+
     def body(self, device: str | None = None) -> EllipBody:
         """The body as Warp arrays, B = 1."""
         return EllipBody.from_numpy(**{name: getattr(self, name)[None] for name in BODY_ARRAYS}, device=device)
@@ -91,10 +104,7 @@ def load_body(path: str | Path) -> BodyFile:
     check_result(path)
     if str(found := data.pop("format")) != FORMAT:
         raise InputError(f"{path}: format {str(found)[:40]!r}; expected {FORMAT!r}")
-    body = BodyFile(**{name: _checked(data[name], name, str(path)) for name in _SHAPES})
-    if body.camera_perspective and not body.translation[2] > 0:
-        raise InputError(f"{path}: translation: {body.translation[2]:g} m away; expected a body before the camera")
-    return body
+    return BodyFile.read(data, str(path))
 
 
 def _checked(values: np.ndarray, name: str, where: str) -> np.ndarray:

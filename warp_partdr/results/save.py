@@ -89,7 +89,7 @@ def save_fit(
     with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
-        (temporary / "body.json").write_text(json.dumps(describe_body(result), indent=1) + "\n")
+        save_description(describe_body(result), temporary)
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
         if comparison is not None:
@@ -134,13 +134,9 @@ def save_registered(
     model = registered.model
     shown = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
     picture = draw_detailed(shown, camera, size, photo)
-    numbers: dict[str, Any] = {
-        name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
-    }
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
     report: dict[str, Any] = {"model": model.name, "losses": losses, **about}
     if clothes is not None:
-        numbers["clothes"] = clothes[0].cpu().numpy()
         report["clothes_cm"] = {
             name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
         }
@@ -152,9 +148,17 @@ def save_registered(
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
-        np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
+        save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
     return report
+
+
+def save_detailed_arrays(registered: Registered, folder: Path, clothes: torch.Tensor | None) -> None:
+    """Write detailed.npz: the first body's shape, pose and, if there are any, clothes, as ``save_registered`` does."""
+    tensors = {name: value for name, value in vars(registered).items() if isinstance(value, torch.Tensor)}
+    tensors |= {} if clothes is None else {"clothes": clothes}
+    numbers: dict[str, Any] = {name: value[0].cpu().numpy() for name, value in tensors.items()}
+    np.savez(folder / "detailed.npz", model=np.array(registered.model.name), **numbers)
 
 
 def draw_overlay(result: FitResult, size: tuple[int, int], photo: np.ndarray | None = None) -> Image:
@@ -190,9 +194,9 @@ def _over(
     return Image.fromarray(blend(np.asarray(canvas), rgba, opacity)), zoom
 
 
-def shown_at(size: tuple[int, int], side: int = OVERLAY_SIDE) -> tuple[float, tuple[int, int]]:
-    """Zoom and (H, W) at which a picture of this size is shown and compared: at most so many pixels a side."""
-    zoom = min(1.0, side / max(size))
+def shown_at(size: tuple[int, int], side: int | None = None) -> tuple[float, tuple[int, int]]:
+    """Zoom and (H, W) at which a picture is shown and compared: at most ``side`` px a side, or ``OVERLAY_SIDE``."""
+    zoom = min(1.0, (side or OVERLAY_SIDE) / max(size))
     return zoom, (max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1))
 
 
@@ -222,12 +226,22 @@ def body_file(
     return BodyFile(**{name: value.cpu().numpy() for name, value in numbers.items()}, image_size=np.array(size))
 
 
+def save_description(described: Mapping[str, Any], folder: Path) -> None:
+    """Write body.json, of ``describe_body``."""
+    (folder / "body.json").write_text(json.dumps(described, indent=1) + "\n")
+
+
 def describe_body(result: FitResult) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
-    camera = result.camera
-    measured = body_file(result.parameters, camera, (1, 1)).body("cpu").measure()
-    joints = result.posed.joints[0].detach().cpu().numpy()
-    pixels = camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
+    saved = body_file(result.parameters, result.camera, (1, 1))
+    return describe_posed(saved, result.posed.joints, result.camera)
+
+
+def describe_posed(saved: BodyFile, positions: torch.Tensor, camera: Camera) -> dict[str, Any]:
+    """The same of a body with joints at (1, 21, 3) [m] before a camera of the full picture."""
+    measured = saved.body("cpu").measure()
+    joints = positions[0].detach().cpu().numpy()
+    pixels = camera.project(positions)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     return {
         "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()},

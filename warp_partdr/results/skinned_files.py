@@ -11,7 +11,7 @@ import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,6 +21,9 @@ from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
+
+if TYPE_CHECKING:
+    import trimesh
 
 SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
 _DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # glTF's component types
@@ -32,16 +35,19 @@ _INDICES = 34963  # glTF's ELEMENT_ARRAY_BUFFER
 
 def save_detailed(registered: Registered, folder: Path) -> None:
     """Write detailed.glb, detailed.obj, detailed.ply and detailed.bvh of the first body, from the camera frame."""
+    (folder / "detailed.glb").write_bytes(glb(registered))
+    posed_mesh(registered).export(folder / "detailed.obj")
+    colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
+    posed_mesh(registered, face_colors=colours).export(folder / "detailed.ply")
+    (folder / "detailed.bvh").write_text(bvh(registered))
+
+
+def posed_mesh(registered: Registered, **look: Any) -> trimesh.Trimesh:
+    """The first body's posed mesh, y up, standing on y = 0 [m]; ``look`` is trimesh's."""
     import trimesh
 
-    (folder / "detailed.glb").write_bytes(glb(registered))
     vertices, lowest = _upright(registered)
-    faces = registered.model.faces.cpu().numpy()
-    vertices = vertices - [0.0, lowest, 0.0]
-    trimesh.Trimesh(vertices, faces, process=False).export(folder / "detailed.obj")
-    colours = PART_COLOURS[registered.model.face_parts.cpu().numpy()]
-    trimesh.Trimesh(vertices, faces, face_colors=colours, process=False).export(folder / "detailed.ply")
-    (folder / "detailed.bvh").write_text(bvh(registered))
+    return trimesh.Trimesh(vertices - [0.0, lowest, 0.0], registered.model.faces.cpu().numpy(), process=False, **look)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,142 @@
+"""Pictures of people in rows: what was seen, and the body over it."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..cameras import Crop
+from ..clothing.model import DetailedModel
+from ..results.pictures import blend, draw_keypoints, shade_body, shade_detailed
+from .reading import Address, PeopleFiles, PersonRow, by_shard
+from .survey import Worst
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SIDE = 280  # [px], longer side of a panel
+_GRAY = (235, 235, 235)
+_MARGIN = 0.08  # of what is shown, around it
+_BEYOND = 0.75  # of the box, how far beyond it a body is shown
+_OPACITY = {False: 0.72, True: 0.9}  # of ellipsoids, and of a detailed body, as in a fit's pictures
+
+
+@dataclass(frozen=True)
+class DrawnPerson:
+    """A person who was drawn.
+
+    Attributes:
+        address: Of the row.
+        value: Of the score that chose the person.
+        picture: Its name.
+        person: Number of the person in it.
+        warnings: Of the row.
+        on_photo: True if the photo could be read.
+        jpeg: The drawing, bytes of a JPEG file.
+    """
+
+    address: Address
+    value: float
+    picture: str
+    person: int
+    warnings: Sequence[str]
+    on_photo: bool
+    jpeg: bytes
+
+
+def draw_worst(
+    files: PeopleFiles, worst: Worst, read: Callable[[str], np.ndarray] | None, model: DetailedModel | None
+) -> Iterator[DrawnPerson]:
+    """Draw the worst people, shard by shard.
+
+    Args:
+        files: Of the data set.
+        worst: Of the same.
+        read: Gives a picture by its name; where it fails, or the picture has another size by now, the body is drawn
+            alone. None: no pictures.
+        model: As of ``draw_person``.
+    """
+    values = dict(zip(worst.addresses, worst.values.tolist(), strict=True))
+    for shard, rows in by_shard(worst.addresses).items():
+        form = files.about(shard)["skeleton"]
+        for address, row in files.rows(shard, rows):
+            person = PersonRow.of(address, row, str(files.path(shard)))
+            assert person is not None
+            photo = None if read is None else _photo(read, person)
+            buffer = io.BytesIO()
+            draw_person(person, form, photo, model).save(buffer, "JPEG", quality=80)
+            told = row["picture"], row["person"], row["warnings"] or ()
+            yield DrawnPerson(address, values[address], *told, photo is not None, buffer.getvalue())
+
+
+def _photo(read: Callable[[str], np.ndarray], person: PersonRow) -> np.ndarray | None:
+    try:
+        photo = read(person.row["picture"])
+    except (OSError, LookupError, ValueError, MemoryError):
+        return None
+    return photo if photo.shape[:2] == tuple(person.saved.image_size.tolist()) else None
+
+
+def draw_person(person: PersonRow, form: str, photo: np.ndarray | None, model: DetailedModel | None) -> Image:
+    """A person's part of the photo with the keypoints, and beside it the body; without a photo both on gray.
+
+    Args:
+        person: The body.
+        form: Format of the keypoints.
+        photo: The picture, shape (H, W, 3), uint8; None: it can't be read.
+        model: Of the detailed body, which is drawn if the row has one; None: ellipsoids are.
+    """
+    from PIL import Image
+
+    crop = _crop(person)
+    camera = person.saved.camera().in_crop(crop)
+    detailed = model is not None and person.detailed
+    if detailed:
+        assert model is not None
+        rgba = shade_detailed(person.registered(model).clothed(person.clothes), model, camera, crop.size)
+    else:
+        rgba = shade_body(person.posed, camera, crop.size)
+    below = np.full((*crop.size, 3), _GRAY, dtype=np.uint8) if photo is None else _cut(photo, crop)
+    over = Image.fromarray(blend(below, rgba, _OPACITY[detailed]))
+    seen = over if photo is None else Image.fromarray(below)
+    keypoints = person.keypoints(form)
+    moved = (keypoints.points - np.array([crop.left, crop.top], dtype=np.float32)) * np.float32(crop.zoom)
+    draw_keypoints(seen, replace(keypoints, points=moved))
+    if photo is None:
+        return over
+    both = Image.new("RGB", (seen.width + over.width + 2, seen.height), "white")
+    both.paste(seen, (0, 0))
+    both.paste(over, (seen.width + 2, 0))
+    return both
+
+
+def _crop(person: PersonRow) -> Crop:
+    """Window that holds the person's box and, unless it is far off, the body."""
+    left, top, right, bottom = (float(edge) for edge in person.row["box"])
+    beyond = _BEYOND * max(right - left, bottom - top, 1.0)
+    joints = np.clip(person.row["joints_2d"], (left - beyond, top - beyond), (right + beyond, bottom + beyond))
+    low, high = np.minimum(joints.min(0), (left, top)), np.maximum(joints.max(0), (right, bottom))
+    margin = _MARGIN * max(*(high - low), 1.0) + 1
+    low, high = np.floor(low - margin), np.ceil(high + margin)
+    zoom = SIDE / float((high - low).max())
+    width, height = (max(math.ceil(side * zoom), 1) for side in (high - low).tolist())
+    return Crop(float(low[0]), float(low[1]), zoom, (height, width))
+
+
+def _cut(photo: np.ndarray, crop: Crop) -> np.ndarray:
+    """The crop of a photo, gray beyond its border."""
+    from PIL import Image
+
+    left, top = int(crop.left), int(crop.top)
+    height, width = (round(side / crop.zoom) for side in crop.size)
+    window = Image.new("RGB", (width, height), _GRAY)
+    rows, columns = (slice(max(start, 0), max(start + side, 0)) for start, side in ((top, height), (left, width)))
+    part = photo[rows, columns]
+    if part.size:
+        window.paste(Image.fromarray(part), (columns.start - left, rows.start - top))
+    return np.asarray(window.resize((crop.size[1], crop.size[0]), Image.Resampling.LANCZOS))

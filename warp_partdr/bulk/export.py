@@ -1,0 +1,90 @@
+"""Files of single people out of a data set, as ``partdr fit`` writes them: a folder a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..body.posing import Posed
+from ..clothing.model import DetailedModel
+from ..clothing.registration import Registered
+from ..errors import InputError
+from ..results.ellipbody_files import ellipbody_scene
+from ..results.result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
+from ..results.save import describe_posed, save_description, save_detailed_arrays
+from ..results.skinned_files import glb, posed_mesh
+from .reading import Address, PersonRow
+
+
+@dataclass(frozen=True)
+class Body:
+    """A person that is to be written: the row, EllipBody posed, and the detailed body if the row holds one."""
+
+    person: PersonRow
+    posed: Posed
+    registered: Registered | None
+
+
+def _save_glb(body: Body, folder: Path) -> None:
+    ellipbody_scene(body.posed).export(folder / "ellipbody.glb")
+    if body.registered is not None:
+        (folder / "detailed.glb").write_bytes(glb(body.registered))
+
+
+def _save_obj(body: Body, folder: Path) -> None:
+    if body.registered is None:
+        told = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
+        raise InputError(f"--to: obj: {told}")
+    posed_mesh(body.registered).export(folder / "detailed.obj")
+
+
+def _save_npz(body: Body, folder: Path) -> None:
+    body.person.saved.save(folder / "body.npz")
+    if body.registered is not None:
+        save_detailed_arrays(body.registered, folder, body.person.clothes)
+
+
+def _save_json(body: Body, folder: Path) -> None:
+    saved = body.person.saved
+    save_description(describe_posed(saved, body.posed.joints, saved.camera()), folder)
+
+
+# What --to names; another format, such as SMPL-X's own NPZ, is one more line.
+WRITERS: Mapping[str, Callable[[Body, Path], None]] = {
+    "glb": _save_glb,
+    "obj": _save_obj,
+    "npz": _save_npz,
+    "json": _save_json,
+}
+
+
+def save_person(
+    person: PersonRow, formats: Sequence[str], model: DetailedModel | None, folder: Path, about: Mapping[str, Any]
+) -> Path:
+    """Write a row's body, and a report that says where it is from, into a folder of its own.
+
+    Args:
+        person: The row.
+        formats: Of ``WRITERS``.
+        model: Of the detailed body; None if rows hold none.
+        folder: In which the person's is made.
+        about: Of the shard.
+
+    Returns:
+        The person's folder, which replaces what an earlier export wrote there.
+    """
+    body = Body(person, person.posed, person.registered(model) if model is not None and person.detailed else None)
+    own = folder / folder_name(person.address)
+    row = {name: person.row.get(name) for name in ("picture", "person", "annotation", "score", "keypoint_error")}
+    report = {"row": str(person.address), **row, "warnings": person.row["warnings"], "made": dict(about)}
+    with replacing(own, FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
+        for name in formats:
+            WRITERS[name](body, temporary)
+    return own
+
+
+def folder_name(address: Address) -> str:
+    """Name of a row's folder: 00003-000017 of row 3/17."""
+    return f"{address.shard:05d}-{address.row:06d}"

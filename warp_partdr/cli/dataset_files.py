@@ -1,0 +1,201 @@
+"""The commands ``partdr report`` and ``partdr export``: a look at a data set, and files of single people out of it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from ..errors import InputError, cause
+from ..files.disk import file_sha256
+from .options import say_people
+from .register import MODEL_HELP, read_model
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from ..bulk.reading import PeopleFiles
+    from ..clothing.model import DetailedModel
+
+# As ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
+ByName = StrEnum("ByName", ["keypoint_error", "energy", "score", "depth", "size"])
+FormatName = StrEnum("FormatName", ["glb", "obj", "npz", "json"])
+
+_MOST_DRAWN = 1000
+
+REPORT_HELP = """Look at a data set before you trust it: one HTML page, with all pictures in it.
+
+Examples: `partdr report people --pictures photos`; `partdr report people --by depth --out depth.html`
+
+The page has numbers of rows, people and errors; warnings counted; distributions of scores; versions and options, and
+if they are the same in all shards; shards that are missing; and the worst hundred people, over their photo where
+--pictures still has it, each with its row's address, such as 3/17: row 17 of shard 3, both from 0 on.
+"""
+
+EXPORT_HELP = """Write files of single people of a data set, as `partdr fit` writes them: a folder a row.
+
+Examples: `partdr export people --rows 3/17,3/20 --to glb`; `partdr export people --worst 20 --to npz --to json`
+
+--rows: shard/row, both from 0 on, as `partdr report` shows them; or 0:100, counted through all shards; commas between.
+
+--to: glb (ellipbody.glb), npz (body.npz, which `load_body` and `partdr register` read), json (body.json). Of rows with
+a detailed body (--quality mesh) also its detailed.glb, detailed.npz, and of obj detailed.obj.
+"""
+
+DatasetArgument = Annotated[Path, Argument(help="Folder of partdr dataset.", metavar="DATASET")]
+ByOption = Annotated[ByName, Option("--by", help=f"Worst by {', '.join(ByName)}.", metavar="NAME")]
+
+
+def report(
+    dataset: DatasetArgument,
+    out: Annotated[Path, Option(help="The page.", metavar="FILE.html")] = Path("report.html"),
+    pictures: Annotated[
+        Path | None, Option(help="The pictures, as partdr dataset was given them.", metavar="PICTURES")
+    ] = None,
+    images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None,
+    worst: Annotated[int, Option(help="How many people are drawn.", metavar="N", min=0, max=_MOST_DRAWN)] = 100,
+    by: ByOption = ByName.keypoint_error,
+) -> None:
+    """Write the page of a data set; see ``REPORT_HELP``."""
+    files = _open(dataset, "report")
+    _check_outside(out, dataset)
+
+    from ..bulk.drawing import draw_worst
+    from ..bulk.page import write_page
+    from ..bulk.survey import survey_people
+    from ..results.result_sets import check_folder, scratch_folder
+    from .progress import PictureProgress
+
+    check_folder(out.parent)
+    read, note = _reader(pictures, images)
+    with PictureProgress(len(files.paths), "shards") as progress:
+        survey = survey_people(files, by.value, worst, progress)
+    detailed = read_model("anny", "cpu") if _made_with(files) == "anny" else None  # of others, ellipsoids are drawn
+    people = {}
+    with PictureProgress(len(survey.worst.values), "pictures") as progress:
+        for drawn in draw_worst(files, survey.worst, read, detailed):
+            people[drawn.address] = drawn
+            progress(drawn.picture)
+    if pictures is not None:
+        seen = sum(each.on_photo for each in people.values())
+        note = f"Left the photo and keypoints, right the body; {seen} of {len(people)} photos could be read."
+    page = write_page(files, survey, [people[address] for address in survey.worst.addresses], note=note)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with scratch_folder(out.parent) as scratch:
+            (scratch / out.name).write_text(page, encoding="utf-8")
+            (scratch / out.name).replace(out)
+    except OSError as error:
+        raise InputError(f"{out}: {cause(error)}; expected a file that can be written") from error
+    said = f"{survey.rows:,} rows, {survey.bodies:,} bodies, {survey.rows_at_fault:,} errors, {survey.warned:,} warned"
+    typer.echo(f"{out}: {said}; the worst {len(people)} are drawn")
+
+
+def export(
+    dataset: DatasetArgument,
+    rows: Annotated[str | None, Option(help="Whom, such as 3/17 or 0:100.", metavar="ROWS")] = None,
+    worst: Annotated[int | None, Option(help="Or so many of the worst.", metavar="N", min=1)] = None,
+    by: ByOption = ByName.keypoint_error,
+    to: Annotated[
+        list[FormatName] | None, Option(help="glb, obj, npz, json; may be given again.", metavar="NAME")
+    ] = None,
+    model: Annotated[
+        str | None, Option(help=f"Of detailed bodies: {MODEL_HELP}; by default theirs.", metavar="NAME")
+    ] = None,
+    out: Annotated[Path, Option(help="Folder for the people's folders.", metavar="FOLDER")] = Path("out/people"),
+) -> None:
+    """Write people of a data set; see ``EXPORT_HELP``."""
+    files = _open(dataset, "export")
+    if (rows is None) == (worst is None):
+        raise InputError(f"{'--rows: missing' if rows is None else '--worst: with --rows'}; expected one of both")
+    _check_outside(out, dataset)
+
+    from ..bulk.export import save_person
+    from ..bulk.reading import PersonRow, by_shard
+    from ..bulk.survey import worst_people
+    from ..results.result_sets import check_folder
+    from .progress import PictureProgress
+
+    check_folder(out)
+    if rows is not None:
+        chosen = files.select(rows)
+    else:
+        with PictureProgress(len(files.paths), "shards") as progress:
+            chosen = by_shard(worst_people(files, by.value, worst or 0, progress).addresses)
+    formats = [each.value for each in to or [FormatName.glb]]
+    detailed = _model(files, model)
+    written = 0
+    empty: list[str] = []
+    with PictureProgress(sum(map(len, chosen.values())), "people") as progress:
+        for shard, places in chosen.items():
+            about = files.about(shard)
+            for address, row in files.rows(shard, places):
+                person = PersonRow.of(address, row, str(files.path(shard)))
+                if person is None:
+                    empty.append(f"{address} ({row['error'] or 'nobody in it'})")
+                else:
+                    save_person(person, formats, detailed, out, about)
+                    written += 1
+                progress(str(address))
+    if not written:
+        raise InputError(f"{dataset}: no body in rows such as {empty[0]}; expected rows with one")
+    typer.echo(f"{say_people(written)} written to {out}")
+    if empty:
+        typer.echo(f"partdr: warning: {len(empty)} without a body, first {empty[0]}", err=True)
+
+
+def _open(folder: Path, command: str) -> PeopleFiles:
+    """The data set of a command, which needs pyarrow."""
+    if find_spec("pyarrow") is None:
+        raise InputError(f"partdr {command}: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
+
+    from ..bulk.reading import PeopleFiles
+    from ..interop.devices import choose_device
+
+    choose_device("cpu")  # or Warp says what it loads
+    return PeopleFiles.open(folder)
+
+
+def _check_outside(out: Path, dataset: Path) -> None:
+    """Refuse results within a data set's folder, of which readers take every file for Parquet."""
+    if out.resolve().is_relative_to(dataset.resolve()):
+        raise InputError(f"--out: {out}, in the data set, of which readers take all files; expected another folder")
+
+
+def _reader(pictures: Path | None, images: Path | None) -> tuple[Callable[[str], np.ndarray] | None, str]:
+    """Reader of a picture by its name, if there are pictures, and what to say if not."""
+    if pictures is None:
+        if images is not None:
+            raise InputError(f"--images: {images}, without --pictures; expected COCO's annotations with it")
+        return None, "Without --pictures, bodies and keypoints alone."
+
+    from ..bulk.sources import open_source
+
+    source = open_source(pictures, images)
+    return lambda name: source.read(name).pixels, ""
+
+
+def _made_with(files: PeopleFiles) -> str | None:
+    """The model of detailed bodies, as the first shard states it: a name, or the SHA-256 of its file."""
+    made = files.about(next(iter(files.paths))).get("options", {}).get("model")
+    return None if made is None else str(made)
+
+
+def _model(files: PeopleFiles, given: str | None) -> DetailedModel | None:
+    """The detailed model of the data set's bodies; None if they have none."""
+    made = _made_with(files)
+    if made is None:
+        if given is not None:
+            raise InputError(f"--model: {given}; expected none: rows hold no detailed body")
+        return None
+    same = given is None or given == made or (Path(given).is_file() and file_sha256(Path(given)) == made)
+    if not same or (given is None and made != "anny"):
+        told = "missing" if given is None else given
+        raise InputError(f"--model: {told}; expected that of the data set: {'anny' if made == 'anny' else made[:16]}")
+    return read_model(given or made, "cpu")
