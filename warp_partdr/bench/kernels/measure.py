@@ -21,6 +21,7 @@ from ..renderers import COVERAGE, EXACT, GRADIENTS, LEVELS, MESH, PARTDR
 from ..scene import BenchScene
 from ..timing import Timing, capture, peak_memory, time_calls, time_graph
 from .calls import CALLS_OF, mesh_view
+from .peer_gradients import measure_gradients
 from .peers import OURS, PEERS
 from .plan import (
     CALLS,
@@ -61,12 +62,19 @@ def run_kernels(plan: KernelPlan, progress: Progress | None = None) -> dict[str,
     jobs = [*_render_jobs(plan), *_kernel_jobs(plan), *_peer_jobs(plan, remarks)]
     if plan.start:
         jobs.append(("cold and warm start", partial(_time_starts, plan)))
-    run_jobs([(name, partial(add, job)) for name, job in jobs], progress)
+    gradients: list[dict[str, Any]] = []
+
+    def compare() -> None:
+        gradients.extend(measure_gradients(plan.size, plan.device, remarks))
+
+    named = [(name, partial(add, job)) for name, job in jobs]
+    run_jobs([*named, ("gradients of meshes", compare)] if plan.gradients else named, progress)
     return {
         "device": plan.device,
         "machine": about(plan.device),
         "copy_bandwidth_bytes_per_second": bandwidth,
         "rows": rows,
+        "gradients": gradients,
         "remarks": remarks,
         "notes": NOTES,
     }

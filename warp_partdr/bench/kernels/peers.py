@@ -150,6 +150,7 @@ class Peer:
     package: str  # which must be importable
     devices: tuple[str, ...]  # where it runs, of "cpu" and "cuda"
     adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]  # in time that is not counted
+    differentiates: bool = True
 
     @property
     def is_installed(self) -> bool:
@@ -163,5 +164,5 @@ PEERS = {
     "DRTK": Peer("drtk", ("cuda",), drtk),
     "nvdiffrast": Peer("nvdiffrast", ("cuda",), nvdiffrast),
     "PyTorch3D": Peer("pytorch3d", ("cuda", "cpu"), pytorch3d),
-    "Embree": Peer("embreex", ("cpu",), embree),
+    "Embree": Peer("embreex", ("cpu",), embree, differentiates=False),
 }

@@ -38,6 +38,7 @@ class KernelPlan:
     batches: tuple[int, ...]  # those whose kernels are timed one by one, and that peers draw
     budget: float  # for each row [s]
     start: bool = True  # whether to time a cold and a warm start
+    gradients: bool = True  # whether to compare gradients of meshes with the true one
 
 
 def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
@@ -57,7 +58,7 @@ def plan_kernels(device: str, *, quick: bool = False) -> KernelPlan:
         *product([TORCH_GRADIENT], [EXACT, MESH], [1], [size]),
     )
     if quick:
-        return KernelPlan(device, size, targets, (), (), (1,), 0.1, start=False)
+        return KernelPlan(device, size, targets, (), (), (1,), 0.1, start=False, gradients=False)
     calls = (
         (TORCH_GRADIENT, TORCH_ITSELF, 1, size),
         *product([TORCH_BODY], [EXACT, MESH], exact, [size]),

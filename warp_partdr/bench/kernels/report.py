@@ -13,6 +13,8 @@ from .plan import GROUPS, Run
 if TYPE_CHECKING:
     from rich.console import Console
 
+_GRADIENTS = "Gradients by moves of parts, beside the derivative of the area that shows a wrong label"
+
 NOTES = (
     "The spread is the interquartile range. graph: one replay of a captured graph, on the device's clock; call: from "
     "Python, until the device is done; kernel: what it adds to a run, what clears memory for it included.",
@@ -107,6 +109,12 @@ def print_kernels(figures: Mapping[str, Any], console: Console) -> None:
         make_table(group, headings, [_cells(row) for row in figures["rows"] if row["group"] == group], left=_WORDS)
         for group in GROUPS
     ]
+    if figures["gradients"]:
+        cells = [
+            [row["renderer"], row["mesh"], f"{row['cosine']:.4f}", f"{row['length']:.3f}"]
+            for row in figures["gradients"]
+        ]
+        tables.append(make_table(_GRADIENTS, ["", "of", "cosine", "length"], cells, left=(0, 1)))
     print_tables([in_words(figures["machine"]), copies], tables, figures["remarks"], NOTES, console)
 
 
