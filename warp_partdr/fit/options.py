@@ -27,6 +27,7 @@ class FitOptions:
         network: File of a label network of `partdr train`; None takes the packaged one.
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
+        depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
     """
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
@@ -36,6 +37,7 @@ class FitOptions:
     start: Start = "network"
     network: str | None = None
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
+    depth_flips: bool = True
 
     def __post_init__(self) -> None:
         if self.start not in STAGES:
