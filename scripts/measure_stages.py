@@ -53,6 +53,8 @@ def main(level: str, first: int = 200, last: int = 299, network: str | None = No
         print(f"{name}: part F1 {found['part_f1']:.3f} ({low:.3f} to {high:.3f})")
         for what, values, alone in zip(("PA-MPJPE", "MPJPE"), errors[name], errors[_ALONE], strict=True):
             print(f"  {what} {np.nanmean(values):.1f} mm, against the network alone {interval(values - alone)}")
+        if name == _ALONE:
+            print(f"  {100 * found['depth_within_spread']:.0f} % of depths within the 68 % that it states")
         if "pve_mm" in found:
             print(f"  PVE {found['pve_mm']:.1f} mm")
     for one, other in pairwise(_MESH):

@@ -19,9 +19,11 @@ from warp_partdr.body.labels import LABEL_SETS
 from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.cli import fit
 from warp_partdr.fit import fitting
+from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.stages import STAGES
 
 files, run = commands.files, commands.run  # fixtures
+AUTO = "triangles.subdivisions=auto"
 
 
 def test_help_teaches(run: Run) -> None:
@@ -83,13 +85,25 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit --keypoints k.json --set seed=1.5", "seed: 1.5; expected a whole number"),
         ("fit a.png b.png --keypoints k.json", "b.png"),
         ("fti", "fti"),
-        ("fit --keypoints k.json --set mesh=dots", "mesh: 'dots'; expected a table"),
+        ("fit --keypoints k.json --set triangles=dots", "triangles: 'dots'; expected a table"),
+        ("fit --keypoints k.json --set mesh=true", "mesh: True; expected a table of the mesh stage (ellipsoids"),
+        ("fit --keypoints k.json --set mesh.apart=-1", "mesh.apart: -1.0; expected 0 or a positive number"),
+        ("fit --keypoints k.json --set mesh.vertices=9", "mesh.vertices: 9; expected an integer of 240 or more"),
+        ("fit --keypoints k.json --set mesh.vertices=many", "mesh.vertices: 'many'; expected 'auto'"),
+        ("fit --keypoints k.json --set mesh.clothes=no", "mesh.clothes: 'no'; expected a number"),
+        ("fit --keypoints k.json --set mesh.size=96", "mesh: settings of a stage that needs part labels"),
         ("fit --keypoints k.json --set threads=-1", "threads: -1; expected 0 or more"),
-        ("fit --keypoints k.json --set outline=labels-first --set mesh=true", "labels-first"),
+        ("fit --keypoints k.json --set outline=labels-first --set triangles=true", "labels-first"),
         ("fit --keypoints k.json --set outline=thick", "outline: 'thick'; expected a table, false or 'labels-first'"),
-        ("fit --keypoints k.json --set mesh.subdivisions=4", "mesh.subdivisions: 4; expected 0 to 3, or auto"),
-        ("fit --keypoints k.json --set mesh.tolerance=1", "mesh.tolerance: 1.0"),
-        ("fit --keypoints k.json --set mesh.subdivisions=auto --set mesh.tolerance=0", "mesh.tolerance: 0.0"),
+        (
+            "fit --keypoints k.json --set triangles.subdivisions=4",
+            "triangles.subdivisions: 4; expected 0 to 3, or auto",
+        ),
+        ("fit --keypoints k.json --set triangles.tolerance=1", "triangles.tolerance: 1.0"),
+        (
+            "fit --keypoints k.json --set triangles.subdivisions=auto --set triangles.tolerance=0",
+            "triangles.tolerance: 0.0",
+        ),
         ("fit --keypoints k.json --set start=search", "start: unknown; expected one of stages, weights, "),
         ("fit --keypoints k.json --set finish.size=64", "finish: unknown; expected one of stages, weights, "),
         ("fit --keypoints k.json --set labels.steps=3", "labels.steps: unknown; expected one of name, bodies, "),
@@ -131,8 +145,12 @@ def options_of(run: Run, files: Path, monkeypatch: pytest.MonkeyPatch) -> Callab
     return call
 
 
-def test_the_mesh_reaches_the_fit(options_of: Callable[[str], FitOptions]) -> None:
-    settings = ("--set mesh.subdivisions=3", "--set mesh.subdivisions=auto --set mesh.tolerance=0.2", "--set mesh=true")
+def test_triangles_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None:
+    settings = (
+        "--set triangles.subdivisions=3",
+        "--set triangles.subdivisions=auto --set triangles.tolerance=0.2",
+        "--set triangles=true",
+    )
     for setting, level, tolerance in zip(settings, (3, "auto", 1), (0.5, 0.2, 0.5), strict=True):
         usual, options = FitOptions.at("balanced", "search"), options_of(f"--start search {setting}")
         for stages, seen in ((usual.stages, options.stages), (usual.search, options.search)):
@@ -159,8 +177,12 @@ def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None
         ),
         search=tuple(replace(each, size=64) if each.name == "labels, fine" else each for each in usual.search),
     )
+    mesh = MeshOptions(apart=0.1, clothes=None, vertices=900)
     line = "--quality accurate --start search --config own.toml --set seed=4 --set lift.iterations=7"
     assert options_of(line) == expected
+    given = "--set mesh.apart=0.1 --set mesh.clothes=none --set mesh.vertices=900"
+    assert options_of(f"{given} --model anny").mesh == mesh
+    assert options_of("--set mesh.vertices=auto --model anny").mesh == MeshOptions()
 
 
 @pytest.mark.parametrize("quality", ["fast", "accurate"])

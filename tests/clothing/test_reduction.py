@@ -10,10 +10,11 @@ from scenes.bodies import walker
 
 from warp_partdr.body.template import NUM_PARTS
 from warp_partdr.cameras import WeakPerspective
+from warp_partdr.clothing import reduction
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.model import DetailedModel, detailed_mesh
 from warp_partdr.clothing.pose import pose_from_ellipbody
-from warp_partdr.clothing.reduction import Reduced, reduce_model
+from warp_partdr.clothing.reduction import Reduced, reduce_model, reduce_within
 from warp_partdr.render.mesh import draw_mesh
 
 SIZE = 192
@@ -85,3 +86,16 @@ def test_pose_directions_are_kept(reduced):
 def test_numbers_that_no_mesh_has(count):
     with pytest.raises(ValueError, match="vertices"):
         reduce_model(anny(), count)
+
+
+@pytest.mark.parametrize(("error", "first"), [(0.004, 9.37), (0.01, 5.0)])
+def test_as_many_vertices_are_kept_as_an_error_needs(error, first, monkeypatch):
+    """Also where the first number that is tried is too small."""
+    monkeypatch.setattr(reduction, "_VERTICES_FOR", first)
+    few = reduce_within(anny(), error)
+    assert few.error <= error
+    assert reduce_model(anny(), few.drawn // 2).error > error
+
+
+def test_a_model_that_has_no_more_than_it_needs_stays_whole():
+    assert reduce_within(anny(), 1e-4) is None

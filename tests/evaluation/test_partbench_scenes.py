@@ -165,7 +165,7 @@ def test_differences_of_scenes_are_told() -> None:
     ]
     (found,) = compare_methods(replace(evaluate([], {}), scores=tuple(scores)))
     assert re.match(r"pairs: scene minus each alone: PA-MPJPE [+-]0\.0 ", found)
-    assert "world MPJPE -100.0 (-100.0 to -100.0) mm, part F1 +" in found
+    assert "world MPJPE -100.0 (-100.0 to -100.0) mm, depth order right +0.0 (+0.0 to +0.0) %, part F1 +" in found
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

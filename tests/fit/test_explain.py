@@ -18,6 +18,7 @@ from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.reduction import reduce_model
 from warp_partdr.fit.explain import explain, explain_mesh, print_choices
 from warp_partdr.fit.fitting import fit_body
+from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import Stage
 from warp_partdr.inputs.keypoints import Keypoints2D
@@ -115,11 +116,11 @@ def test_the_command_explains(tmp_path):
 
 def test_of_the_detailed_body_it_says_what_is_drawn():
     _, parts = seen(label_set("body14"))
-    drawn, alone = explain_mesh(anny(), parts), explain_mesh(anny(), None)
+    drawn, alone = (explain_mesh(anny(), given, MeshOptions()) for given in (parts, None))
     assert (drawn.modelled, drawn.left_out) == (
-        "1,500 vertices and thicknesses of clothes, drawn against the labels",
-        "12,218 until the end: fingers, toes, face",
+        "1,507 vertices and thicknesses of clothes, drawn against the labels",
+        "12,211 until the end: fingers, toes, face",
     )
     assert alone.left_out == "the mesh stage"
     few = reduce_model(anny(), 500).model
-    assert explain_mesh(few, parts).left_out == ""
+    assert explain_mesh(few, parts, MeshOptions()).left_out == ""

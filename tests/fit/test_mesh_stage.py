@@ -269,7 +269,7 @@ def test_wrong_arguments_are_named(first):
     with pytest.raises(ValueError, match="apart: nan"):
         MeshOptions(apart=float("nan"))
     with pytest.raises(ValueError, match="vertices"):
-        refine_mesh(first, options=replace(QUICK, vertices=10))
+        replace(QUICK, vertices=10)
 
 
 def test_it_moves_to_another_device_as_a_whole(first, device):

@@ -17,6 +17,7 @@ from warp_partdr.detection import crops
 from warp_partdr.errors import InputError
 from warp_partdr.fit import fitting
 from warp_partdr.fit import photo as photo_fit
+from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
@@ -88,6 +89,13 @@ def test_one_of_them_may_be_asked_for(everyone):
     np.testing.assert_allclose(alone.fits[1].vertices, found.fits[1].vertices, atol=5e-3)
     with pytest.raises(InputError, match="person: 2; expected 0 to 1"):
         fit_photo(photo, options=FAST, person=2)
+
+
+def test_options_of_the_mesh_stage_reach_it(everyone):
+    told = []
+    few = replace(FAST, mesh=MeshOptions(iterations=3))
+    fit_photo(everyone[0], options=few, person=1, progress=lambda *step: told.append(step))
+    assert told[-1] == ("mesh", 3, 3)
 
 
 def test_nobody_is_an_error_that_names_the_file_where_it_is_known(tmp_path):

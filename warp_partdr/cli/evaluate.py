@@ -120,8 +120,8 @@ def partbench(
         Option(
             "--level",
             "--levels",
-            help="clean, mild, realistic, hard (default: these), near, tilted, clothed, pairs, clip, views; may be "
-            "given again.",
+            help="clean, mild, realistic, hard (default: these), near, tilted, clothed, crossed, pairs, clip, views; "
+            "may be given again.",
             metavar="NAME",
         ),
     ] = None,
@@ -146,24 +146,27 @@ def partbench(
     """
     _check_counts(jobs=jobs)
     from ..bench.report import save_figures
+    from ..evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
     from ..evaluation.partbench.methods import METHODS, QUICK
     from ..evaluation.partbench.report import compare_methods, write_report
-    from ..evaluation.partbench.samples import SCENES, partbench_samples
+    from ..evaluation.partbench.samples import CROSSED, SCENES, partbench_samples
     from ..evaluation.partbench.scenes import SCENE_METHODS, partbench_scenes
     from ..results.result_sets import check_folder
     from ..synthetic.noise import LEVELS
 
     if out is not None:
         check_folder(out)
-    every: dict[str, Fitting] = {**METHODS, **SCENE_METHODS}
-    methods = _choose(every, method or ([*QUICK, *SCENE_METHODS] if quick else every))
+    every: dict[str, Fitting] = {**METHODS, **CROSSED_METHODS, **SCENE_METHODS}
+    methods = _choose(every, method or ([*QUICK, *CROSSED_METHODS, *SCENE_METHODS] if quick else every))
     levels = level or (QUICK_LEVELS if quick else tuple(LEVELS))
     where = _one_thread(device)
     processes = jobs or ((os.cpu_count() or 1) if where == "cpu" else 1)
     count = people or (QUICK_PEOPLE if quick else PEOPLE)
     scenes = [each for each in levels if each in SCENES]
-    singles = [each for each in levels if each not in SCENES]
+    singles = [each for each in levels if each not in (*SCENES, CROSSED)]
     samples: list[Evaluated] = [*partbench_samples(count, singles), *partbench_scenes(range(count), scenes, mocap)]
+    if CROSSED in levels:
+        samples += crossed_samples(people or (QUICK_PEOPLE if quick else CASES))
     report, figures = _fit(samples, methods, processes, where)
     for finding in compare_methods(report):
         typer.echo(finding)

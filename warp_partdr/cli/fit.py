@@ -49,7 +49,7 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
-the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh=true`, `threads=4`,
+the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`,
 `min_score=0.6` (how sure it must be that there is a person, default {MIN_SCORE}).
 """
 
@@ -106,6 +106,7 @@ def fit(
 
     from ..fit.fitting import fit_body
     from ..fit.mesh_stage import refine_mesh
+    from ..fit.settings import MESH
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
@@ -122,6 +123,8 @@ def fit(
     size = image_size(person.keypoints, person.parts, person.photo)
     camera = view.read(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
+    if MESH in values and (detailed_model is None or person.parts is None):
+        raise InputError(f"{MESH}: settings of a stage that needs part labels and a detailed model; expected both")
     if explain:
         _explain(person, options, camera, detailed_model)
     mesh, failure = None, None
@@ -132,7 +135,7 @@ def fit(
         if detailed_model is not None and person.parts is not None:
             try:
                 load_mesh_kernels(where)
-                mesh = refine_mesh(result, detailed_model, progress=progress)
+                mesh = refine_mesh(result, detailed_model, options=options.mesh, progress=progress)
                 result = mesh.ellipbody
             except _FAULTS as error:
                 failure = error
@@ -195,7 +198,7 @@ def _explain(
 
     choices = explain(person.keypoints, person.parts, others=person.others, options=options, camera=camera)
     if model is not None:
-        choices.append(explain_mesh(model, person.parts))
+        choices.append(explain_mesh(model, person.parts, options.mesh))
     print_choices(choices, Console(highlight=False))
 
 

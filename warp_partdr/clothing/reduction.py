@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from trimesh.triangles import closest_point
 
 from ..body.template import NUM_PARTS
 from ..errors import check_whole
@@ -14,8 +13,11 @@ from .model import DetailedModel
 from .surfaces import vertex_parts
 
 _LEAST = 12  # vertices of a part
+LEAST_VERTICES = _LEAST * NUM_PARTS
 _ROUNDS = 3  # of moving vertices to where the surface was
 _MOST = 0.99  # share of the area that the error holds for
+_VERTICES_FOR = 9.37  # [m]: about so many vertices, over an error, have that error, of human bodies
+_MORE = 1.25  # times as many, where they have a larger one
 _NOTHING = 1e-6  # of a landmark: what a joint carries less of counts nothing
 
 
@@ -37,6 +39,17 @@ class Reduced:
     error: float
 
 
+def reduce_within(model: DetailedModel, error: float) -> Reduced | None:
+    """Reduce a model to about as few vertices as have at most this error [m]; None: it has no more than it needs."""
+    count = max(_VERTICES_FOR / error, LEAST_VERTICES)
+    while count < model.num_vertices:
+        reduced = reduce_model(model, int(count))
+        if reduced.error <= error:
+            return reduced
+        count *= _MORE
+    return None
+
+
 def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     """Reduce a model to about so many vertices, spread evenly over each part's skin, those of small parts denser.
 
@@ -50,7 +63,7 @@ def reduce_model(model: DetailedModel, vertices: int) -> Reduced:
     Raises:
         ValueError: If ``vertices`` is less than that, or more than the model has.
     """
-    count = check_whole("vertices", vertices, _LEAST * NUM_PARTS, model.num_vertices)
+    count = check_whole("vertices", vertices, LEAST_VERTICES, model.num_vertices)
     part, areas = (values.cpu().numpy() for values in vertex_parts(model))
     rest = model.rest_vertices.double().cpu().numpy()
     faces = model.faces.cpu().numpy().astype(np.int64)
@@ -113,6 +126,8 @@ def _settle(
     rest: np.ndarray, areas: np.ndarray, kept: np.ndarray, nearest: np.ndarray, corners: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Places of the kept vertices about which the old surface is at distance 0 on average, and the error."""
+    from trimesh.triangles import closest_point  # whose import takes a while
+
     members = np.flatnonzero(nearest >= 0)
     own, areas = nearest[members], areas[members]
     # All faces about each member's vertex, one after another.

@@ -97,7 +97,7 @@ class Method:
 
     def score(self, sample: Sample, name: str, result: Any, seconds: float) -> Score:
         """Compare the result with what is known of the sample."""
-        vertices = None if self.vertices is None else self.vertices(result)
+        vertices = None if self.vertices is None or sample.vertices is None else self.vertices(result)
         return score_fit(sample, name, result, seconds, vertices)
 
 
@@ -235,7 +235,8 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "pve_mm": ("PVE\n[mm]", 1, 1),
     "world_mpjpe_mm": ("world\nMPJPE [mm]", 1, 1),
     "acceleration_mm": ("acceleration\noff [mm/frame²]", 1, 1),
-    "order_right": ("order right\n[%]", 100, 0),
+    "order_right": ("depth\norder [%]", 100, 0),
+    "depth_within_spread": ("depth in\n68 % [%]", 100, 0),
     "shared_volume_cm3": ("shared\n[cm³]", 1, 0),
     "seconds": ("time\n[s]", 1, 2),
 }

@@ -15,6 +15,7 @@ import torch
 
 from .. import metrics
 from ..body.labels import BACKGROUND, LabelSet, label_set, regroup
+from ..body.template import JOINT_NAMES
 from ..fit.result import FitResult
 from ..inputs.ignored_labels import ignore_missing_limbs
 from ..inputs.keypoints import person_height
@@ -29,6 +30,7 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("world_mpjpe_mm", "world_mpjpe", 1),
     ("acceleration_mm", "acceleration", 2),
     ("order_right", "order", 3),
+    ("depth_within_spread", "depth_within", 3),
     ("shared_volume_cm3", "shared_volume", 1),
     ("seconds", "seconds", 2),
 )
@@ -60,7 +62,8 @@ class Score:
     pve: float = math.nan  # [mm], the same for vertices, and NaN if the method has none
     world_mpjpe: float = math.nan  # [mm], as joints stand in the world; NaN but for scenes
     acceleration: float = math.nan  # [mm/frame²], how far joints' are from the true ones; NaN but for motion
-    order: float = math.nan  # share of pairs of people in the right order in depth; NaN but for several people
+    order: float = math.nan  # share of pairs of people, or of a limb (``Sample.mirrored``), in the right order in depth
+    depth_within: float = math.nan  # share of joints whose depth lies in the interval of 68 % that the network stated
     shared_volume: float = math.nan  # [cm³], of people who stand in one another, a frame; NaN but for several people
 
 
@@ -88,6 +91,7 @@ def score_fit(
         seconds=seconds,
         pixels=_pixels(sample, result),
         **_joint_errors(sample, result, vertices),
+        **_depth_figures(sample, result),
     )
 
 
@@ -105,6 +109,28 @@ def _joint_errors(sample: Sample, result: FitResult, vertices: np.ndarray | None
             pelvis, true_pelvis = joints[hips].mean(0), sample.joints[hips].mean(0)
             errors["pve"] = metrics.pve(vertices, sample.vertices, pelvis=pelvis, target_pelvis=true_pelvis)
     return {name: 1000 * float(error) for name, error in errors.items()}
+
+
+def _depth_figures(sample: Sample, result: FitResult) -> dict[str, float]:
+    """Depths, from the hips' middle, as far as something is to be told of them: shares by their names in ``Score``."""
+    if sample.joints is None:
+        return {}
+    names, figures = sample.joint_names, {}
+    hips = [names.index(name) for name in _HIPS]
+    found, true = (each[:, 2] - each[hips, 2].mean() for each in (result.landmarks(names), sample.joints))
+    if sample.mirrored is not None:
+        wrong = sample.mirrored[:, 2] - sample.mirrored[hips, 2].mean()
+        most = int(np.abs(wrong - true).argmax())
+        figures["order"] = float(abs(found[most] - true[most]) < abs(found[most] - wrong[most]))
+    if isinstance(result, FitResult) and result.uncertainty is not None:
+        told = [name for name in names if name in JOINT_NAMES and name not in _HIPS]  # which lie by the pelvis
+        rows, columns = [names.index(name) for name in told], [JOINT_NAMES.index(name) - 1 for name in told]
+        off = np.abs(found - true)[rows]
+        known = np.isfinite(off)
+        if known.any():
+            within = off < result.uncertainty.depths[0, columns].cpu().numpy()
+            figures["depth_within"] = float(within[known].mean())
+    return figures
 
 
 def scoring_classes(labels: LabelSet) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:

@@ -121,7 +121,8 @@ def _read(kind: Any, value: Any, where: str) -> Any:
 
 
 def _read_union(kinds: tuple[Any, ...], value: Any, where: str) -> Any:
-    if value is None and type(None) in kinds:
+    texts = str in kinds or Path in kinds  # of which "none" may be one
+    if type(None) in kinds and (value is None or (value == "none" and not texts)):  # TOML has no null
         return None
     *others, last = [kind for kind in kinds if kind is not type(None)]
     for kind in others:

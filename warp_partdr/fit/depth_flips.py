@@ -40,7 +40,7 @@ _PLACES = torch.linspace(-1.0, 1.0, 9)  # on a bone, of its half length
 _SIZE, _ITERATIONS, _RATE = 96, 30, 0.02
 FLIP_WEIGHTS = Weights(seg=0.5, proj=0.05, prior=0.1)
 # Share of its energy that a body must lose by a flip. With labels that are EllipBody's own, right flips save 6 % to
-# 70 %; on people with clothes of another shape and noisy labels, 0 of 300 save so much (scripts/measure_depth.py).
+# 70 %; on people with clothes of another shape and noisy labels, 0 of 300 save so much (2026-11-23).
 _MARGIN = 0.06
 _WORTH_REFINING = 0.05  # share of the labels' loss that it must save as it is
 

@@ -14,6 +14,7 @@ from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import REFERENCE_SIZE, Observation, observe
 from ..inputs.part_labels import PartLabels
 from ..render.renderers import Renderer, RendererEllipsoids, RendererMesh
+from .mesh_energy import drawn_vertices
 from .mesh_options import MeshOptions
 from .options import FitOptions, stages_of
 from .stages import Stage
@@ -76,11 +77,11 @@ def explain(
     ]
 
 
-def explain_mesh(model: DetailedModel, parts: PartLabels | None) -> Choice:
+def explain_mesh(model: DetailedModel, parts: PartLabels | None, options: MeshOptions) -> Choice:
     """Say what of a detailed model ``partdr fit`` draws."""
     if parts is None:
         return Choice("detailed body", "a mesh put on the ellipsoids", "the mesh stage", "there are no labels")
-    most, every = MeshOptions().vertices, model.num_vertices
+    most, every = drawn_vertices(model, options), model.num_vertices
     modelled = f"{min(most, every):,} vertices and thicknesses of clothes, drawn against the labels"
     if every <= most:
         return Choice("detailed body", modelled, "", "it has no more")
@@ -183,6 +184,8 @@ def _depth_order(parts: PartLabels, options: FitOptions) -> Choice:
         return Choice("depth order", "", flips, "with one label, nothing that shows hides something else")
     if options.start == "search":
         return Choice("depth order", "", flips, "hypotheses have either")
+    if not options.depth_flips:
+        return Choice("depth order", "", flips, "it was asked for")
     return Choice("depth order", flips, "", "keypoints do not tell it, labels do where parts overlap")
 
 

@@ -84,15 +84,19 @@ def fit_evidence(
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
     camera: Perspective | None = None,
+    body: BodyParameters | None = None,
 ) -> FitResult:
-    """Fit EllipBody to a person whose evidence was weighed (``weigh_evidence``); the rest is as of ``fit_body``."""
+    """Fit EllipBody to a person whose evidence was weighed (``weigh_evidence``); the rest is as of ``fit_body``.
+
+    From ``body``, in the crop of ``crop_evidence``, instead of the network's, of which only its uncertainty is used.
+    """
     _check_camera(camera)
     prior, parts = PosePrior().to(device), readings[0].picture
 
     def start(evidence: Evidence, options: FitOptions, progress: Progress | None = None) -> _Fit:
         trust = options.trust_background
         seen, crop = crop_evidence(evidence, trust_background=trust, device=device, camera=camera)
-        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress)
+        return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress, body)
 
     def glance(evidence: Evidence) -> FitResult:
         return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
@@ -119,6 +123,7 @@ class _Fit:
     stages: tuple[Stage, ...]
     evidence: Evidence
     progress: Progress | None
+    body: BodyParameters | None
 
     def search(self) -> FitResult:
         """Fit from many hypotheses, lifted in the first stage."""
@@ -138,12 +143,12 @@ class _Fit:
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
         predicted = ask_network([self.seen], network)
-        body = self._turned(predicted.parameters())
+        body = self._turned(predicted.parameters()) if self.body is None else self.body
         seconds = {"network": time.perf_counter() - started}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         order = None
         several = seen.label_set is not None and seen.label_set.num_groups > 1  # of one, nothing hides another
-        if self.stages and several:
+        if self.stages and several and self.options.depth_flips:
             started = time.perf_counter()
             body, order = repair_depth_order(body, seen, self.prior)
             seconds["depth order"] = time.perf_counter() - started

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -22,7 +23,7 @@ from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
 from ..clothing.joint_merging import merge_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
 from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints, turning_joints
-from ..clothing.reduction import reduce_model
+from ..clothing.reduction import reduce_model, reduce_within
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..interop.movable import Movable
@@ -251,7 +252,7 @@ def mesh_energy(model: DetailedModel, options: MeshOptions, label_set: LabelSet 
 @lru_cache(maxsize=8)
 def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, ...] | None) -> MeshEnergy:
     with torch.inference_mode(False):  # kept for calls outside of it, too
-        reduced, first, basis = _reduced(model, options.vertices)
+        reduced, first, basis = _reduced_by(model, options)
         names = reduced.landmark_names
         indices = turning_joints(model), free_joints(reduced), [names.index(name) for name in JOINT_NAMES]
         turning, free, ends = (torch.tensor(each, device=basis.device) for each in indices)
@@ -262,13 +263,28 @@ def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, 
         return MeshEnergy(reduced, mesh, hides, basis, turning, free, first, weights, ends, capsules, options)
 
 
+def drawn_vertices(model: DetailedModel, options: MeshOptions) -> int:
+    """Number of vertices of the mesh that is drawn."""
+    few, first, _ = _reduced_by(model, options)
+    return first or few.num_vertices
+
+
+def _reduced_by(model: DetailedModel, options: MeshOptions) -> tuple[DetailedModel, int, torch.Tensor]:
+    if options.vertices == "auto":
+        return _reduced(model, None, options.skin_error)
+    return _reduced(model, options.vertices, math.inf)
+
+
 @lru_cache(maxsize=4)
-def _reduced(model: DetailedModel, vertices: int) -> tuple[DetailedModel, int, torch.Tensor]:
+def _reduced(model: DetailedModel, vertices: int | None, error: float) -> tuple[DetailedModel, int, torch.Tensor]:
     """The model that is drawn, its first vertex that carries a landmark, and its clothes' basis."""
     basis, merged = clothes_basis(model), merge_joints(model, turning_joints(model))
-    drawn, few = 0, merged
-    if model.num_vertices > vertices:
+    drawn, few, reduced = 0, merged, None
+    if vertices is None:
+        reduced = reduce_within(merged, error)
+    elif model.num_vertices > vertices:
         reduced = reduce_model(merged, vertices)
+    if reduced is not None:
         drawn, few, basis = reduced.drawn, reduced.model, basis[:, reduced.kept]
     # Vertices that carry landmarks alone stay at the body.
     return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
+from ..clothing.reduction import LEAST_VERTICES
 from ..errors import check_whole
 from ..interop.checks import MAX_PICTURE, check_steps
 from ..render.options import DEFAULT_DEPTH_WEIGHT, MeshGradient, check_mesh_rule
+from ..render.subdivisions import DEFAULT_TOLERANCE
+
+_SHOWN = 2.0  # [m], about: side of the crop of an adult
 
 
 @dataclass(frozen=True)
@@ -18,7 +23,8 @@ class MeshOptions:
         iterations: Steps of Adam.
         learning_rate: Of angles [rad] and camera [half-sides of the crop].
         size: Side of the drawn crop [px].
-        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more.
+        vertices: Of the mesh that is drawn meanwhile (``reduce_model``), where the model has more; "auto": about as few
+            as keep ``skin_error``.
         proj: Weight of L_proj.
         seg: Weight of L_seg.
         depth: Weight of the squares of joints' moves along the view, in spreads that the network stated.
@@ -36,7 +42,7 @@ class MeshOptions:
     iterations: int = 60
     learning_rate: float = 0.01
     size: int = 160
-    vertices: int = 1500
+    vertices: int | Literal["auto"] = "auto"
     proj: float = 0.5
     seg: float = 0.1
     depth: float = 2.0
@@ -51,8 +57,15 @@ class MeshOptions:
     def __post_init__(self) -> None:
         check_steps(self.iterations, self.learning_rate)
         check_whole("size", self.size, 1, math.isqrt(MAX_PICTURE) - 1)
+        if self.vertices != "auto":
+            check_whole("vertices", self.vertices, LEAST_VERTICES)
         check_mesh_rule(self.gradient, self.max_distance, self.depth_weight)
         for name in ("proj", "seg", "depth", "turns", "shape", "clothes", "apart"):
             weight = getattr(self, name)
             if not (0 <= weight < math.inf if weight is not None else name == "clothes"):
                 raise ValueError(f"{name}: {weight}; expected 0 or a positive number")
+
+    @property
+    def skin_error(self) -> float:
+        """Distance of the whole model's skin from the one drawn, 1 % of it aside: half a drawn pixel at most [m]."""
+        return DEFAULT_TOLERANCE * _SHOWN / self.size

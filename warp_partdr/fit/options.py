@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from ..inputs.part_labels import PartLabels
 from ..refinement.energy import Weights
 from ..render.renderers import Renderer, RendererEllipsoids
+from .mesh_options import MeshOptions
 from .stages import OUTLINE, STAGES, Quality, Stage, Start
 
 _LABELS_FIRST = Stage(OUTLINE, 1, 1000, 0.01, 256, Weights(seg=1.0), RendererEllipsoids("coverage"))
@@ -27,6 +28,8 @@ class FitOptions:
         network: File of a label network of `partdr train`; None takes the packaged one.
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
+        depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
+        mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
     """
 
     stages: tuple[Stage, ...] = STAGES["network"]["balanced"]
@@ -36,6 +39,8 @@ class FitOptions:
     start: Start = "network"
     network: str | None = None
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
+    depth_flips: bool = True
+    mesh: MeshOptions = field(default_factory=MeshOptions)
 
     def __post_init__(self) -> None:
         if self.start not in STAGES:

@@ -121,7 +121,7 @@ def fit_photo(
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
         results.append(replace(result, warnings=(*warnings, *result.warnings)))
-    fits = refine_meshes(results, model, progress=progress)
+    fits = refine_meshes(results, model, options=options.mesh, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
 
 

@@ -15,7 +15,8 @@ from .options import FitOptions
 from .stages import OUTLINE, Stage
 
 LABELS_FIRST = "labels-first"
-MESH = "mesh"
+MESH = "mesh"  # the stage
+TRIANGLES = "triangles"
 _FIELDS = tuple(field.name for field in fields(FitOptions) if field.name != "start")
 
 
@@ -25,28 +26,32 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     Args:
         options: What to begin with, such as ``FitOptions.at("fast")``.
         values: Fields of ``FitOptions``, all but ``start``; under a stage's name, fields of that ``Stage``; under
-            ``search``, the same for stages of the search. ``mesh``, true or fields of ``RendererMesh``, draws it in
-            every stage. ``outline`` may also be false, which leaves that stage out, or "labels-first"
-            (``FitOptions.labels_first``).
+            ``search``, the same for stages of the search. ``triangles``, true or fields of ``RendererMesh``, draws
+            ellipsoids by that in every stage. ``outline`` may also be false, which leaves that stage out, or
+            "labels-first" (``FitOptions.labels_first``).
 
     Raises:
         InputError: If a key is unknown, or its value is wrong or excludes another one.
     """
     own = {name: value for name, value in values.items() if name in _FIELDS}
+    if not isinstance(mesh := own.get(MESH, {}), Mapping):
+        told = f"{MESH}: {shown(mesh)}; expected a table of the mesh stage"
+        raise InputError(f"{told} (ellipsoids are drawn as a mesh by {TRIANGLES}=true)")
     if isinstance(search := own.get("search"), Mapping):
         options = replace(options, search=_change_stages(options.search, search, "search"))
         del own["search"]
     options = read_section(type(options), own, base=options)
     names = [stage.name for stage in options.stages]
-    check_keys(values, dict.fromkeys([*_FIELDS, MESH, *names, OUTLINE]))
+    check_keys(values, dict.fromkeys([*_FIELDS, TRIANGLES, *names, OUTLINE]))
     tables = {name: value for name, value in values.items() if name not in _FIELDS}
-    mesh, outline = tables.pop(MESH, False), tables.get(OUTLINE, {})
-    if outline == LABELS_FIRST and mesh is not False:
-        raise InputError(f"{OUTLINE}: {LABELS_FIRST}, with {MESH}, which has no coverage gradient; expected one of two")
+    triangles, outline = tables.pop(TRIANGLES, False), tables.get(OUTLINE, {})
+    if outline == LABELS_FIRST and triangles is not False:
+        told = f"{OUTLINE}: {LABELS_FIRST}, with {TRIANGLES}, which have no coverage gradient"
+        raise InputError(f"{told}; expected one of two")
     if not isinstance(outline, Mapping):
         options = _change_outline(options, tables.pop(OUTLINE))
-    if mesh is not False:
-        options = _draw_mesh(options, {} if mesh is True else mesh)
+    if triangles is not False:
+        options = _draw_mesh(options, {} if triangles is True else triangles)
     return replace(options, stages=_change_stages(options.stages, tables))
 
 
@@ -60,15 +65,15 @@ def _change_outline(options: FitOptions, outline: object) -> FitOptions:
 
 def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
     """Replace all renderers by the mesh, with their own ``max_distance`` unless it is given."""
-    mesh = read_section(RendererMesh, values, MESH)
+    mesh = read_section(RendererMesh, values, TRIANGLES)
     assert isinstance(values, Mapping)
     level, tolerance = mesh.subdivisions, mesh.tolerance
     if level != "auto" and not 0 <= level <= MAX_SUBDIVISIONS:
-        raise InputError(f"{MESH}.subdivisions: {level}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
+        raise InputError(f"{TRIANGLES}.subdivisions: {level}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
     if "tolerance" in values and level != "auto":
-        raise InputError(f"{MESH}.tolerance: {tolerance}; expected {MESH}.subdivisions=auto with it")
+        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected {TRIANGLES}.subdivisions=auto with it")
     if not 0 < tolerance < math.inf:
-        raise InputError(f"{MESH}.tolerance: {tolerance}; expected a positive number of pixels")
+        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected a positive number of pixels")
     if "max_distance" in values:
         return options.drawn_by(lambda old: mesh)
     return options.drawn_by(lambda old: replace(mesh, max_distance=old.max_distance))

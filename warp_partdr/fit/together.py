@@ -103,7 +103,8 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     if first.label_set is None:
         stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
     orders: Sequence[DepthOrder | None] = [None] * len(people)
-    if stages and first.label_set is not None and first.label_set.num_groups > 1:
+    several = first.label_set is not None and first.label_set.num_groups > 1
+    if stages and several and options.depth_flips:
         bodies, orders = repair_depth_orders(bodies, seen, prior)
     depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()
     seen = [replace(each, depths=depths[row], depth_spreads=spreads[row]) for row, each in enumerate(seen)]

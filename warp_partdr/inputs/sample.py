@@ -43,6 +43,7 @@ class Sample:
         joints: True 3D joints, camera frame [m], shape (J, 3); NaN where unknown. Where the origin is does not matter.
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
+        mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
         smpl: The true body as SMPL's parameters.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
@@ -58,6 +59,7 @@ class Sample:
     joints: np.ndarray | None = None
     joint_names: tuple[str, ...] = MPJPE_JOINTS
     vertices: np.ndarray | None = None
+    mirrored: np.ndarray | None = None
     smpl: SmplFit | None = None
     picture: Path | np.ndarray | None = None
     camera: Perspective | None = None

@@ -29,6 +29,7 @@ def registered_vertices(result: FitResult) -> np.ndarray:
 
 
 KNOWN_CAMERA = "parts, known camera"
+NO_FLIPS = "parts, no depth flips"
 _STARTS = {
     "network": Method(options=FitOptions(stages=(), search=())),
     "network, 50 iterations": Method(options=FitOptions.at("fast")),
@@ -39,6 +40,7 @@ _MESH_BY_PARTDR = MeshOptions(gradient="partdr", seg=0.03)  # which pulls about 
 METHODS: dict[str, Method] = {
     **{name: replace(method, vertices=registered_vertices) for name, method in (SUPERVISIONS | _STARTS).items()},
     KNOWN_CAMERA: Method(camera=True, vertices=registered_vertices),
+    NO_FLIPS: Method(options=FitOptions(depth_flips=False), vertices=registered_vertices),
     # Of the starts' stages, only the search's have PartDR's rule, and with it a z gradient.
     "search, no z gradient": Method(
         options=_SEARCH.drawn_by(lambda old: replace(old, depth_weight=0.0)), vertices=registered_vertices

@@ -24,19 +24,22 @@ from ...synthetic.scene_people import SceneSample
 from ..evaluate import Evaluated, Fitting, Report, tables
 from ..scoring import Score
 from . import VERSION
-from .methods import KNOWN_CAMERA
-from .samples import LABELS, source_name
+from .crossed import CROSSED_METHODS, MIRRORED
+from .methods import KNOWN_CAMERA, NO_FLIPS
+from .samples import source_name
 from .scene_pictures import draw_scene_case
 from .scenes import SMOOTHED
 
 WORST = 10
-DRAWN = ("parts", "scene")  # methods whose worst fits are drawn
+DRAWN = ("parts", MIRRORED, "scene")  # methods whose worst fits are drawn
 # Each pair: what should be better, and than what.
 ORDER = (
     ("parts", "full silhouette"),
     ("full silhouette", "keypoints only"),
     ("parts", "search"),
     (KNOWN_CAMERA, "parts"),
+    ("parts", NO_FLIPS),
+    *((MIRRORED, name) for name in CROSSED_METHODS if name != MIRRORED),
     ("network, 50 iterations", "network"),
     ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, PartDR's rule"),
@@ -46,10 +49,11 @@ ORDER = (
     *(("scene", name) for name in SMOOTHED),
     ("scene", "first camera alone"),
 )
-_GAINS = (  # figure, field of ``Score``, unit
-    ("PA-MPJPE", "pa_mpjpe", "mm"),
-    ("world MPJPE", "world_mpjpe", "mm"),
-    ("acceleration", "acceleration", "mm/frame²"),
+_GAINS = (  # figure, field of ``Score``, factor, unit
+    ("PA-MPJPE", "pa_mpjpe", 1, "mm"),
+    ("world MPJPE", "world_mpjpe", 1, "mm"),
+    ("acceleration", "acceleration", 1, "mm/frame²"),
+    ("depth order right", "order", 100, "%"),
 )
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"
@@ -69,8 +73,8 @@ def compare_methods(report: Report) -> Iterator[str]:
 def _compare(pairs: list[list[Score]]) -> str:
     """Errors and part F1 of the first score of each pair minus those of the second."""
     parts = []
-    for name, field, unit in _GAINS:
-        gains = np.array([getattr(better, field) - getattr(worse, field) for better, worse in pairs])
+    for name, field, factor, unit in _GAINS:
+        gains = factor * np.array([getattr(better, field) - getattr(worse, field) for better, worse in pairs])
         if np.isfinite(gains).all():
             low, high = metrics.bootstrap_sum(gains, lambda sums: sums / len(pairs))
             parts.append(f"{name} {gains.mean():+.1f} ({low:+.1f} to {high:+.1f}) {unit}")
@@ -142,10 +146,11 @@ def draw_case(sample: Sample, result: FitResult) -> Image.Image:
     """Labels and keypoints as seen, true labels, the fit's labels, and joints from the side, next to one another."""
     assert sample.parts is not None
     assert sample.target is not None
-    colours = group_colours(LABELS.part_groups)
+    labels = sample.parts.label_set
+    colours = group_colours(labels.part_groups)
     seen = Image.fromarray(colours[sample.parts.groups])
     draw_keypoints(seen, sample.keypoints)
-    fitted = LABELS.from_parts(result.draw(sample.target.shape).labels[0].cpu().numpy())
+    fitted = labels.from_parts(result.draw(sample.target.shape).labels[0].cpu().numpy())
     side = np.asarray(_side_view(sample, result, seen.height))
     return Image.fromarray(np.hstack([np.asarray(seen), colours[sample.target], colours[fitted], side]))
 

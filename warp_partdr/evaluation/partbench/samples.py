@@ -20,6 +20,7 @@ from . import VERSION
 LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, TILTED, CLOTHED = SETTINGS = ("near", "tilted", "clothed")
+CROSSED = "crossed"  # level of ``crossed_samples``
 PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
@@ -37,7 +38,7 @@ def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEV
     """
     check_people(range(count))
     if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS)]:
-        known = ", ".join((*LEVELS, *SETTINGS, *SCENES))
+        known = ", ".join((*LEVELS, *SETTINGS, CROSSED, *SCENES))
         raise InputError(f"level: {', '.join(unknown)}; expected {known}")
     return [make_sample(index, level) for level in levels for index in range(count)]
 
