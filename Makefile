@@ -14,7 +14,7 @@ SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help fit demo test mutants install dev lint format types pictures wheel-check clean
+.PHONY: help fit demo test mutants install dev lint format types layout docs dist pictures wheel-check clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
@@ -45,11 +45,27 @@ format: $(VENV)/.installed-dev  ## let ruff put right what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# mypy does not follow setuptools' editable finder, so it is shown the package's real layout, made of links.
-types: $(VENV)/.installed-dev  ## mypy
+# mypy and mkdocs do not follow setuptools' editable finder, so they are shown the package's real layout, of links.
+types: $(VENV)/.installed-dev layout  ## mypy
+	$(BIN)/mypy build/typing/warp_partdr
+
+layout:
 	@rm -rf build/typing && mkdir -p build/typing/warp_partdr
 	@ln -s $(foreach entry,$(wildcard warp_partdr/*) kernels body demos/viewer,../../../$(entry)) build/typing/warp_partdr/
-	$(BIN)/mypy build/typing/warp_partdr
+
+docs: $(VENV)/.installed-docs layout  ## build the documentation site in build/site; open index.html there
+	$(BIN)/python scripts/make_site.py build/pages
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+# Twice, so that what differs from one build to the next is seen.
+dist: $(VENV)/.installed-release  ## build sdist and wheel in build/dist as a package index wants them
+	rm -rf build/dist build/again build/lib build/bdist.*
+	for folder in dist again; do SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation \
+		--outdir build/$$folder . >build/$$folder.log 2>&1 || { cat build/$$folder.log; exit 1; }; done
+	cmp build/dist/*.whl build/again/*.whl
+	for folder in dist again; do mkdir build/$$folder/sdist && tar -xzf build/$$folder/*.tar.gz -C build/$$folder/sdist; done
+	diff -r build/dist/sdist build/again/sdist
+	$(BIN)/twine check --strict build/dist/*.whl build/dist/*.tar.gz
 
 pictures: $(VENV)/.installed  ## draw the pictures of README and docs anew
 	$(BIN)/python scripts/pictures.py
@@ -89,4 +105,12 @@ $(VENV)/.installed-demo: $(VENV)/.installed
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(INSTALL) --no-build-isolation --editable '.[test,dev]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(INSTALL) --no-build-isolation --editable '.[docs]'
+	@touch $@
+
+$(VENV)/.installed-release: $(VENV)/.installed
+	$(INSTALL) --no-build-isolation --editable '.[release]'
 	@touch $@

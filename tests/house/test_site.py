@@ -1,0 +1,67 @@
+"""The documentation site has every page, demo and public name, and links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+import yaml
+
+import warp_partdr
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site") / "pages"
+    runpy.run_path(str(ROOT / "scripts" / "make_site.py"))["make_pages"](folder)
+    return folder
+
+
+def entries(nav: object) -> list[str]:
+    """Pages of a navigation, from first to last."""
+    if isinstance(nav, str):
+        return [nav]
+    parts = nav if isinstance(nav, list) else list(nav.values())  # type: ignore[attr-defined]
+    return [entry for part in parts for entry in entries(part)]
+
+
+def test_the_navigation_has_all(pages: Path) -> None:
+    nav = entries(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])
+    assert len(set(nav)) == len(nav)
+    expected = {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
+    expected |= {f"demos/{path.stem}.md" for path in (ROOT / "demos").glob("*.py")}
+    expected |= {f"api/{name}.md" for name in warp_partdr._EXPORTS}
+    expected |= {f"warp_partdr/assets/{path.name}" for path in (ROOT / "warp_partdr/assets").glob("*.md")}
+    assert expected | {"README.md", "CHANGELOG.md"} == set(nav)
+    for entry in nav:
+        assert (pages / entry).is_file(), entry
+
+
+def test_links_lead_somewhere(pages: Path) -> None:
+    missing = [
+        f"{path.relative_to(pages)}: {link}"
+        for path in pages.rglob("*.md")
+        if path.suffixes == [".md"]
+        for link in re.findall(r"\]\(([^)\s:#]+)(?:#[^)\s]*)?\)", path.read_text())
+        if not (path.parent / link).exists()
+    ]
+    assert not missing
+
+
+def test_a_public_name_has_an_example(pages: Path) -> None:
+    """Each is used in the README, a page or a demo, and its page says where."""
+    for name in warp_partdr._EXPORTS:
+        text = (pages / "api" / f"{name}.md").read_text()
+        assert f"from warp_partdr import {name}" in text
+        assert re.search(r"Used in: \[", text), name
+
+
+def test_a_demo_is_a_page_of_its_own_words(pages: Path) -> None:
+    page = (pages / "demos" / "own_loss.md").read_text()
+    assert page.startswith("# Write your own loss on part maps: any function of them has a gradient\n")
+    assert page.count('"""Write your own') == 0
+    assert "\n````python\nfrom __future__ import annotations\n" in page
