@@ -18,12 +18,13 @@ from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.disk import file_sha256
 from .loading import load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, check_score, people_at_a_time, say_people
+from .options import CameraOptions, DeviceOption, LabelsOption, check_score, people_at_a_time, say_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
     from ..bulk.run import Tally
     from ..bulk.shards import Shards
+    from ..bulk.sources import PictureSource
 
 # As ``bulk.people.BulkQuality``, which is not loaded for --help.
 BulkQualityName = StrEnum("BulkQualityName", ["network", "fast", "mesh"])
@@ -70,15 +71,15 @@ class BulkOptions:
         MIN_SCORE
     )
 
-    def record(self, view: CameraOptions, annotations: str | None) -> dict[str, Any]:
-        """All that rows depend on but the pictures, as shards state it; ``annotations`` is their SHA-256."""
+    def record(self, view: CameraOptions, source: PictureSource) -> dict[str, Any]:
+        """All that rows depend on but the pictures, as shards state it."""
         check_score("--min-score", self.min_score)
         model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
             "quality": self.quality.value,
-            "people": annotations or "found",
-            "min_score": None if annotations else self.min_score,
+            "people": source.digest or "found",
+            "min_score": self.min_score if source.finds else None,
             "network": None if self.network is None else _sha256(self.network),
             "model": model if self.quality == "mesh" else None,
             **{name: getattr(view, name) for name in ("focal", "fov", "principal")},
@@ -108,6 +109,7 @@ def dataset(
         int | None, Option(help="People at a time; default: 256, on a CPU 16.", metavar="N", min=1)
     ] = None,
     device: DeviceOption = "auto",
+    labels: LabelsOption = None,
     *,
     how: BulkOptions,
     parts: ShardOptions,
@@ -118,21 +120,21 @@ def dataset(
         raise InputError("partdr dataset: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
     view.check()
 
+    from ..bulk.opening import open_source
     from ..bulk.people import BulkQuality, PeopleFitter, stages_of_quality
     from ..bulk.rows import columns
     from ..bulk.run import make_dataset
     from ..bulk.shards import Shards
-    from ..bulk.sources import open_source
     from ..interop.devices import choose_device
     from ..network.checkpoint import load_label_network
     from ..results.result_sets import check_folder
     from .progress import PictureProgress
 
-    source = open_source(pictures, images)
+    source = open_source(pictures, images, labels)
     where = choose_device(device)
     check_folder(out)
     about = _versions(where) | {"skeleton": source.skeleton}
-    shards = Shards(out, source.names, parts.shard, how.record(view, source.digest), about)
+    shards = Shards(out, source.names, parts.shard, how.record(view, source), about)
     done = shards.done()
     todo = [index for index in parts.mine(shards.count) if index not in done]
     if not todo:
@@ -142,13 +144,14 @@ def dataset(
     form = columns(source.skeleton, detailed)
     camera: dict[str, Any] = {}
     if view.given:
-        camera["camera"] = lambda name, size: view.read(size, source.path(name))
+        camera["camera"] = lambda name, size: view.read(size, source.photo(name))
     total = sum(len(shards.pictures(index)) for index in todo)
     with PictureProgress(total) as progress:
         at_a_time = people_at_a_time(batch, where) if where == "cpu" else batch or 256
         label_network = load_label_network(how.network, device=where)
         quality: BulkQuality = how.quality.value  # type: ignore[assignment]  # its names
-        fitter = PeopleFitter(quality, label_network, detailed, where, at_a_time, how.min_score, **camera)
+        own = {**camera, "skeleton": source.skeleton}
+        fitter = PeopleFitter(quality, label_network, detailed, where, at_a_time, how.min_score, **own)
         load_kernels(where, stages_of_quality("mesh"), with_labels=True)
         if detailed is not None:
             load_mesh_kernels(where)
