@@ -115,7 +115,7 @@ class FilmFrames:
         Raises:
             InputError: If PyAV is not installed, or the file can't be read as a film.
         """
-        self.path, self.fault = path, None
+        self.path = path
         times, packets = [], 0
         with _opened(path) as (container, stream):
             said = stream.frames
@@ -123,8 +123,8 @@ class FilmFrames:
                 packets += bool(packet.size)
                 if packet.size and not packet.is_discard:
                     times.append(packet.pts)
-        if packets < said or not times:
-            self.fault: str | None = f"{path}: {packets} of {said} frames in it; expected a whole film"
+        missing = f"{path}: {packets} of {said} frames in it; expected a whole film"
+        self.fault = missing if packets < said or not times else None
         known = [time for time in times if time is not None]
         self._count = len(times)
         # Without times, or with one twice, frames can only be counted from the first on.
@@ -172,7 +172,7 @@ class FilmFrames:
             if first and self._times is not None:
                 container.seek(self._times[first], stream=stream)  # to the last key frame before
             for count, frame in enumerate(container.decode(stream)):
-                number = count if places is None else places.get(frame.pts)
+                number = count if places is None or frame.pts is None else places.get(frame.pts)
                 if number is not None and number >= first:
                     yield number, _upright(frame, _square_size(self.path, stream, frame))
 
