@@ -332,6 +332,11 @@ def test_faults_are_one_line(line: str, says: str, run: Run) -> None:
         ({"keypoints": [1.0, 2.0, 2]}, "annotation 100: 3 numbers; expected 3 (x, y, confidence)"),
         ({"bbox": [1, 2]}, "annotation 100: bbox: [1, 2]; expected four numbers"),
         ({"segmentation": [[1, 2]]}, "expected polygons x, y, x, y"),
+        ({"segmentation": {"counts": "abc", "size": [1, 1]}}, "segmentation: size [1, 1]; expected the picture's, ["),
+        (
+            {"segmentation": {"counts": [3, 4], "size": [128, 97]}},
+            "counts: [3, 4]; expected run lengths of 12416 pixels",
+        ),
     ],
 )
 def test_annotations_at_fault_are_rows_with_errors(change: dict[str, Any], says: str, run: Run) -> None:
@@ -342,7 +347,7 @@ def test_annotations_at_fault_are_rows_with_errors(change: dict[str, Any], says:
 
 
 def test_annotations_may_lack_masks_and_keypoints(run: Run) -> None:
-    path = write_coco(Path("coco"), count=2, segmentation={"counts": "abc", "size": [1, 1]}, bbox=None)
+    path = write_coco(Path("coco"), count=2, segmentation=None, bbox=None)
     data = json.loads(path.read_text())
     data["annotations"][1]["keypoints"] = [0] * 51
     path.write_text(json.dumps(data))

@@ -11,11 +11,13 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from ..body.skeletons import skeleton
 from ..cameras import Perspective
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
 from ..detection.masks import instance_map
 from ..detection.people import find_people_in
+from ..detection.person import SKELETON
 from ..errors import InputError
 from ..fit.mesh_stage import refine_meshes
 from ..fit.options import FitOptions
@@ -23,6 +25,7 @@ from ..fit.photo import person_evidence
 from ..fit.together import CutPerson, fit_together
 from ..inputs.evidence import weigh_evidence
 from ..inputs.observation import crop_evidence
+from ..inputs.person import check_inside
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
@@ -31,6 +34,11 @@ from .sources import KnownPerson, SourcePicture
 
 BulkQuality = Literal["network", "fast", "mesh"]
 CameraOf = Callable[[str, tuple[int, int]], Perspective | None]
+
+
+def no_camera(name: str, size: tuple[int, int]) -> None:
+    """None: the camera of no picture is known."""
+
 
 Key = tuple[int, int]  # place of a picture, and number of a person
 _Held = tuple[int, str, SourcePicture]
@@ -64,6 +72,7 @@ class PeopleFitter:
         batch: People that are fitted at a time.
         min_score: Least confidence that there is a person, of those who are found.
         camera: The camera of a picture by its name and (H, W), if it is known; of all pictures or of none.
+        skeleton: Format of keypoints in rows; those of other formats lose what it has not.
     """
 
     quality: BulkQuality
@@ -72,7 +81,8 @@ class PeopleFitter:
     device: str
     batch: int
     min_score: float = MIN_SCORE
-    camera: CameraOf = lambda name, size: None
+    camera: CameraOf = no_camera
+    skeleton: str = SKELETON
 
     def rows(
         self, pictures: Iterable[tuple[str, SourcePicture | Exception]], tell: Callable[[str], None] | None = None
@@ -114,7 +124,14 @@ class PeopleFitter:
         ]
 
     def bodies(self, people: Sequence[CutPerson]) -> list[Row]:
-        """Bodies of people, in one batch."""
+        """Bodies of people, in one batch of each keypoints' format."""
+        forms = list(dict.fromkeys(person.evidence.keypoints.format.name for person in people))
+        if len(forms) > 1:
+            rows: dict[int, Row] = {}
+            for form in forms:
+                places = [place for place, each in enumerate(people) if each.evidence.keypoints.format.name == form]
+                rows |= zip(places, self.bodies([people[place] for place in places]), strict=True)
+            return [rows[place] for place in range(len(people))]
         fits = fit_together(people, stages_of_quality(self.quality), self.network)
         if self.quality != "mesh":
             return describe_bodies(fits)
@@ -212,8 +229,10 @@ def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
             rows[index, 0] = row
         for number, person in enumerate(known.people):
             key = index, number
-            rows[key] = row | {"person": number} | _describe(person)
+            rows[key] = row | {"person": number} | _describe(person, how.skeleton)
             try:
+                if seen.people is not None:
+                    check_inside(person.keypoints, (row["height"], row["width"]))
                 people.append((key, _cut_person(known, number, camera, how.device)))
             except _FAULTS as error:
                 rows[key]["error"] = one_line(error)
@@ -223,7 +242,10 @@ def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
 def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, device: str) -> CutPerson:
     assert known.people is not None
     keypoints = known.people[number].keypoints
-    if known.owners is None:
+    if known.parts is not None:
+        others = [each.keypoints for place, each in enumerate(known.people) if place != number]
+        evidence = weigh_evidence(keypoints, known.parts, others)[0]
+    elif known.owners is None:
         evidence = weigh_evidence(keypoints)[0]
     else:
         evidence = person_evidence(keypoints, known.owners, number)
@@ -251,8 +273,14 @@ def one_line(error: Exception) -> str:
     return (text if isinstance(error, InputError) else f"{type(error).__name__}: {text}")[:300]
 
 
-def _describe(person: KnownPerson) -> dict[str, Any]:
-    keypoints = np.column_stack([person.keypoints.points, person.keypoints.confidence])
+def _describe(person: KnownPerson, form: str) -> dict[str, Any]:
+    given = person.keypoints
+    keypoints = np.column_stack([given.points, given.confidence])
+    if given.format.name != form:
+        own = given.format.landmarks
+        missing = np.zeros(3, dtype=np.float32)
+        order = [own.index(name) if name in own else None for name in skeleton(form).landmarks]
+        keypoints = np.stack([missing if place is None else keypoints[place] for place in order])
     return {
         "annotation": person.annotation,
         "score": person.score,

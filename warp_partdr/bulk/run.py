@@ -6,28 +6,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import islice
 
 from ..errors import InputError
 from .people import PeopleFitter
 from .rows import Column, people_table
-from .shards import Shards
+from .shards import Shards, Tally
 from .sources import PictureSource, SourcePicture
 
 Read = SourcePicture | Exception
 _AHEAD = 4  # pictures a thread that are decoded before they are asked for
-
-
-@dataclass
-class Tally:
-    """Numbers of what a run wrote, and of what failed."""
-
-    shards: int = 0
-    pictures: int = 0
-    people: int = 0
-    errors: int = 0
-    first_error: str = ""
 
 
 def make_dataset(
@@ -68,13 +56,7 @@ def make_dataset(
             rows = fitter.rows(islice(pictures, count), told)
             about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
             shards.write(index, people_table(rows, columns, about))
-            faults = [(row["picture"], row["error"]) for row in rows if row.get("error")]
-            tally.shards += 1
-            tally.pictures += count
-            tally.people += sum(row.get("joints") is not None for row in rows)
-            tally.errors += len(faults)
-            for name, error in faults[:1]:
-                tally.first_error = tally.first_error or (error if error.startswith(name) else f"{name}: {error}")
+            tally.add(count, rows)
             if written is not None:
                 written(index, tally)
     finally:

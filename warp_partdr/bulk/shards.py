@@ -17,12 +17,33 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, cause
 from ..files.disk import sync
 from ..results.result_sets import scratch_folder
-from .rows import FORMAT, METADATA
+from .rows import FORMAT, METADATA, Row
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _DIGITS = 5
+
+
+@dataclass
+class Tally:
+    """Numbers of what a run wrote, and of what failed."""
+
+    shards: int = 0
+    pictures: int = 0
+    people: int = 0
+    errors: int = 0
+    first_error: str = ""
+
+    def add(self, pictures: int, rows: Sequence[Row]) -> None:
+        """Count a shard of so many pictures."""
+        faults = [(row["picture"], row["error"]) for row in rows if row.get("error")]
+        self.shards += 1
+        self.pictures += pictures
+        self.people += sum(row.get("camera_scale") is not None for row in rows)
+        self.errors += len(faults)
+        for name, error in faults[:1]:
+            self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
 
 
 @dataclass(frozen=True)
@@ -119,6 +140,15 @@ class Shards:
             told = os.strerror(error.errno) if error.errno else cause(error)
             room = f"room for shard {index} of {self.count}: the same command goes on there"
             raise InputError(f"{self.folder}: {told}; expected {room}") from error
+
+    def count_rows(self, index: int) -> Tally:
+        """Numbers of a shard that is there."""
+        import pyarrow.parquet as pq
+
+        tally = Tally()
+        table = pq.read_table(self.path(index), columns=["picture", "error", "camera_scale"])
+        tally.add(len(self.pictures(index)), table.to_pylist())
+        return tally
 
 
 def read_about(path: Path) -> dict[str, Any]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,12 +20,14 @@ from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.disk import file_sha256
 from .loading import load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, check_score, people_at_a_time, say_people
+from .options import CameraOptions, DeviceOption, LabelsOption, check_score, people_at_a_time, say_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
-    from ..bulk.run import Tally
-    from ..bulk.shards import Shards
+    from ..bulk.people import PeopleFitter
+    from ..bulk.shards import Shards, Tally
+    from ..bulk.sources import PictureSource
+    from ..clothing.model import DetailedModel
 
 # As ``bulk.people.BulkQuality``, which is not loaded for --help.
 BulkQualityName = StrEnum("BulkQualityName", ["network", "fast", "mesh"])
@@ -32,16 +36,19 @@ DATASET_HELP = """Fit everyone in a whole data set of pictures, to Parquet, a ro
 
 Examples: `partdr dataset photos --out people`; `partdr dataset person_keypoints_val2017.json --images val2017`
 
-PICTURES is a folder of photos, with all folders in it; a .txt file, a path a line; or COCO's annotations (.json), whose
-keypoints and polygons are taken then. Else people are found in each photo, as by `partdr fit photo.jpg`.
+PICTURES is a folder of photos, with all folders in it; a .txt file, a path a line; tar files of WebDataset, as a folder
+or as "shards/{000..009}.tar"; a film (.[film]), each frame a picture, film.mp4#0; or COCO's annotations (.json), whose
+keypoints and masks are taken then. Beside 7.jpg, also in tar files, may lie 7.keypoints.json and 7.parts.png (--labels
+says what its ids mean). People without keypoints are found, as by `partdr fit photo.jpg`.
 
 **How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
 `partdr fit`, too). Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
 
 **Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
 The same command again makes those that are missing, so a run may be killed at any time; options that differ are
-refused. Machines that share a disk share the work: `--share 0/4` to `--share 3/4`. A picture that can't be read, or
-shows nobody, is a row, too: columns error and people.
+refused. Machines that share a disk share the work: `--share 0/4` to `--share 3/4`, or `--ray ADDRESS` of a Ray cluster
+(install .[ray]), which gives each shard to one of its processes and starts dead ones anew. A picture that can't be
+read, or shows nobody, is a row, too: columns error and people.
 
 **To read them**, nothing of this package is needed; lists are flat, and the fields' metadata have shapes and names:
 
@@ -70,15 +77,20 @@ class BulkOptions:
         MIN_SCORE
     )
 
-    def record(self, view: CameraOptions, annotations: str | None) -> dict[str, Any]:
-        """All that rows depend on but the pictures, as shards state it; ``annotations`` is their SHA-256."""
+    def absolute(self) -> BulkOptions:
+        """The same with files' full paths."""
+        model = str(Path(self.model).absolute()) if Path(self.model).is_file() else self.model
+        return replace(self, model=model, network=self.network and self.network.absolute())
+
+    def record(self, view: CameraOptions, source: PictureSource) -> dict[str, Any]:
+        """All that rows depend on but the pictures, as shards state it."""
         check_score("--min-score", self.min_score)
         model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
             "quality": self.quality.value,
-            "people": annotations or "found",
-            "min_score": None if annotations else self.min_score,
+            "people": source.digest or "found",
+            "min_score": self.min_score if source.finds else None,
             "network": None if self.network is None else _sha256(self.network),
             "model": model if self.quality == "mesh" else None,
             **{name: getattr(view, name) for name in ("focal", "fov", "principal")},
@@ -100,78 +112,161 @@ class ShardOptions:
         return range(int(first), count, int(step))
 
 
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Options of a Ray cluster."""
+
+    ray: Annotated[str | None, Option(help="Work on a Ray cluster: local, auto, HOST:PORT.", metavar="ADDRESS")] = None
+    workers: Annotated[
+        int | None, Option(help="Most processes there; default: what it has room for.", metavar="N", min=1)
+    ] = None
+    cores: Annotated[int | None, Option(help="CPU cores of each; default: 1, with a GPU 8.", metavar="N", min=1)] = None
+
+    def check(self) -> None:
+        """Raise an InputError unless the options go together, and Ray is installed where it is asked for."""
+        if self.ray is None and (self.workers, self.cores) != (None, None):
+            raise InputError("--workers, --cores: without a cluster; expected --ray with it")
+        if self.ray is not None and (find_spec("ray") is None or find_spec("pandas") is None):
+            raise InputError("--ray: without Ray Data; expected it: pip install 'warp-partdr[ray]'")
+
+
+@dataclass(frozen=True)
+class FitterSetup:
+    """Options of a fitter, which may be made in another process."""
+
+    how: BulkOptions
+    view: CameraOptions
+    batch: int | None
+    device: str
+
+    def model(self) -> DetailedModel | None:
+        """The detailed model, if there is to be one."""
+        return read_model(self.how.model, self.device) if self.how.quality == "mesh" else None
+
+    def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
+        """Make the fitter, and load its kernels."""
+        from ..bulk.people import BulkQuality, PeopleFitter, no_camera, stages_of_quality
+        from ..network.checkpoint import load_label_network
+
+        detailed = detailed or self.model()
+        quality: BulkQuality = self.how.quality.value  # type: ignore[assignment]  # its names
+        fitter = PeopleFitter(
+            quality,
+            load_label_network(self.how.network, device=self.device),
+            detailed,
+            self.device,
+            people_at_a_time(self.batch, self.device) if self.device == "cpu" else self.batch or 256,
+            self.how.min_score,
+            camera=(lambda name, size: self.view.read(size, source.photo(name))) if self.view.given else no_camera,
+            skeleton=source.skeleton,
+        )
+        load_kernels(self.device, stages_of_quality("mesh"), with_labels=True)
+        if detailed is not None:
+            load_mesh_kernels(self.device)
+        return fitter
+
+
 def dataset(
-    pictures: Annotated[Path, Argument(help="Folder, list (.txt) or COCO's annotations (.json).", metavar="PICTURES")],
+    pictures: Annotated[
+        Path, Argument(help="Folder, list (.txt), film, tar files, or COCO's annotations (.json).", metavar="PICTURES")
+    ],
     out: Annotated[Path, Option(help="Folder for the shards.", metavar="FOLDER")] = Path("dataset"),
     images: Annotated[Path | None, Option(help="Folder of COCO's pictures, else its own.", metavar="FOLDER")] = None,
     batch: Annotated[
         int | None, Option(help="People at a time; default: 256, on a CPU 16.", metavar="N", min=1)
     ] = None,
     device: DeviceOption = "auto",
+    labels: LabelsOption = None,
     *,
     how: BulkOptions,
     parts: ShardOptions,
     view: CameraOptions,
+    cluster: ClusterOptions,
 ) -> None:
     """Fit a data set; see ``DATASET_HELP``."""
     if find_spec("pyarrow") is None:
         raise InputError("partdr dataset: without pyarrow; expected it: pip install 'warp-partdr[dataset]'")
     view.check()
+    cluster.check()
+    if cluster.ray is not None:  # its processes have working folders of their own
+        pictures, out, images = pictures.absolute(), out.absolute(), images and images.absolute()
+        how = how.absolute()
 
-    from ..bulk.people import BulkQuality, PeopleFitter, stages_of_quality
-    from ..bulk.rows import columns
-    from ..bulk.run import make_dataset
+    from ..bulk.opening import open_source
     from ..bulk.shards import Shards
-    from ..bulk.sources import open_source
     from ..interop.devices import choose_device
-    from ..network.checkpoint import load_label_network
     from ..results.result_sets import check_folder
-    from .progress import PictureProgress
 
-    source = open_source(pictures, images)
-    where = choose_device(device)
+    source = open_source(pictures, images, labels)
+    where = choose_device(device) if cluster.ray is None else device
     check_folder(out)
-    about = _versions(where) | {"skeleton": source.skeleton}
-    shards = Shards(out, source.names, parts.shard, how.record(view, source.digest), about)
+    shards = Shards(out, source.names, parts.shard, how.record(view, source))
     done = shards.done()
     todo = [index for index in parts.mine(shards.count) if index not in done]
     if not todo:
         typer.echo(f"{out} has {len(done)} of {shards.count} shards; nothing to do")
         return
-    detailed = read_model(how.model, where) if how.quality == "mesh" else None
-    form = columns(source.skeleton, detailed)
-    camera: dict[str, Any] = {}
-    if view.given:
-        camera["camera"] = lambda name, size: view.read(size, source.path(name))
-    total = sum(len(shards.pictures(index)) for index in todo)
-    with PictureProgress(total) as progress:
-        at_a_time = people_at_a_time(batch, where) if where == "cpu" else batch or 256
-        label_network = load_label_network(how.network, device=where)
-        quality: BulkQuality = how.quality.value  # type: ignore[assignment]  # its names
-        fitter = PeopleFitter(quality, label_network, detailed, where, at_a_time, how.min_score, **camera)
-        load_kernels(where, stages_of_quality("mesh"), with_labels=True)
-        if detailed is not None:
-            load_mesh_kernels(where)
-        if done:
-            progress.say(f"{len(done)} of {shards.count} shards are there; going on")
-        started = time.perf_counter()
+    with ExitStack() as stack:
+        if cluster.ray is not None:
+            from ..bulk.cluster import connected
 
-        def written(index: int, tally: Tally) -> None:
-            if not progress.console.is_terminal:  # where no bar is seen
-                speed = tally.pictures / (time.perf_counter() - started)
-                left = (total - tally.pictures) / speed
-                progress.say(f"{shards.path(index).name}: {speed:.1f} pictures a second, {left / 60:.0f} min to go")
+            room = stack.enter_context(connected(cluster.ray))
+            where = ("cuda" if room.get("GPU") else "cpu") if device == "auto" else device
+        work = _Work(source, replace(shards, about=_versions(where) | {"skeleton": source.skeleton}), todo, len(done))
+        work.run(FitterSetup(how, view, batch, where), cluster)
 
-        try:
-            tally = make_dataset(
-                source, shards, fitter, form, todo=todo, threads=os.cpu_count() or 2, told=progress, written=written
-            )
-        except KeyboardInterrupt:
-            there = f"{len(shards.done())} of {shards.count} shards"
-            progress.say(f"partdr: stopped; {out} has {there}, the same command goes on")
-            raise
-        seconds = time.perf_counter() - started
-    _tell(tally, shards, seconds, where)
+
+@dataclass(frozen=True)
+class _Work:
+    """Shards to be made."""
+
+    source: PictureSource
+    shards: Shards
+    todo: Sequence[int]
+    done: int
+
+    def run(self, setup: FitterSetup, cluster: ClusterOptions) -> None:
+        """Make them, here or on a cluster, and tell how it goes."""
+        from ..bulk.rows import columns
+        from ..bulk.run import make_dataset
+        from .progress import PictureProgress
+
+        source, shards = self.source, self.shards
+        total = sum(len(shards.pictures(index)) for index in self.todo)
+        with PictureProgress(total) as progress:
+            if self.done:
+                progress.say(f"{self.done} of {shards.count} shards are there; going on")
+            started = time.perf_counter()
+
+            def written(index: int, tally: Tally) -> None:
+                if cluster.ray is not None:
+                    progress(shards.path(index).name, len(shards.pictures(index)))
+                if not progress.console.is_terminal:  # where no bar is seen
+                    speed = tally.pictures / (time.perf_counter() - started)
+                    left = (total - tally.pictures) / speed
+                    progress.say(f"{shards.path(index).name}: {speed:.1f} pictures a second, {left / 60:.0f} min to go")
+
+            try:
+                if cluster.ray is not None:
+                    from ..bulk.cluster import Workers, make_on_cluster
+
+                    on_gpu = setup.device != "cpu"
+                    workers = Workers(cluster.workers, cluster.cores or (8 if on_gpu else 1), int(on_gpu))
+                    form = columns(source.skeleton, replace(setup, device="cpu").model())
+                    how: dict[str, Any] = {"todo": self.todo, "workers": workers, "written": written}
+                    tally = make_on_cluster(source, shards, setup, form, **how)
+                else:
+                    detailed = setup.model()
+                    fitter = setup(source, detailed)
+                    started = time.perf_counter()
+                    how = {"todo": self.todo, "threads": os.cpu_count() or 2, "told": progress, "written": written}
+                    tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
+            except KeyboardInterrupt:
+                there = f"{len(shards.done())} of {shards.count} shards"
+                progress.say(f"partdr: stopped; {shards.folder} has {there}, the same command goes on")
+                raise
+            seconds = time.perf_counter() - started
+        _tell(tally, shards, seconds, setup.device)
 
 
 def _tell(tally: Tally, shards: Shards, seconds: float, where: str) -> None:

@@ -14,7 +14,7 @@ from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
 from ..inputs.keypoints import choose_person
-from ..inputs.part_labels import check_sizes, read_focal, read_labelled_parts, read_photo
+from ..inputs.part_labels import PhotoFile, check_sizes, read_focal, read_labelled_parts, read_photo
 from ..inputs.person import PersonInputs, check_inside
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ class CameraOptions:
             alone = self.focal is None and self.fov is None
             replace(self, principal=self.principal if alone else None).read((480, 640), None)
 
-    def read(self, size: tuple[int, int], photo: Path | None) -> Perspective | None:
+    def read(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
         """The camera of a picture of (H, W) pixels, which may be a photo; None if nothing was said."""
         if self.focal is None and self.fov is None:
             if self.principal is not None:
@@ -165,7 +165,7 @@ class CameraOptions:
         except ValueError as error:
             raise InputError(f"--{error}") from None
 
-    def _focal(self, photo: Path | None) -> float | None:
+    def _focal(self, photo: PhotoFile | None) -> float | None:
         """The focal length [px] that was given."""
         if self.focal is None:
             return None

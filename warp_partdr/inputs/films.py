@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import threading
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,10 +18,12 @@ from ..errors import InputError, cause
 from .part_labels import LARGEST_PICTURE
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
 FILM_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".wmv")
+_NEAR = 32  # frames ahead to which a film is read on rather than opened anew, and that are kept for other threads
 
 
 @dataclass(frozen=True)
@@ -85,18 +90,91 @@ def read_frames(path: str | Path) -> Iterator[Frame]:
         rate = float(stream.average_rate or stream.guessed_rate or 0)
         for frame in container.decode(stream):
             if not index:
-                wide = float(stream.sample_aspect_ratio or 1)  # of a pixel
-                size = max(round(frame.width * wide), 1), frame.height
-                _check_pixels(path, size)
+                size = _square_size(path, stream, frame)
                 start = frame.time or 0.0
-            # Films of several sizes exist; what follows people wants one.
-            pixels = frame.to_ndarray(format="rgb24", width=size[0], height=size[1])
-            upright = np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90)))
             time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
-            yield Frame(index, time, upright)
+            yield Frame(
+                index, time, _upright(frame, size)
+            )  # films of several sizes exist; what follows people wants one
             index += 1
     if not index:
         raise InputError(f"{path}: no frames; expected a film")
+
+
+class FilmFrames:
+    """Frames of a film by their number, in any thread. Asked for in about their order, each is decoded once.
+
+    Attributes:
+        path: The film's.
+        fault: Why there are fewer frames than the file says; None if nothing is missing.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Count the frames, without decoding them.
+
+        Raises:
+            InputError: If PyAV is not installed, or the file can't be read as a film.
+        """
+        self.path = path
+        times, packets = [], 0
+        with _opened(path) as (container, stream):
+            said = stream.frames
+            for packet in container.demux(stream):
+                packets += bool(packet.size)
+                if packet.size and not packet.is_discard:
+                    times.append(packet.pts)
+        missing = f"{path}: {packets} of {said} frames in it; expected a whole film"
+        self.fault = missing if packets < said or not times else None
+        known = [time for time in times if time is not None]
+        self._count = len(times)
+        # Without times, or with one twice, frames can only be counted from the first on.
+        self._times = sorted(known) if len(set(known)) == len(times) else None
+        self._lock = threading.Lock()
+        self._ahead: OrderedDict[int, np.ndarray] = OrderedDict()
+        self._decoded: Iterator[tuple[int, np.ndarray]] = iter(())
+        self._next = math.inf  # number of the next of ``_decoded``
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return self._count
+
+    def read(self, index: int) -> np.ndarray:
+        """The frame of a number, 0 for the first: RGB, shape (H, W, 3), uint8, upright, with square pixels.
+
+        Raises:
+            InputError: If it is damaged, or not there.
+        """
+        if not 0 <= index < self._count:
+            raise InputError(f"{self.path}: frame {index}; expected 0 to {self._count - 1}")
+        with self._lock:
+            if (picture := self._ahead.pop(index, None)) is not None:
+                return picture
+            if not self._next <= index <= self._next + _NEAR:
+                self._decoded = self._decode(index)
+            self._next = math.inf  # after a fault
+            for number, picture in self._decoded:
+                if number >= index:
+                    self._next = number + 1
+                    if number == index:
+                        return picture
+                self._ahead[number] = picture
+                if len(self._ahead) > _NEAR:
+                    self._ahead.popitem(last=False)
+                if number > index:
+                    break
+            raise InputError(f"{self.path}: frame {index}: damaged; expected a whole film")
+
+    def _decode(self, first: int) -> Iterator[tuple[int, np.ndarray]]:
+        """Numbers and pictures of frames from the first one on."""
+        places = None if self._times is None else {time: place for place, time in enumerate(self._times)}
+        with _opened(self.path) as (container, stream):
+            stream.thread_type = "AUTO"
+            if first and self._times is not None:
+                container.seek(self._times[first], stream=stream)  # to the last key frame before
+            for count, frame in enumerate(container.decode(stream)):
+                number = count if places is None or frame.pts is None else places.get(frame.pts)
+                if number is not None and number >= first:
+                    yield number, _upright(frame, _square_size(self.path, stream, frame))
 
 
 @contextmanager
@@ -119,6 +197,15 @@ def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         raise InputError(f"{path}: {text}; expected a film") from error
 
 
-def _check_pixels(path: str | Path, size: tuple[int, int]) -> None:
+def _square_size(path: str | Path, stream: VideoStream, frame: VideoFrame) -> tuple[int, int]:
+    """Width and height of a frame with square pixels."""
+    size = max(round(frame.width * float(stream.sample_aspect_ratio or 1)), 1), frame.height
     if size[0] * size[1] > LARGEST_PICTURE:
         raise InputError(f"{path}: frames of {size[0]}x{size[1]}; expected smaller ones")
+    return size
+
+
+def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:
+    """Pixels of a frame, of a width and height before it is turned."""
+    pixels = frame.to_ndarray(format="rgb24", width=size[0], height=size[1])
+    return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90)))

@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ from ..files.json_files import read_json
 
 if TYPE_CHECKING:
     from PIL import Image
+
+PhotoFile = str | Path | BytesIO  # of a picture; one in memory is called ``str`` of it in messages
 
 # [px], of a photo or label image: 134 megapixels, which fit in memory with all that is made of them.
 LARGEST_PICTURE = 2**27
@@ -121,7 +124,7 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
     return read_parts(parts, described_label_set(beside))
 
 
-def read_photo(path: str | Path) -> np.ndarray:
+def read_photo(path: PhotoFile) -> np.ndarray:
     """Read a picture, turned upright by its EXIF data, shape (H, W, 3), uint8.
 
     Raises:
@@ -136,7 +139,7 @@ def read_photo(path: str | Path) -> np.ndarray:
         return np.array(upright.convert("RGB"))
 
 
-def read_focal(path: str | Path) -> float:
+def read_focal(path: PhotoFile) -> float:
     """Focal length [px] from a photo's EXIF data, which say what it would be on 35 mm film; by the diagonal.
 
     Raises:
@@ -166,7 +169,7 @@ def _number(value: Any) -> float:
 
 
 @contextmanager
-def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
+def _opened(path: PhotoFile, expected: str) -> Iterator[Image.Image]:
     """Open a picture of which only the header is read yet; whatever goes wrong with it becomes an InputError."""
     from PIL import Image
 
@@ -185,7 +188,7 @@ def _opened(path: str | Path, expected: str) -> Iterator[Image.Image]:
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
 
 
-def _check_pixels(path: str | Path, pixels: int) -> None:
+def _check_pixels(path: PhotoFile, pixels: int) -> None:
     if pixels > LARGEST_PICTURE:
         raise InputError(f"{path}: more than {LARGEST_PICTURE / 1e6:.0f} megapixels; expected a smaller picture")
 
@@ -202,15 +205,15 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
         raise InputError(f"{shown}; expected one size")
 
 
-def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
+def read_parts(path: PhotoFile, labels: LabelSet) -> PartLabels:
     """Read part labels, ids of a label set, each person's or their probabilities, from a ``.png`` or ``.npy`` file.
 
     Raises:
         InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
             shows nobody, or, in a set of several groups, a single part.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".png":
+    suffix = Path(str(path)).suffix.lower()
+    if suffix == ".png" or isinstance(path, BytesIO):
         array = _read_png(path)
     elif suffix == ".npy":
         array = _read_npy(path, len(labels.channel_ids))
@@ -230,7 +233,7 @@ def read_parts(path: str | Path, labels: LabelSet) -> PartLabels:
     return parts
 
 
-def _read_png(path: str | Path) -> np.ndarray:
+def _read_png(path: PhotoFile) -> np.ndarray:
     with _opened(path, "a PNG of part labels") as image:
         if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
             raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")

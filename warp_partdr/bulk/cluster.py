@@ -1,0 +1,153 @@
+"""Shards made by a Ray cluster: Ray Data gives each to one of its actors, scales them, and starts dead ones anew.
+
+An actor makes a shard as one machine does, so a shard that was in work when an actor died is made again as a whole, and
+one whose file is there is not: its file alone says that it is done.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from ..errors import InputError, cause
+from ..kernels.launch import set_num_threads
+from .people import PeopleFitter
+from .rows import Column
+from .run import make_dataset
+from .shards import Shards, Tally
+from .sources import PictureSource
+
+if TYPE_CHECKING:
+    import numpy as np
+
+LOCAL = "local"  # address of a cluster that is this machine and ends with the run
+_PORT, _PATIENCE = 6379, 10.0  # Ray's own; [s]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Actors that make shards.
+
+    Attributes:
+        most: So many at a time; None: as many as the cluster has room for, which may grow.
+        cores: CPU cores of each.
+        gpus: GPUs of each.
+    """
+
+    most: int | None
+    cores: int
+    gpus: int
+
+
+@contextmanager
+def connected(address: str) -> Iterator[dict[str, float]]:
+    """A cluster, and what it has ("CPU", "GPU").
+
+    Args:
+        address: "local", "auto", "HOST:PORT", or "ray://HOST:PORT".
+
+    Raises:
+        InputError: If there is none.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # else Ray reports home
+    import ray
+
+    try:
+        if ":" in address:  # Ray would try for minutes, and end the process
+            place = urlsplit(address if "//" in address else f"//{address}")
+            socket.create_connection((place.hostname or "", place.port or _PORT), timeout=_PATIENCE).close()
+        local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
+        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **local)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"--ray: {address}: {cause(error)}; expected local, or a cluster's address") from error
+    try:
+        yield ray.cluster_resources()
+    finally:
+        ray.shutdown()
+
+
+def make_on_cluster(
+    source: PictureSource,
+    shards: Shards,
+    build: Callable[[PictureSource], PeopleFitter],
+    columns: Sequence[Column],
+    *,
+    todo: Sequence[int],
+    workers: Workers,
+    written: Callable[[int, Tally], None],
+) -> Tally:
+    """Make shards of a data set by the actors of a cluster that is connected.
+
+    Args:
+        source: Of the pictures, whose files all machines have at the same place.
+        shards: Of ``source.names``, in a folder that all machines share.
+        build: Makes the fitter, once in each actor.
+        columns: Of the rows.
+        todo: The shards to make.
+        workers: The actors.
+        written: Called after each shard with its index and the numbers so far, as they come.
+
+    Raises:
+        InputError: If a shard can't be written.
+    """
+    import ray
+    from ray.data import ActorPoolStrategy, DataContext
+
+    logging.getLogger("ray.data").setLevel(logging.ERROR)  # set anew on import
+    context = DataContext.get_current()
+    context.enable_progress_bars = context.print_on_execution_start = False
+    context.execution_no_progress_timeout_s = -1  # none: large shards take their time
+    given = ray.put((source, shards, columns))
+    most = min(workers.most or len(todo), len(todo))
+    has = ray.cluster_resources()
+    now = int(has.get("GPU", 0) / workers.gpus if workers.gpus else has.get("CPU", 0) / workers.cores)
+    actors = ActorPoolStrategy(
+        min_size=1, initial_size=min(max(now, 1), most), max_size=most, max_tasks_in_flight_per_actor=2
+    )
+    made = ray.data.from_items([{"shard": index} for index in todo], override_num_blocks=len(todo)).map_batches(
+        _Maker,
+        fn_constructor_args=(given, build, workers.cores),
+        batch_size=1,
+        num_cpus=workers.cores,
+        num_gpus=workers.gpus,
+        compute=actors,
+    )
+    total = Tally()
+    for row in made.iter_rows():
+        if row["fault"]:
+            raise InputError(row["fault"])
+        for name in ("shards", "pictures", "people", "errors"):
+            setattr(total, name, getattr(total, name) + row[name])
+        total.first_error = total.first_error or row["first_error"]
+        written(row["shard"], total)
+    return total
+
+
+class _Maker:
+    """An actor's work: shards, one after the other."""
+
+    def __init__(self, given: Any, build: Callable[[PictureSource], PeopleFitter], cores: int) -> None:
+        import ray
+
+        set_num_threads(cores)
+        self.source, self.shards, self.columns = ray.get(given)
+        self.fitter, self.threads = build(self.source), max(cores, 2)
+
+    def __call__(self, batch: dict[str, np.ndarray]) -> dict[str, list[Any]]:
+        """Make one shard, and give the numbers of what was written; of a fault, for all, its one line."""
+        index, fault, tally = int(batch["shard"][0]), "", Tally()
+        try:
+            if self.shards.path(index).exists():  # an actor wrote it, and died before it said so
+                tally = self.shards.count_rows(index)
+            else:
+                how: dict[str, Any] = {"todo": [index], "threads": self.threads}
+                tally = make_dataset(self.source, self.shards, self.fitter, self.columns, **how)
+        except InputError as error:
+            fault = str(error)
+        return {name: [value] for name, value in {"shard": index, "fault": fault, **asdict(tally)}.items()}

@@ -1,0 +1,97 @@
+"""The sources of pictures that a path may name."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import InputError, cause
+from ..inputs.films import FILM_SUFFIXES
+from ..inputs.part_labels import PHOTO_SUFFIXES
+from .coco import CocoPictures, open_coco
+from .containers import PARTS, TAR_SUFFIX, check_webdataset
+from .picture_files import PictureFiles, open_files
+
+_MANY = (*FILM_SUFFIXES, TAR_SUFFIX)  # of files that hold many pictures
+
+
+def open_source(path: Path, images: Path | None = None, labels: str | None = None) -> PictureFiles | CocoPictures:
+    """Open what a user names: photos, films, tar files, or a COCO file of annotations.
+
+    Args:
+        path: A folder, searched with all folders in it; a list (.txt), a path a line, from its folder on; one film or
+            tar file; tar files as "shards/{000..009}.tar"; or COCO's annotations (.json).
+        images: Folder of a COCO file's pictures; default: the file's own.
+        labels: Name or JSON file of the label set of part labels beside photos; default: ``labels.json``.
+
+    Raises:
+        InputError: If there is no such thing, or no picture in it.
+    """
+    ending = path.suffix.lower()
+    if images is not None and (path.is_dir() or ending != ".json"):
+        raise InputError(f"--images: {images}, with {path}; expected a COCO file of annotations with it")
+    source: PictureFiles | CocoPictures
+    if path.is_dir():
+        source, expected = open_files(path, _search(path), labels), f"some: {', '.join((*PHOTO_SUFFIXES, *_MANY))}"
+    elif ending == ".json":
+        if labels is not None:
+            raise InputError(f"--labels: {labels}, with {path}; expected part labels beside photos")
+        source, expected = open_coco(path, images or path.parent), "some in the list images"
+    elif ending == ".txt":
+        source, expected = open_files(path.parent, _read_list(path), labels), "the path of one a line"
+    elif "{" in str(path) and not path.exists():
+        files = _expand(path)
+        folder = Path(os.path.commonpath([file.parent for file in files]))
+        source = open_files(folder, [file.relative_to(folder).as_posix() for file in files], labels)
+        expected = "some in the tar files"
+    elif ending in _MANY and path.is_file():
+        source, expected = open_files(path.parent, [path.name], labels), "some"
+    else:
+        expected = "a folder of photos, a list of them (.txt), a film, tar files, or COCO's annotations (.json)"
+        raise InputError(f"{path}: {'a file' if path.exists() else 'No such file or folder'}; expected {expected}")
+    _check_names(source.names, path, expected)
+    return source
+
+
+def _search(folder: Path) -> list[str]:
+    """Photos, films and tar files in a folder and all folders in it, in alphabetical order; hidden ones left out."""
+    found: list[str] = []
+    for root, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        parent = Path(root).relative_to(folder)
+        for name in files:
+            low = name.lower()
+            if low.endswith((*PHOTO_SUFFIXES, *_MANY)) and not name.startswith(".") and not low.endswith(f".{PARTS}"):
+                found.append((parent / name).as_posix())
+    return sorted(found)
+
+
+def _expand(path: Path) -> list[Path]:
+    """The files of a pattern such as "{000..009}.tar", as the webdataset library writes them."""
+    check_webdataset(path)
+    from webdataset.shardlists import expand_urls
+
+    files = [Path(each) for each in expand_urls(str(path))]
+    for file in files:
+        if file.suffix.lower() not in _MANY or not file.is_file():
+            raise InputError(f"{path}: {file}: no such tar file; expected those of the pattern")
+    return files
+
+
+def _read_list(path: Path) -> tuple[str, ...]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {cause(error)}; expected a list of files, one a line") from error
+    return tuple(line.strip() for line in lines if line.strip())
+
+
+def _check_names(names: Sequence[str], path: Path, expected: str) -> None:
+    """Raise an InputError unless there are pictures, each once."""
+    if not names:
+        raise InputError(f"{path}: no pictures in it; expected {expected}")
+    name, count = Counter(names).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{path}: {name} twice; expected each picture once")

@@ -1,0 +1,217 @@
+"""Pictures in files, with keypoints and part labels beside them: photos, WebDataset's tar files, and films.
+
+Beside ``a/7.jpg`` may lie ``a/7.keypoints.json``, everyone's keypoints in any form of ``inputs.keypoint_files``, and
+``a/7.parts.png``, part labels, whose ids ``labels.json`` in the source's folder explains. In tar files the same names
+do. Who has no keypoints is found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..body.labels import LabelSet, label_set
+from ..detection.person import SKELETON
+from ..errors import InputError
+from ..files.json_files import parse_json
+from ..inputs.films import FilmFrames, is_film
+from ..inputs.keypoint_files import parse_keypoints, read_keypoints
+from ..inputs.keypoints import Keypoints2D
+from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, described_label_set, read_parts, read_photo
+from ..inputs.person import Box
+from .containers import KEYPOINTS, PARTS, Latest, NamedBytes, TarPictures, check_container, index_tar
+from .sources import KnownPerson, SourcePicture
+
+Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
+
+
+@dataclass(frozen=True)
+class PictureFiles:
+    """Photos, frames of films, and photos of tar files, in a folder.
+
+    Attributes:
+        folder: From which on names are paths.
+        names: "a/7.jpg"; "film.mp4#0" and so on; "a.tar#7.jpg". What is only in part there has its own name, too, and
+            reading that tells why.
+        containers: Films and tar files among them.
+        skeleton: Format of the first keypoints; without any, that of people who are found.
+        digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
+        labels: What the ids of part labels mean.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    containers: frozenset[str] = frozenset()
+    skeleton: str = SKELETON
+    digest: str | None = None
+    labels: LabelSet | None = None
+    finds: bool = True
+    _films: Latest[FilmFrames] = field(default_factory=lambda: Latest(FilmFrames), compare=False)
+    _tars: Latest[TarPictures] = field(default_factory=lambda: Latest(index_tar), compare=False)
+
+    def photo(self, name: str) -> PhotoFile:
+        """The file of a photo; films have none."""
+        container, inside = self._split(name)
+        if container is None:
+            return self.folder / name
+        if is_film(container):
+            raise InputError(f"{name}: of a film, without EXIF data; expected --focal PX or --fov")
+        photo = self._tars.open(self.folder / container).open(inside, "", name)
+        assert photo is not None
+        return photo
+
+    def read(self, name: str) -> SourcePicture:
+        """Read a picture, and what lies beside it."""
+        container, inside = self._split(name)
+        try:
+            if container is not None and not inside:  # a file that is not whole
+                opened = (self._films if is_film(container) else self._tars).open(self.folder / container)
+                raise InputError(opened.fault or f"{name}: changed meanwhile; expected the same file")
+            if container is not None and is_film(container):
+                return SourcePicture(self._films.open(self.folder / container).read(int(inside)))
+            pixels = read_photo(self.photo(name))
+            keypoints = None if self.digest is None else self.beside(name, KEYPOINTS)
+            people = None if keypoints is None else tuple(map(_known, _read_keypoints(keypoints)))
+            parts = self._read_labels(name, (pixels.shape[0], pixels.shape[1]))
+        except InputError as error:  # messages are the same wherever the folder is
+            raise InputError(str(error).replace(str(self.folder / (container or name)), container or name)) from error
+        return SourcePicture(pixels, people, parts=parts)
+
+    def beside(self, name: str, ending: str) -> PhotoFile | None:
+        """The file of an ending beside a photo; None without."""
+        container, inside = self._split(name)
+        if container is not None:
+            return None if is_film(container) else self._tars.open(self.folder / container).open(inside, ending, name)
+        path = (self.folder / name).with_suffix(f".{ending}")
+        return path if path.is_file() else None
+
+    def _read_labels(self, name: str, size: tuple[int, int]) -> PartLabels | None:
+        file = None if self.labels is None else self.beside(name, PARTS)
+        if file is None or self.labels is None:
+            return None
+        read = read_parts(file, self.labels)
+        check_sizes(photo=size, parts=(read.groups.shape[0], read.groups.shape[1]))
+        return read
+
+    def _split(self, name: str) -> tuple[str | None, str]:
+        """The film or tar file of a picture, and its name in there."""
+        if name in self.containers:
+            return name, ""
+        container, _, inside = name.rpartition("#")
+        return (container, inside) if container in self.containers else (None, name)
+
+
+def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> PictureFiles:
+    """Open photos, films and tar files by their paths from a folder on.
+
+    Args:
+        folder: The source's.
+        entries: In the order in which their pictures are to come.
+        labels: Name or JSON file of the label set of part labels; None: ``labels.json`` in the folder.
+
+    Raises:
+        InputError: If a library that is needed is not installed, or the label set of part labels is unknown.
+    """
+    names: list[str] = []
+    containers: list[str] = []
+    beside: list[Beside] = []
+    listings: dict[Path, dict[str, int]] = {}
+    for entry in entries:
+        path = folder / entry
+        if not check_container(entry):
+            names.append(entry)
+            given = listings.get(path.parent)
+            if given is None:
+                given = listings[path.parent] = _beside(path.parent)
+            sizes = {ending: given.get(f"{path.stem}.{ending}") for ending in (KEYPOINTS, PARTS)}
+            beside += ((entry, ending, size) for ending, size in sizes.items() if size is not None)
+            continue
+        containers.append(entry)
+        try:
+            opened = FilmFrames(path) if is_film(entry) else index_tar(path)
+        except InputError:
+            names.append(entry)
+            continue
+        if isinstance(opened, TarPictures):
+            names += (f"{entry}#{photo}" for photo in opened.samples)
+            for photo, members in opened.samples.items():
+                beside += ((f"{entry}#{photo}", end, member.size) for end, member in members.items() if end)
+        else:
+            names += (f"{entry}#{index}" for index in range(len(opened)))
+        if opened.fault is not None:
+            names.append(entry)
+    source = PictureFiles(folder, tuple(names), frozenset(containers))
+    return _with_labels(source, beside, labels) if beside or labels is not None else source
+
+
+def _with_labels(source: PictureFiles, beside: Sequence[Beside], labels: str | None) -> PictureFiles:
+    """A source with the format of its keypoints, and what its part labels mean."""
+    known = None
+    if any(ending == PARTS for _, ending, _ in beside):
+        file = source.folder / "labels.json"
+        if labels is None and not file.is_file():
+            raise InputError(f"--labels: missing; expected what the ids of *.{PARTS} mean, or {file}")
+        known = described_label_set(file) if labels is None else label_set(labels)
+    elif labels is not None:
+        raise InputError(f"--labels: {labels}, without part labels; expected N.{PARTS} beside N.jpg")
+    form = SKELETON
+    for name, ending, _ in beside:
+        if ending == KEYPOINTS:
+            with suppress(InputError):  # a row will tell
+                given = source.beside(name, KEYPOINTS)
+                assert given is not None
+                form = _read_keypoints(given)[0].format.name
+                break
+    digest = hashlib.sha256()
+    for each in beside:
+        digest.update(json.dumps(each).encode())
+    if known is not None:
+        digest.update(json.dumps([dict(known.ids), dict(known.groups)], sort_keys=True).encode())
+    return replace(source, skeleton=form, digest=digest.hexdigest(), labels=known)
+
+
+def _beside(folder: Path) -> dict[str, int]:
+    """Sizes of the files in a folder that lie beside photos, by name."""
+    try:
+        with os.scandir(folder) as entries:
+            return {each.name: each.stat().st_size for each in entries if each.name.endswith((KEYPOINTS, PARTS))}
+    except OSError:
+        return {}  # reading a photo tells
+
+
+def _read_keypoints(file: PhotoFile) -> list[Keypoints2D]:
+    """Everyone's keypoints of a file, which may be in memory."""
+    if not isinstance(file, NamedBytes):
+        return read_keypoints(str(file))
+    try:
+        text = file.read().decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
+    return parse_keypoints(parse_json(text, str(file), "keypoints in JSON"), name=str(file))
+
+
+def _known(keypoints: Keypoints2D) -> KnownPerson:
+    return KnownPerson(keypoints, 1.0, keypoint_box(keypoints))
+
+
+def keypoint_box(keypoints: Keypoints2D) -> Box:
+    """Left, top, right and bottom of visible keypoints."""
+    points = keypoints.points[keypoints.visible]
+    left, top, right, bottom = (float(edge) for edge in (*points.min(axis=0), *points.max(axis=0)))
+    return left, top, right, bottom
+
+
+def read_relative(folder: Path, name: str) -> np.ndarray:
+    """A photo; of a fault, the message is the same wherever the folder is."""
+    path = folder / name
+    try:
+        return read_photo(path)
+    except InputError as error:
+        raise InputError(str(error).replace(str(path), name)) from error
