@@ -24,6 +24,7 @@ from ..cameras import Camera, first_of, zoomed
 from ..clothing.clothes import CLOTHED
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
+from ..clothing.smpl_parameters import POSES, to_smplx
 from ..errors import check_type
 from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
+SMPLX_FILE = "detailed.smplx.npz"  # one more, of SMPL's models alone
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 
 
@@ -121,6 +123,9 @@ def save_registered(
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``; returns the report.
 
+    Of SMPL, SMPL-H and SMPL-X, ``SMPLX_FILE`` holds the arguments of the ``smplx`` package, and the camera by the names
+    of ``body.npz``. Parts that grew are none of its bodies: then there is no such file.
+
     Args:
         registered: In the camera frame.
         folder: Made if it is not there.
@@ -154,6 +159,11 @@ def save_registered(
         save_detailed(registered, temporary)
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
         picture.save(temporary / "detailed.png")
+        if model.name in POSES and bool((registered.growth[0] == 1).all()):
+            of_smplx = to_smplx(
+                model, *(each[:1] for each in (registered.shape, registered.rotations, registered.translation))
+            )
+            np.savez(temporary / SMPLX_FILE, **of_smplx, **camera_arrays(camera, size))
     return report
 
 
@@ -208,18 +218,26 @@ def body_file(
         position: Pelvis in the camera frame [m], shape (3,), of a perspective camera.
     """
     parameters = parameters.detach()
-    scale, _, *centre = camera.intrinsics[0].detach()
     numbers = {
         "global_orient": parameters.global_orient()[0],
         "translation": parameters.lengths.new_zeros(3) if position is None else position.detach(),
         "rotations": rotation_from_axis_angle(parameters.free_rotations())[0],
         "lengths": parameters.lengths[0],
         "thicknesses": parameters.thicknesses[0],
-        "camera_scale": scale,
-        "camera_translation": torch.stack(centre),
-        "camera_perspective": torch.tensor(int(camera.perspective)),
     }
-    return BodyFile(**{name: value.cpu().numpy() for name, value in numbers.items()}, image_size=np.array(size))
+    arrays = {name: value.cpu().numpy() for name, value in numbers.items()}
+    return BodyFile(**arrays, **camera_arrays(camera, size))
+
+
+def camera_arrays(camera: Camera, size: tuple[int, int]) -> dict[str, np.ndarray]:
+    """The first camera, with square pixels, of a picture of (H, W) pixels, by the names of ``body.npz``."""
+    scale, _, *centre = camera.intrinsics[0].detach().cpu()
+    return {
+        "camera_scale": scale.numpy(),
+        "camera_translation": torch.stack(centre).numpy(),
+        "camera_perspective": np.array(int(camera.perspective)),
+        "image_size": np.array(size),
+    }
 
 
 def describe_body(result: FitResult) -> dict[str, Any]:

@@ -18,7 +18,16 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 from .pictures import draw_keypoints
 from .result_sets import PEOPLE_REPORT, replacing
-from .save import DETAILED_FILES, RESULT_FILES, describe_body, draw_detailed, save_fit, save_registered, shown_at
+from .save import (
+    DETAILED_FILES,
+    RESULT_FILES,
+    SMPLX_FILE,
+    describe_body,
+    draw_detailed,
+    save_fit,
+    save_registered,
+    shown_at,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -156,7 +165,7 @@ def _remove_others(folder: Path, kept: set[str]) -> None:
     for own in folder.glob("person[0-9]*"):
         if own.name in kept or not own.is_dir() or not own.name[len("person") :].isdigit():
             continue
-        for name in (*RESULT_FILES, *DETAILED_FILES):
+        for name in (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE):
             (own / name).unlink(missing_ok=True)
         if not any(own.iterdir()):
             own.rmdir()
