@@ -137,7 +137,7 @@ def fit(
             except _FAULTS as error:
                 failure = error
         progress("writing results", 1, 1)
-        report = save_fit(result, out, photo=person.photo)
+        report = save_fit(result, out, photo=person.photo, mesh=None if mesh is None else mesh.body)
     for warning in result.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
     _summarise(report, out)

@@ -22,6 +22,7 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
 from ..clothing.clothes import CLOTHED
+from ..clothing.measuring import BODY_MEASURES, measure_body
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
 from ..clothing.smpl_parameters import POSES, to_smplx
@@ -55,6 +56,7 @@ def save_fit(
     *,
     photo: np.ndarray | None = None,
     sources: Mapping[str, str | None] | None = None,
+    mesh: Registered | None = None,
 ) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
@@ -63,6 +65,7 @@ def save_fit(
         folder: Made if it is not there.
         photo: The picture, shape (H, W, 3), uint8, if there was one; beside labels, it may have been made smaller.
         sources: Names of the networks that "keypoints" and "parts" are of, for the report, as of ``PhotoFit``.
+        mesh: The same body as ``MeshFit.body``, whose stature and girths body.json then has.
 
     Returns:
         The report.
@@ -91,7 +94,7 @@ def save_fit(
     with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
-        (temporary / "body.json").write_text(json.dumps(describe_body(result), indent=1) + "\n")
+        (temporary / "body.json").write_text(json.dumps(describe_body(result, mesh), indent=1) + "\n")
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
         if comparison is not None:
@@ -143,7 +146,12 @@ def save_registered(
         name: value[0].cpu().numpy() for name, value in vars(registered).items() if isinstance(value, torch.Tensor)
     }
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
-    report: dict[str, Any] = {"model": model.name, "losses": losses, **about}
+    report: dict[str, Any] = {
+        "model": model.name,
+        "losses": losses,
+        "measurements_cm": describe_mesh(registered),
+        **about,
+    }
     if clothes is not None:
         numbers["clothes"] = clothes[0].cpu().numpy()
         report["clothes_cm"] = {
@@ -160,10 +168,9 @@ def save_registered(
         np.savez(temporary / "detailed.npz", model=np.array(model.name), **numbers)
         picture.save(temporary / "detailed.png")
         if model.name in POSES and bool((registered.growth[0] == 1).all()):
-            of_smplx = to_smplx(
-                model, *(each[:1] for each in (registered.shape, registered.rotations, registered.translation))
-            )
-            np.savez(temporary / SMPLX_FILE, **of_smplx, **camera_arrays(camera, size))
+            pose = registered.shape[:1], registered.rotations[:1], registered.translation[:1]
+            of_smplx: dict[str, Any] = {**to_smplx(model, *pose), **camera_arrays(camera, size)}
+            np.savez(temporary / SMPLX_FILE, **of_smplx)
     return report
 
 
@@ -240,7 +247,13 @@ def camera_arrays(camera: Camera, size: tuple[int, int]) -> dict[str, np.ndarray
     }
 
 
-def describe_body(result: FitResult) -> dict[str, Any]:
+def describe_mesh(body: Registered) -> dict[str, float]:
+    """Stature and girths of the first detailed body [cm]."""
+    measures = measure_body(body.model, body.select(slice(1)).rest())[0]
+    return {name: round(100 * value, 1) for name, value in zip(BODY_MEASURES, measures.tolist(), strict=True)}
+
+
+def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
     camera = result.camera
     measured = body_file(result.parameters, camera, (1, 1)).body("cpu").measure()
@@ -248,7 +261,8 @@ def describe_body(result: FitResult) -> dict[str, Any]:
     pixels = camera.project(result.posed.joints)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     return {
-        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()},
+        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()}
+        | ({} if mesh is None else describe_mesh(mesh)),
         "joints": {
             "frame": "camera: x right, y down, z away from the viewer; metres from the "
             + ("camera" if camera.perspective else "pelvis"),

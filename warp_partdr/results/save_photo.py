@@ -70,7 +70,7 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
         shown = small if found.evidence.picture is not None else photo
-        save_fit(found, own, photo=shown, sources=fit.sources[place])
+        save_fit(found, own, photo=shown, sources=fit.sources[place], mesh=mesh.body)
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3),
@@ -143,7 +143,7 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "sources": fit.sources[place],
         "format": person.keypoints.format.name,
         "keypoints": keypoints.astype(float).tolist(),
-        **describe_body(mesh.ellipbody),
+        **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
 
