@@ -14,10 +14,12 @@ import trimesh
 from PIL import Image
 from scenes import commands
 from scenes.commands import GOOD, Run, ids, save_ids
-from scenes.files import body_file
+from scenes.files import body_file, save_npz
 
 from warp_partdr.clothing.anny import anny
-from warp_partdr.results.save import DETAILED_FILES
+from warp_partdr.clothing.load import load_model
+from warp_partdr.clothing.smpl_parameters import from_smplx
+from warp_partdr.results.save import DETAILED_FILES, SMPLX_FILE
 
 REGISTER = "register out/body.npz --out new --device cpu"
 files, run = commands.files, commands.run  # fixtures
@@ -101,3 +103,23 @@ def test_the_command_writes_its_files(tmp_path: Path, monkeypatch: pytest.Monkey
         assert code == 2
         assert says in complaint
     assert not Path("out").exists()
+
+
+def test_a_model_of_smpl_leaves_its_own_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
+    monkeypatch.chdir(tmp_path)
+    body_file().save("body.npz")
+    model = load_model(save_npz(Path("smpl.npz")))
+    assert run("register body.npz --model smpl.npz --device cpu")[0] == 0
+    assert {path.name for path in Path("out").iterdir()} == {*DETAILED_FILES, SMPLX_FILE}
+    with np.load(f"out/{SMPLX_FILE}") as saved, np.load("out/detailed.npz") as detailed:
+        found = model.pose(*from_smplx(model, saved, "saved")).vertices[0]
+        numbers = (torch.from_numpy(detailed[name])[None] for name in ("shape", "rotations", "translation"))
+        torch.testing.assert_close(found, model.pose(*numbers).vertices[0], atol=1e-5, rtol=0)
+        assert saved["camera_scale"] == 100.0
+        assert saved["image_size"].tolist() == [400, 300]
+    # Grown parts are no body of SMPL's, and Anny has no such parameters: nothing old stays.
+    for options in ("--model smpl.npz --grow", "--model anny"):
+        assert run(f"register body.npz {options} --device cpu")[0] == 0
+        assert {path.name for path in Path("out").iterdir()} == set(DETAILED_FILES)
+    code, _, complaint = run(f"register body.npz --model out/{SMPLX_FILE} --device cpu")
+    assert (code, "would replace" in complaint) == (2, True)

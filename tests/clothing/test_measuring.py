@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import torch
+import trimesh
+from scipy.spatial import ConvexHull
 
 from warp_partdr.body.posing import pose
 from warp_partdr.body.rotations import rotation_from_axis_angle, rotation_to_axis_angle
-from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS
+from warp_partdr.body.template import JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PART_NAMES
 from warp_partdr.clothing.anny import anny, anny_shape
 from warp_partdr.clothing.growth import MEASURES, Growth
-from warp_partdr.clothing.measuring import measure_ellipbody
+from warp_partdr.clothing.measuring import measure_body, measure_ellipbody
 from warp_partdr.clothing.model import DetailedModel
 from warp_partdr.clothing.pose import pose_from_ellipbody
 from warp_partdr.clothing.registration import Registered, ungrown
@@ -54,3 +59,47 @@ def test_ellipbodys_turns_come_back(device: str) -> None:
     assert measures.shape == (2, len(MEASURES))
     assert (measures[:, :2] > 0.05).all()
     assert (torch.linalg.det(orientation) - 1).abs().max() < 1e-5
+
+
+def tape(vertices: np.ndarray, faces: np.ndarray, height: float) -> float:
+    """Length of a tape around a horizontal section."""
+    lines = trimesh.intersections.mesh_plane(trimesh.Trimesh(vertices, faces, process=False), [0, 1, 0], [0, height, 0])
+    return float(ConvexHull(lines.reshape(-1, 3)[:, [0, 2]]).area)  # of a plane figure, its outline
+
+
+def test_girths_are_a_tapes(device: str) -> None:
+    model = anny(torch.device(device))
+    rest = model.rest(anny_shape(torch.tensor(_PEOPLE, device=device)))
+    measures = measure_body(model, rest).cpu().numpy()
+    faces, parts = model.faces.cpu().numpy(), model.face_parts.cpu().numpy()
+
+    def around(person: int, names: list[str], end: str, shares: list[float]) -> list[float]:
+        start, stop = model.landmarks(rest, ["left_hip", end])[person, :, 1].tolist()
+        chosen = faces[np.isin(parts, [1 + PART_NAMES.index(name) for name in names])]
+        return [tape(rest.vertices[person].cpu().numpy(), chosen, start + each * (stop - start)) for each in shares]
+
+    trunk = ["left_hip", "right_hip", "abdomen", "chest"]
+    legs = ["left_upper_leg", "right_upper_leg"]
+    for person in range(2):
+        chest = around(person, trunk, "left_shoulder", [0.75])[0]
+        waist = min(around(person, trunk, "left_shoulder", np.linspace(0.2, 0.6, 9).tolist()))
+        hips = max(around(person, trunk + legs, "left_shoulder", np.linspace(-0.15, 0.15, 9).tolist()))
+        thigh = max(around(person, legs[:1], "left_knee", np.linspace(0.3, 0.5, 9).tolist()))
+        np.testing.assert_allclose(measures[person, 1:], [chest, waist, hips, thigh], rtol=1e-3)
+    heights = rest.vertices[..., 1].cpu().numpy()
+    np.testing.assert_allclose(measures[:, 0], np.ptp(heights, axis=1), rtol=1e-6)
+
+
+def test_girths_grow_with_the_body_and_have_a_gradient(device: str) -> None:
+    model = anny(torch.device(device))
+    shape = anny_shape(torch.tensor(_PEOPLE, device=device)).requires_grad_()
+    rest = model.rest(shape)
+    double = replace(rest, vertices=2 * rest.vertices, joints=2 * rest.joints)
+    torch.testing.assert_close(measure_body(model, double), 2 * measure_body(model, rest))
+    arms = torch.isin(model.face_parts, torch.tensor([15, 16, 17, 18, 19, 20], device=device))
+    raised = rest.vertices.detach().clone()
+    raised[:, model.faces[arms].unique().long(), 2] += 1.0  # as long as they stand in no section of the trunk
+    torch.testing.assert_close(measure_body(model, replace(rest, vertices=raised)), measure_body(model, rest))
+    (slopes,) = torch.autograd.grad(measure_body(model, rest).sum(), shape)
+    assert slopes.isfinite().all()
+    assert (slopes.abs().amax(1) > 1e-3).all()

@@ -175,7 +175,7 @@ def _reader(pictures: Path | None, images: Path | None) -> tuple[Callable[[str],
             raise InputError(f"--images: {images}, without --pictures; expected COCO's annotations with it")
         return None, "Without --pictures, bodies and keypoints alone."
 
-    from ..bulk.sources import open_source
+    from ..bulk.opening import open_source
 
     source = open_source(pictures, images)
     return lambda name: source.read(name).pixels, ""

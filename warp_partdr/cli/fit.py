@@ -110,7 +110,7 @@ def fit(
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
-    from ..results.save import DETAILED_FILES, RESULT_FILES, image_size, save_fit
+    from ..results.save import DETAILED_FILES, RESULT_FILES, SMPLX_FILE, image_size, save_fit
     from .progress import FitProgress
 
     where = choose_device(device)
@@ -119,7 +119,7 @@ def fit(
     check_folder(out)
     named = (options.network, files.keypoint_format, files.labels, model)
     given = (photo, files.keypoint_file(photo), files.parts, settings.config, *(Path(name) for name in named if name))
-    check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES))
+    check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
     size = image_size(person.keypoints, person.parts, person.photo)
     camera = view.read(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
@@ -140,7 +140,7 @@ def fit(
             except _FAULTS as error:
                 failure = error
         progress("writing results", 1, 1)
-        report = save_fit(result, out, photo=person.photo)
+        report = save_fit(result, out, photo=person.photo, mesh=None if mesh is None else mesh.body)
     for warning in result.warnings:
         typer.echo(f"partdr: warning: {warning}", err=True)
     _summarise(report, out)

@@ -30,7 +30,8 @@ Example: `partdr register out/body.npz --photo photo.png --out detailed`
 **Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
 Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
 rotations and position for the model) and registration.json (terms of the loss; with --parts, F1 of the detailed body
-against the labels). Older results there are replaced.
+against the labels); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
+smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
 """
 MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
 
@@ -68,12 +69,13 @@ def register_body(
     from ..body.posing import pose
     from ..interop.devices import choose_device
     from ..results.result_sets import check_folder, check_inputs
-    from ..results.save import DETAILED_FILES
+    from ..results.save import DETAILED_FILES, SMPLX_FILE
     from .progress import FitProgress
 
     where = choose_device(device)
     check_folder(out)
-    check_inputs(out, (body, photo, parts, *(Path(name) for name in (labels, model) if name)), DETAILED_FILES)
+    given = (body, photo, parts, *(Path(name) for name in (labels, model) if name))
+    check_inputs(out, given, (*DETAILED_FILES, SMPLX_FILE))
     detailed_model = read_model(model, where)
     posed = pose(*(torch.from_numpy(getattr(fitted, name))[None].to(where) for name in BODY_ARRAYS))
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)

@@ -1,6 +1,11 @@
-"""EllipBody measured from a detailed body: the 20 ellipsoids that one would have on it, in its pose."""
+"""Measures of a detailed body: the 20 ellipsoids that one would have on it, in its pose, and those that tailors take.
+
+A girth is the length of a tape around a horizontal section: of its convex hull. Arms take no part in it.
+"""
 
 from __future__ import annotations
+
+import math
 
 import torch
 
@@ -8,12 +13,20 @@ from ..body.posing import pose
 from ..body.rotations import rotation_between
 from ..body.template import BONE_STARTS, JOINT_NAMES, LENGTH_NAMES, LOCKED_PARTS, PARENTS, PART_NAMES, template
 from .growth import Growth
-from .model import DetailedModel
+from .model import Detailed, DetailedModel
 from .pose import end_joints, rest_turns
 from .registration import Registered
 from .surfaces import vertex_parts
 
 _LEFT_HIP, _RIGHT_HIP = PART_NAMES.index("left_hip"), PART_NAMES.index("right_hip")
+
+BODY_MEASURES = ("stature", "chest girth", "waist girth", "hip girth", "thigh girth")
+
+_TRUNK = ("left_hip", "right_hip", "abdomen", "chest")
+_DIRECTIONS = 180  # in which the hull's extent is taken
+_LEVELS = 9  # sections among which the widest or narrowest is looked for
+# Levels as shares of the way from the hips' joints up to the shoulders' (chest, waist, hips), or down to the knee's.
+_CHEST, _WAIST, _HIPS, _THIGH = (0.75, 0.75), (0.2, 0.6), (-0.15, 0.15), (0.3, 0.5)
 
 
 def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
@@ -39,8 +52,39 @@ def measure_ellipbody(body: Registered) -> tuple[torch.Tensor, ...]:
 
 def statures(model: DetailedModel, shape: torch.Tensor) -> torch.Tensor:
     """Heights of standing people of shape values (B, S), shape (B,) [m]."""
-    low, high = model.rest(shape).vertices[..., 1].aminmax(dim=1)
-    return high - low
+    return _heights(model.rest(shape))
+
+
+def measure_body(model: DetailedModel, rest: Detailed) -> torch.Tensor:
+    """``BODY_MEASURES`` of bodies at rest, of ``model.rest`` or ``Registered.rest``, shape (B, 5) [m], differentiable.
+
+    Chest: three quarters of the way from the hips' joints to the shoulders'. Waist: the narrowest between them. Hips:
+    the widest near the hips' joints, both legs in it. Thigh: the widest below the crotch, sides averaged.
+    """
+
+    def height(name: str) -> torch.Tensor:
+        sides = [f"{side}_{name}" for side in ("left", "right")]
+        return model.landmarks(rest, sides)[..., 1].mean(1)
+
+    hips, shoulders, knees = height("hip"), height("shoulder"), height("knee")
+
+    def sections(parts: tuple[str, ...], end: torch.Tensor, shares: tuple[float, float]) -> torch.Tensor:
+        steps = torch.linspace(*shares, _LEVELS if shares[0] < shares[1] else 1, dtype=hips.dtype, device=hips.device)
+        edges = _edges(model, parts)
+        levels = (hips[:, None] + steps * (end - hips)[:, None]).unbind(1)
+        return torch.stack([_girths(rest.vertices, edges, level) for level in levels], dim=1)
+
+    thighs = [sections((f"{side}_upper_leg",), knees, _THIGH).amax(1) for side in ("left", "right")]
+    return torch.stack(
+        [
+            _heights(rest),
+            sections(_TRUNK, shoulders, _CHEST)[:, 0],
+            sections(_TRUNK, shoulders, _WAIST).amin(1),
+            sections((*_TRUNK, "left_upper_leg", "right_upper_leg"), shoulders, _HIPS).amax(1),
+            torch.stack(thighs).mean(0),
+        ],
+        dim=1,
+    )
 
 
 def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -61,3 +105,29 @@ def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, to
         found.append(rotation_between(before @ directions[part], bones[:, part]) @ before)
     above = [orientation if parent < 0 else found[parent] for parent in PARENTS]
     return orientation, torch.stack(above, dim=1).mT @ torch.stack(found, dim=1)
+
+
+def _heights(rest: Detailed) -> torch.Tensor:
+    low, high = rest.vertices[..., 1].aminmax(dim=1)
+    return high - low
+
+
+def _edges(model: DetailedModel, parts: tuple[str, ...]) -> torch.Tensor:
+    """Edges of the faces of some parts, shape (E, 2)."""
+    labels = torch.tensor([PART_NAMES.index(part) + 1 for part in parts], device=model.faces.device)
+    corners = model.faces[torch.isin(model.face_parts.long(), labels)].long()
+    return torch.stack([corners, corners.roll(1, 1)], dim=-1).flatten(0, 1).sort(dim=1).values.unique(dim=0)
+
+
+def _girths(vertices: torch.Tensor, edges: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
+    """Lengths of tapes around the sections of bodies (B, V, 3) at heights (B,), shape (B,); 0 where nothing is cut."""
+    first, second = vertices[:, edges].unbind(2)
+    above, below = first[..., 1] - level[:, None], second[..., 1] - level[:, None]
+    cut = (above > 0) != (below > 0)
+    share = above / torch.where(cut, above - below, torch.ones_like(above))
+    points = (first + share[..., None] * (second - first))[..., ::2]
+    angles = torch.arange(_DIRECTIONS, dtype=vertices.dtype, device=vertices.device) * (2 * math.pi / _DIRECTIONS)
+    extents = points @ torch.stack([angles.cos(), angles.sin()])
+    farthest = extents.masked_fill(~cut[..., None], -math.inf).amax(1)
+    # Cauchy: a convex curve is as long as its extent, summed over all directions.
+    return torch.where(cut.any(1), farthest.mean(1) * (2 * math.pi), 0.0)

@@ -22,8 +22,10 @@ from ..body.rotations import rotation_from_axis_angle
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera, first_of, zoomed
 from ..clothing.clothes import CLOTHED
+from ..clothing.measuring import BODY_MEASURES, measure_body
 from ..clothing.model import detailed_mesh
 from ..clothing.registration import Registered
+from ..clothing.smpl_parameters import POSES, to_smplx
 from ..errors import check_type
 from ..fit.result import FitResult
 from ..inputs.evidence import Evidence
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 RESULT_FILES = ("body.npz", "body.json", "ellipbody.glb", "overlay.png", "parts.png", "loss.png", FIT_REPORT)
 DETAILED_FILES = (*(f"detailed.{kind}" for kind in ("png", "glb", "obj", "ply", "bvh", "npz")), REGISTRATION_REPORT)
+SMPLX_FILE = "detailed.smplx.npz"  # one more, of SMPL's models alone
 OVERLAY_SIDE = 2048  # [px]; a larger photo's overlay is made smaller: no screen shows more, and shading takes memory
 
 
@@ -53,6 +56,7 @@ def save_fit(
     *,
     photo: np.ndarray | None = None,
     sources: Mapping[str, str | None] | None = None,
+    mesh: Registered | None = None,
 ) -> dict[str, Any]:
     """Write body.npz, body.json, ellipbody.glb, overlay.png, parts.png, loss.png and report.json.
 
@@ -61,6 +65,7 @@ def save_fit(
         folder: Made if it is not there.
         photo: The picture, shape (H, W, 3), uint8, if there was one; beside labels, it may have been made smaller.
         sources: Names of the networks that "keypoints" and "parts" are of, for the report, as of ``PhotoFit``.
+        mesh: The same body as ``MeshFit.body``, whose stature and girths body.json then has.
 
     Returns:
         The report.
@@ -89,7 +94,7 @@ def save_fit(
     with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
-        save_description(describe_body(result), temporary)
+        save_description(describe_body(result, mesh), temporary)
         ellipbody_scene(result.posed).export(temporary / "ellipbody.glb")
         overlay.save(temporary / "overlay.png")
         if comparison is not None:
@@ -121,6 +126,9 @@ def save_registered(
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``; returns the report.
 
+    Of SMPL, SMPL-H and SMPL-X, ``SMPLX_FILE`` holds the arguments of the ``smplx`` package, and the camera by the names
+    of ``body.npz``. Parts that grew are none of its bodies: then there is no such file.
+
     Args:
         registered: In the camera frame.
         folder: Made if it is not there.
@@ -135,7 +143,12 @@ def save_registered(
     shown = registered if clothes is None else replace(registered, detailed=registered.clothed(clothes))
     picture = draw_detailed(shown, camera, size, photo)
     losses = {name: round(float(value[0]), 5) for name, value in registered.losses.items()}
-    report: dict[str, Any] = {"model": model.name, "losses": losses, **about}
+    report: dict[str, Any] = {
+        "model": model.name,
+        "losses": losses,
+        "measurements_cm": describe_mesh(registered),
+        **about,
+    }
     if clothes is not None:
         report["clothes_cm"] = {
             name: round(100 * thick, 2) for name, thick in zip(CLOTHED, clothes[0].tolist(), strict=True)
@@ -150,6 +163,10 @@ def save_registered(
         save_detailed(registered, temporary)
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
+        if model.name in POSES and bool((registered.growth[0] == 1).all()):
+            pose = registered.shape[:1], registered.rotations[:1], registered.translation[:1]
+            of_smplx: dict[str, Any] = {**to_smplx(model, *pose), **camera_arrays(camera, size)}
+            np.savez(temporary / SMPLX_FILE, **of_smplx)
     return report
 
 
@@ -212,18 +229,32 @@ def body_file(
         position: Pelvis in the camera frame [m], shape (3,), of a perspective camera.
     """
     parameters = parameters.detach()
-    scale, _, *centre = camera.intrinsics[0].detach()
     numbers = {
         "global_orient": parameters.global_orient()[0],
         "translation": parameters.lengths.new_zeros(3) if position is None else position.detach(),
         "rotations": rotation_from_axis_angle(parameters.free_rotations())[0],
         "lengths": parameters.lengths[0],
         "thicknesses": parameters.thicknesses[0],
-        "camera_scale": scale,
-        "camera_translation": torch.stack(centre),
-        "camera_perspective": torch.tensor(int(camera.perspective)),
     }
-    return BodyFile(**{name: value.cpu().numpy() for name, value in numbers.items()}, image_size=np.array(size))
+    arrays = {name: value.cpu().numpy() for name, value in numbers.items()}
+    return BodyFile(**arrays, **camera_arrays(camera, size))
+
+
+def camera_arrays(camera: Camera, size: tuple[int, int]) -> dict[str, np.ndarray]:
+    """The first camera, with square pixels, of a picture of (H, W) pixels, by the names of ``body.npz``."""
+    scale, _, *centre = camera.intrinsics[0].detach().cpu()
+    return {
+        "camera_scale": scale.numpy(),
+        "camera_translation": torch.stack(centre).numpy(),
+        "camera_perspective": np.array(int(camera.perspective)),
+        "image_size": np.array(size),
+    }
+
+
+def describe_mesh(body: Registered) -> dict[str, float]:
+    """Stature and girths of the first detailed body [cm]."""
+    measures = measure_body(body.model, body.select(slice(1)).rest())[0]
+    return {name: round(100 * value, 1) for name, value in zip(BODY_MEASURES, measures.tolist(), strict=True)}
 
 
 def save_description(described: Mapping[str, Any], folder: Path) -> None:
@@ -231,20 +262,23 @@ def save_description(described: Mapping[str, Any], folder: Path) -> None:
     (folder / "body.json").write_text(json.dumps(described, indent=1) + "\n")
 
 
-def describe_body(result: FitResult) -> dict[str, Any]:
+def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
     saved = body_file(result.parameters, result.camera, (1, 1))
-    return describe_posed(saved, result.posed.joints, result.camera)
+    return describe_posed(saved, result.posed.joints, result.camera, mesh)
 
 
-def describe_posed(saved: BodyFile, positions: torch.Tensor, camera: Camera) -> dict[str, Any]:
+def describe_posed(
+    saved: BodyFile, positions: torch.Tensor, camera: Camera, mesh: Registered | None = None
+) -> dict[str, Any]:
     """The same of a body with joints at (1, 21, 3) [m] before a camera of the full picture."""
     measured = saved.body("cpu").measure()
     joints = positions[0].detach().cpu().numpy()
     pixels = camera.project(positions)[0, :, :2].detach().cpu().numpy()
     scale, _, *centre = camera.intrinsics[0].detach().cpu().tolist()
     return {
-        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()},
+        "measurements_cm": {name: round(100 * value, 2) for name, value in measured.items()}
+        | ({} if mesh is None else describe_mesh(mesh)),
         "joints": {
             "frame": "camera: x right, y down, z away from the viewer; metres from the "
             + ("camera" if camera.perspective else "pelvis"),

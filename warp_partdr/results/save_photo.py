@@ -18,7 +18,16 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 from .pictures import draw_keypoints
 from .result_sets import PEOPLE_REPORT, replacing
-from .save import DETAILED_FILES, RESULT_FILES, describe_body, draw_detailed, save_fit, save_registered, shown_at
+from .save import (
+    DETAILED_FILES,
+    RESULT_FILES,
+    SMPLX_FILE,
+    describe_body,
+    draw_detailed,
+    save_fit,
+    save_registered,
+    shown_at,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -61,7 +70,7 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
         shown = small if found.evidence.picture is not None else photo
-        save_fit(found, own, photo=shown, sources=fit.sources[place])
+        save_fit(found, own, photo=shown, sources=fit.sources[place], mesh=mesh.body)
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
             seconds=round(found.stage_seconds["mesh"], 3),
@@ -134,7 +143,7 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "sources": fit.sources[place],
         "format": person.keypoints.format.name,
         "keypoints": keypoints.astype(float).tolist(),
-        **describe_body(mesh.ellipbody),
+        **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
 
@@ -156,7 +165,7 @@ def _remove_others(folder: Path, kept: set[str]) -> None:
     for own in folder.glob("person[0-9]*"):
         if own.name in kept or not own.is_dir() or not own.name[len("person") :].isdigit():
             continue
-        for name in (*RESULT_FILES, *DETAILED_FILES):
+        for name in (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE):
             (own / name).unlink(missing_ok=True)
         if not any(own.iterdir()):
             own.rmdir()
