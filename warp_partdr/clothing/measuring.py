@@ -108,7 +108,8 @@ def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, to
 
 
 def _heights(rest: Detailed) -> torch.Tensor:
-    low, high = rest.vertices[..., 1].aminmax(dim=1)
+    heights = rest.vertices[..., 1]
+    low, high = heights.amin(1), heights.amax(1)  # aminmax has no derivative in older PyTorch
     return high - low
 
 
