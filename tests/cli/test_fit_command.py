@@ -163,6 +163,7 @@ def test_good_input_gives_all_files(case: str, run: Run, files: Path) -> None:
     assert said.count("F1") == 2 * (1 + clothed) * ("--parts" in line)  # of the ellipsoids, and of the mesh
     expected = EVERY_FILE if clothed else set(save.RESULT_FILES)
     expected = expected - (set() if "--parts" in line else {"parts.png"})
+    expected = expected | ({save.SMPLX_FILE} if "smpl" in line else set())
     assert {path.name for path in Path("out").iterdir()} == expected
     for name in (name for name in expected if name.endswith(".png")):
         with Image.open(Path("out", name)) as image:
