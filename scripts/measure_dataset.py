@@ -33,7 +33,7 @@ from PIL import Image
 from warp_partdr.synthetic.partbench_people import make_person
 
 DISTINCT, IN_A_TAR, BROKEN_EVERY = 40, 10_000, 100
-SMALL, LARGE = "256k", "2g"  # of the disk
+SMALL, LARGE = "96k", "2g"  # of the disk
 
 
 def main(folder: str, people: str = "1000", kills: str = "5", shard: str = "500") -> None:

@@ -53,7 +53,7 @@ class Workers:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[dict[str, float]]:
+def connected_cluster(address: str) -> Iterator[dict[str, float]]:
     """A cluster, and what it has ("CPU", "GPU").
 
     Args:

@@ -208,9 +208,9 @@ def dataset(
         return
     with ExitStack() as stack:
         if cluster.ray is not None:
-            from ..bulk.cluster import connected
+            from ..bulk.cluster import connected_cluster
 
-            room = stack.enter_context(connected(cluster.ray))
+            room = stack.enter_context(connected_cluster(cluster.ray))
             where = ("cuda" if room.get("GPU") else "cpu") if device == "auto" else device
         work = _Work(source, replace(shards, about=_versions(where) | {"skeleton": source.skeleton}), todo, len(done))
         work.run(FitterSetup(how, view, batch, where), cluster)
