@@ -28,6 +28,13 @@ if TYPE_CHECKING:
 
 LOCAL = "local"  # address of a cluster that is this machine and ends with the run
 _PORT, _PATIENCE = 6379, 10.0  # Ray's own; [s]
+_ATTEMPTS = 3  # Ray waits half a minute for its own start, which takes longer where all cores are busy
+_PATIENT = {
+    "RAY_agent_register_timeout_ms": "600000",
+    "RAY_gcs_rpc_server_connect_timeout_s": "300",
+    "RAY_gcs_server_request_timeout_seconds": "300",
+    "RAY_worker_register_timeout_seconds": "600",
+}
 
 
 @dataclass(frozen=True)
@@ -55,17 +62,22 @@ def connected_cluster(address: str) -> Iterator[dict[str, float]]:
     Raises:
         InputError: If there is none.
     """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # else Ray reports home
+    for name, value in {"RAY_USAGE_STATS_ENABLED": "0", **(_PATIENT if address == LOCAL else {})}.items():
+        os.environ.setdefault(name, value)  # without the first, Ray reports home
     import ray
 
-    try:
-        if ":" in address:  # Ray would try for minutes, and end the process
-            place = urlsplit(address if "//" in address else f"//{address}")
-            socket.create_connection((place.hostname or "", place.port or _PORT), timeout=_PATIENCE).close()
-        local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
-        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **local)
-    except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"--ray: {address}: {cause(error)}; expected local, or a cluster's address") from error
+    local: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
+    for left in reversed(range(_ATTEMPTS if address == LOCAL else 1)):
+        try:
+            if ":" in address:  # Ray would try for minutes, and end the process
+                place = urlsplit(address if "//" in address else f"//{address}")
+                socket.create_connection((place.hostname or "", place.port or _PORT), timeout=_PATIENCE).close()
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **local)
+            break
+        except Exception as error:  # Ray's own are of many kinds, also of none
+            ray.shutdown()
+            if not left:
+                raise InputError(f"--ray: {address}: {cause(error)}; expected local, or a cluster's address") from error
     try:
         yield ray.cluster_resources()
     finally:

@@ -1,0 +1,190 @@
+"""Measure and print that ``partdr dataset`` loses nobody and repeats nobody, however it is ended; and how fast it is.
+
+    python scripts/measure_dataset.py FOLDER [PEOPLE] [KILLS] [SHARD]
+
+PartBench's people, 40 of them under PEOPLE names (default 1000), go into tar files in FOLDER with keypoints and labels;
+two in a hundred are broken, and the last file is cut off. A run on a disk that is too small is followed by KILLS that
+are killed at random times (default 5; the first while it starts), and by one that ends. Then rows are counted. The
+small disk is a tmpfs where that may be mounted, else a limit on the size of files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+from PIL import Image
+
+from warp_partdr.synthetic.partbench_people import make_person
+
+DISTINCT, IN_A_TAR, BROKEN_EVERY = 40, 10_000, 100
+SMALL, LARGE = "96k", "2g"  # of the disk
+
+
+def main(folder: str, people: str = "1000", kills: str = "5", shard: str = "500") -> None:
+    found = measure(Path(folder), int(people), int(kills), int(shard))
+    for name, value in found.items():
+        print(f"{name}: {value}")
+    if found["lost"] or found["twice"] or found["strange errors"] or found["made again"]:
+        sys.exit("not as it should be")
+
+
+def measure(folder: Path, people: int, kills: int, shard: int, distinct: int = DISTINCT) -> dict[str, Any]:
+    """Numbers of what was asked for and of what was found."""
+    names, broken = write_source(folder / "shards", people, distinct)
+    out, rng = folder / "out", random.Random(0)
+    times: dict[str, int] = {}
+    seconds_of_a_shard = shard / 30  # on two cores, about
+    line = [sys.executable, "-m", "warp_partdr", "dataset", str(folder / "shards"), "--labels", "ellipbody20"]
+    line += ["--quality", "network", "--device", "cpu", "--shard", str(shard), "--out", str(out)]
+    started = time.monotonic()
+    with small_disk(out) as grow:
+        full = subprocess.run(line, capture_output=True, text=True, **grow.limits)
+        grow()
+        times |= dict(shards(out))
+        for number in range(kills):
+            run = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            if number:
+                wait_for_another(out, times, run)
+                time.sleep(rng.uniform(0.0, seconds_of_a_shard))
+            else:
+                time.sleep(rng.uniform(1.0, 5.0))
+            run.send_signal(signal.SIGKILL)
+            run.wait()
+            times = {**dict(shards(out)), **times}
+        last = subprocess.run(line, capture_output=True, text=True)
+        seconds = time.monotonic() - started
+        table = pq.read_table(out, columns=["picture", "person", "error", "joints"])
+        after = dict(shards(out))
+        left = [path.name for path in out.iterdir() if not path.name.startswith("part-")]
+    counts = Counter(table["picture"].to_pylist())
+    errors = {
+        name for name, error in zip(table["picture"].to_pylist(), table["error"].to_pylist(), strict=True) if error
+    }
+    return {
+        "people": people,
+        "a full disk said": f"exit code {full.returncode}, {full.stderr.strip().splitlines()[-1]}",
+        "killed": kills,
+        "shards": f"{len(after)}, of which {len(times)} before the last run",
+        "the last run said": f"exit code {last.returncode}, {last.stdout.strip().splitlines()[:1]}",
+        "rows": table.num_rows,
+        "lost": len(names - counts.keys()),
+        "twice": sum(count - 1 for count in counts.values()),
+        "broken": len(broken),
+        "strange errors": len(errors ^ broken) + len(counts.keys() - names),
+        "made again": sum(after.get(name) != when for name, when in times.items()),
+        "left behind": left,
+        "rows of a person differ by [m], at most": spread(table, distinct),
+        "seconds, all runs": round(seconds, 1),
+        "people a second, all runs with their starts": round(people / seconds, 1),
+    }
+
+
+def write_source(folder: Path, people: int, distinct: int) -> tuple[set[str], set[str]]:
+    """Write the tar files; names of all rows that are expected, and of those with an error."""
+    folder.mkdir(parents=True, exist_ok=True)
+    samples = [sample(index) for index in range(distinct)]
+    names, broken = set(), set()
+    for first in range(0, people, IN_A_TAR):
+        path = folder / f"{first // IN_A_TAR:03}.tar"
+        with tarfile.open(path, "w") as tar:
+            for index in range(first, min(first + IN_A_TAR, people)):
+                name = f"{path.name}#{index:07}.png"
+                names.add(name)
+                files = dict(samples[index % distinct])
+                if (bad := index % BROKEN_EVERY) in (1, 2):
+                    broken.add(name)
+                    ending = "png" if bad == 1 else "keypoints.json"
+                    files[ending] = files[ending][: len(files[ending]) // 3]
+                for ending, data in files.items():
+                    info = tarfile.TarInfo(f"{index:07}.{ending}")
+                    info.size = len(data)
+                    tar.addfile(info, BytesIO(data))
+            end = tar.offset
+    os.truncate(path, end)
+    return names | {path.name}, broken | {path.name}
+
+
+def sample(index: int) -> dict[str, bytes]:
+    """Files of a person by their endings; the picture shows the labels."""
+    person = make_person(index)
+    points = [[float(x), float(y), 1.0] for x, y in person.keypoints]
+    files = {"keypoints.json": json.dumps({"format": "coco17", "keypoints": points}).encode()}
+    for ending, image in (("png", Image.fromarray(person.parts * 12)), ("parts.png", Image.fromarray(person.parts))):
+        buffer = BytesIO()
+        image.save(buffer, "png")
+        files[ending] = buffer.getvalue()
+    return files
+
+
+class Disk:
+    """A small disk, until it is called."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={SMALL}", "tmpfs", str(folder)]
+        self.folder, self.limits = folder, {}
+        try:
+            self.mounted = subprocess.run(mount, capture_output=True).returncode == 0
+        except OSError:
+            self.mounted = False
+        if not self.mounted:
+            self.limits = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))}
+
+    def __call__(self) -> None:
+        """Make it large."""
+        if self.mounted:
+            subprocess.run(["mount", "-o", f"remount,size={LARGE}", str(self.folder)], check=True)
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Disk]:
+    disk = Disk(folder)
+    try:
+        yield disk
+    finally:
+        if disk.mounted:
+            subprocess.run(["umount", str(folder)], check=True)
+
+
+def shards(out: Path) -> Iterator[tuple[str, int]]:
+    """Shards that are there, and when they were written."""
+    for path in sorted(out.glob("part-*")):
+        yield path.name, path.stat().st_mtime_ns
+
+
+def wait_for_another(out: Path, known: dict[str, int], run: subprocess.Popen[bytes]) -> None:
+    """Wait until a run has written a shard, or ended."""
+    while run.poll() is None and not dict(shards(out)).keys() - known.keys():
+        time.sleep(0.02)
+
+
+def spread(table: Any, distinct: int) -> float:
+    """Largest difference of a joint between rows of one person."""
+    bodies: dict[int, np.ndarray] = {}
+    worst = 0.0
+    fine = table.filter(table["joints"].is_valid())
+    joints = fine["joints"].combine_chunks().flatten().to_numpy().reshape(fine.num_rows, -1)
+    for name, each in zip(fine["picture"].to_pylist(), joints, strict=True):
+        person = int(name.split("#")[1].split(".")[0]) % distinct
+        worst = max(worst, float(np.abs(each - bodies.setdefault(person, each)).max()))
+    return worst
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
