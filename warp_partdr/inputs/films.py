@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from .part_labels import LARGEST_PICTURE
 
 if TYPE_CHECKING:
     from av.container import InputContainer
+    from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
 FILM_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".wmv")
@@ -72,31 +74,59 @@ def film_facts(path: str | Path) -> FilmFacts:
         return FilmFacts(rate, stream.frames or max(round(seconds * rate), 0))
 
 
-def read_frames(path: str | Path) -> Iterator[Frame]:
+def read_frames(path: str | Path, *, first: int = 0, times: Sequence[float] = ()) -> Iterator[Frame]:
     """Frames of a film in their order, of which one at a time is in memory.
+
+    Args:
+        path: The film.
+        first: Of the frames; those before are left out.
+        times: Of all the film's frames since its first [s]; with them it begins near ``first`` at once.
 
     Raises:
         InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or one is damaged;
             frames before a damaged one are given.
     """
-    index, start, size = 0, 0.0, (0, 0)
+    size = (0, 0)
     with _opened(path) as (container, stream):
         stream.thread_type = "AUTO"
         rate = float(stream.average_rate or stream.guessed_rate or 0)
-        for frame in container.decode(stream):
-            if not index:
+        start, decoded = _decoded(container, stream, first, times)
+        for index, frame in decoded:
+            if index < first:
+                continue
+            if size == (0, 0):
                 wide = float(stream.sample_aspect_ratio or 1)  # of a pixel
                 size = max(round(frame.width * wide), 1), frame.height
                 _check_pixels(path, size)
-                start = frame.time or 0.0
             # Films of several sizes exist; what follows people wants one.
             pixels = frame.to_ndarray(format="rgb24", width=size[0], height=size[1])
             upright = np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90)))
             time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
             yield Frame(index, time, upright)
-            index += 1
-    if not index:
-        raise InputError(f"{path}: no frames; expected a film")
+    if size == (0, 0):
+        raise InputError(f"{path}: no frames{f' from {first} on' if first else ''}; expected a film")
+
+
+def _decoded(
+    container: InputContainer, stream: VideoStream, first: int, times: Sequence[float]
+) -> tuple[float, Iterator[tuple[int, VideoFrame]]]:
+    """Time of the film's first frame [s], and frames with their indices, from the first or a later one on."""
+    frames = container.decode(stream)
+    opening = next(frames, None)
+    if opening is None:
+        return 0.0, iter(())
+    start = opening.time or 0.0
+    if first and len(times) > first and opening.pts is not None and stream.time_base:
+        places = [opening.pts + int(times[first] / stream.time_base), opening.pts]
+        for place in places:  # where a file finds no frame that comes before, from the start
+            container.seek(place, stream=stream)
+            frames = container.decode(stream)
+            near = next(frames, None)
+            if near is not None and near.time is not None:
+                index = int(np.abs(np.asarray(times) - (near.time - start)).argmin())
+                if index <= first:
+                    return start, zip(count(index), chain([near], frames), strict=False)
+    return start, zip(count(), chain([opening], frames), strict=False)
 
 
 @contextmanager

@@ -10,25 +10,24 @@ from typing import Any
 import numpy as np
 
 from ..body.template import LENGTH_NAMES
-from ..cameras import zoomed
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import measure_ellipbody
-from ..clothing.registration import Registered
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
 from ..inputs.films import read_frames
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
+from ..scenes.scene import View
 from .film_file import write_film
-from .pictures import blend, shade_detailed
+from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
 from .skinned_files import Poses, bvh, glb
 
 OVERLAY = "overlay.mp4"
-_CHUNK, _POSED = 64, 16  # frames whose meshes are in memory at a time, to measure and to draw
+_CHUNK = 64  # frames whose meshes are in memory at a time, to measure
 _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 
@@ -71,24 +70,10 @@ def save_film_fit(
 
 def draw_film(fit: FilmFit, film: str | Path) -> Iterator[np.ndarray]:
     """Frames of the film with the bodies over them, at most 960 px a side: RGB, (H, W, 3), uint8."""
-    from PIL import Image
-
     zoom, size = shown_at(fit.people.image_size, _SIDE)
-    camera = zoomed(fit.camera, zoom, size)
-    tracks = {
-        person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
-    }
-    posed: dict[int, tuple[int, Registered]] = {}
+    view, posed = zoomed_view(View(fit.camera), zoom, size), PosedMotions(fit.motions)
     for frame in islice(read_frames(film), len(fit.people.times)):
-        picture = np.asarray(Image.fromarray(frame.picture).resize(size[::-1], Image.Resampling.BILINEAR))
-        there = {person: rows[frame.index] for person, rows in tracks.items() if frame.index in rows}
-        for person in sorted(there, key=lambda one: -float(fit.motions[one].translation[there[one], 2])):
-            chunk, row = divmod(there[person], _POSED)
-            if person not in posed or posed[person][0] != chunk:
-                posed[person] = chunk, fit.motions[person].bodies(slice(chunk * _POSED, (chunk + 1) * _POSED))
-            body = posed[person][1].detailed.select(slice(row, row + 1))
-            picture = blend(picture, shade_detailed(body, fit.motions[person].model, camera, size), 0.9)
-        yield picture
+        yield draw_bodies(resized(frame.picture, size), posed.at(frame.index), fit.motions, view)
 
 
 def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.ndarray:
