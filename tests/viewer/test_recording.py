@@ -68,8 +68,8 @@ def test_record_checks_the_name(tmp_path, monkeypatch):
     ):
         with pytest.raises(InputError, match=said):
             check_format(path)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(InputError, match=r"pip install imageio-ffmpeg\), or \.gif or \.html"):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InputError, match=r"pip install av\), or \.gif or \.html"):
         check_format(tmp_path / "out.mp4")
 
 
@@ -112,7 +112,7 @@ def test_film(window, monkeypatch):
     monkeypatch.setattr("warp_partdr.viewer.recording._MOST", 2)  # then it ends by itself
     window.press("f")
     window.press("n")
-    assert not window.controls.film.running
+    assert not window.controls.filming.film.running
     assert "2 pictures" in window.scene.message
     window.folder.joinpath("demo.gif").unlink()
     window.folder.joinpath("demo.gif").mkdir()
