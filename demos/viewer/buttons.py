@@ -38,8 +38,7 @@ class Panel:
     def __init__(
         self, renderer: Any, rows: Sequence[Sequence[Button | str]], hint: str, view: tuple[int, int] = (640, 800)
     ) -> None:
-        self.height = len(rows) * _ROW + _HINTS  # [px]
-        self._hint, self._size = hint, (view[0] - _CORNER[0] - _MARGIN, self.height)
+        self._hint, self._size = hint, (view[0] - _CORNER[0] - _MARGIN, self.height_of(len(rows)))
         self.overlay = Overlay(renderer, view, _CORNER, self._size, _LETTER)
         self.boxes: dict[Button, tuple[float, float, float, float]] = {}  # left, top, right, bottom [px of the panel]
         self.over: Button | None = None  # under the mouse
@@ -56,6 +55,11 @@ class Panel:
                     self.boxes[entry] = (left, top, right, top + _HEIGHT)
                     left = right + 4
                 left = max(left, _LABEL)
+
+    @staticmethod
+    def height_of(rows: int) -> int:
+        """Height of a panel of so many rows [px]."""
+        return rows * _ROW + _HINTS
 
     def at(self, x: float, y: float) -> Button | None:
         """The button at a place of the window [px, y up]; None if there is none."""
@@ -80,8 +84,8 @@ class Panel:
         hint = self._hint if self.over is None else self.over.hint
         if self.over is not None and self.over.key:
             hint += f"   (key: {self.over.key})"
-        draw.rectangle((0, self.height - 18, *self._size), fill=PAPER)
-        draw.text((0, self.height - 4), hint, FAINT, font, anchor="ls")
+        draw.rectangle((0, self._size[1] - 18, *self._size), fill=PAPER)
+        draw.text((0, self._size[1] - 4), hint, FAINT, font, anchor="ls")
         self.overlay.show()
         return True
 

@@ -26,7 +26,7 @@ _GRAY = 8  # range of a pixel's channels up to which it is gray
 _PLAIN = 5000  # pixels that stand for gray ones, white and black in a palette
 
 FILM = "demo.gif"
-_MOST = 400  # pictures of a film, of 0.8 MB each
+MOST = 400  # pictures of a film, of 0.8 MB each
 _WIDEST = 640  # [px] of a film
 
 
@@ -81,7 +81,7 @@ class Film:
             height, width = self.pictures[0].shape[:2]
             small = ImageOps.pad(small, (width, height), color=PAPER)
         self.pictures.append(np.asarray(small))
-        return len(self.pictures) < _MOST
+        return len(self.pictures) < MOST
 
     def write(self, folder: Path) -> int:
         """End, write ``FILM`` into a folder and forget the pictures, unless that fails; returns how many there were."""

@@ -109,7 +109,7 @@ def test_film(window, monkeypatch):
         first = np.asarray(film.convert("RGB")).astype(int)
         film.seek(film.n_frames - 1)
         assert (np.abs(np.asarray(film.convert("RGB")) - first).max(-1) > 40).mean() > 0.01
-    monkeypatch.setattr("warp_partdr.viewer.recording._MOST", 2)  # then it ends by itself
+    monkeypatch.setattr("warp_partdr.viewer.recording.MOST", 2)  # then it ends by itself
     window.press("f")
     window.press("n")
     assert not window.controls.filming.film.running

@@ -11,7 +11,7 @@ from ..errors import InputError
 from .films import Frame, read_frames
 
 _KEPT = 48  # pictures in memory
-_BEFORE, _AHEAD = 16, 60  # frames: so many before are read, too, for steps back; so many ahead are read on to
+_BEFORE, _AHEAD = 16, 12  # frames: so many before are read, too, on steps back; so many ahead are read on to
 
 
 class FilmReader:
@@ -28,15 +28,16 @@ class FilmReader:
         """A frame's picture, shrunk; an InputError if it can't be read."""
         if index not in self._kept:
             if not self._last < index <= self._last + _AHEAD:
-                self._coming = read_frames(self._path, first=max(index - _BEFORE, 0), times=self._times)
+                back = self._last - _KEPT - _BEFORE <= index < self._last  # and it may go on so
+                first = max(index - _BEFORE * back, 0)
+                self._coming = read_frames(self._path, first=first, times=self._times)
             self._read_to(index)
         return self._kept[index]
 
     def _read_to(self, index: int) -> None:
         for frame in self._coming:
             self._last = frame.index
-            if frame.index > index - _BEFORE:
-                self._kept[frame.index] = self._shrink(frame.picture)
+            self._kept[frame.index] = self._shrink(frame.picture)
             while len(self._kept) > _KEPT:
                 del self._kept[next(iter(self._kept))]
             if frame.index >= index:

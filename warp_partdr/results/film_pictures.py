@@ -19,7 +19,7 @@ _POSED = 16  # frames whose meshes are in memory at a time
 
 
 class PosedMotions:
-    """Meshes of a film's people, posed a few frames ahead, so that a long film takes no more memory than a short one."""
+    """Meshes of a film's people, posed a few frames ahead: a long film takes no more memory than a short one."""
 
     def __init__(self, motions: Mapping[int, Motion]) -> None:
         self.motions = motions

@@ -77,7 +77,9 @@ def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: of no film ({type(error).__name__}: {cause(error)}); expected {_EXPECTED}") from error
+        raise InputError(
+            f"{path}: of no film ({type(error).__name__}: {cause(error)}); expected {_EXPECTED}"
+        ) from error
     if not (0 < rate < np.inf and 0 < count <= _MOST_FRAMES and names):
         raise InputError(f"{path}: {len(names)} people, {count} frames, {rate:g} a second; expected some of each")
     motions, known = {}, np.full(count, np.nan)
