@@ -23,7 +23,7 @@ _MOST_LINES = 40  # of the ground, each way
 _AROUND = 0.5  # [m] of ground beside the people
 _CAMERA_DEPTH = 0.4  # [m] of a camera's pyramid
 _FROM, _ANGLE = (0.45, 0.3, 1.0), 30.0  # direction from which all is seen at first, and the angle of view [degrees]
-_FILLED = 0.55  # of the half diagonal of the people's space
+_FILLED = 0.6  # of the half diagonal of the people's space
 _WIDEST = 84  # letters of a message's line
 
 

@@ -39,12 +39,13 @@ class ViewPictures:
         """``size``: (width, height) of the box [px]; ``films``: of each view."""
         self.state, self._overlay = state, overlay
         self.over_film = True
-        self.boxes = boxes([view.size for view in state.saved.views], size)
+        self.boxes = arrange([view.size for view in state.saved.views], size)
         self._readers: list[FilmReader | None] = []
-        self.titles = []
+        self.titles: list[str] = []
+        times = state.saved.times.tolist()
         for number, (view, box, film) in enumerate(zip(state.saved.views, self.boxes, films, strict=True), start=1):
             shrink = partial(_shrunk, view=view, size=box.size)
-            self._readers.append(None if film is None else FilmReader(film, state.saved.times, shrink))
+            self._readers.append(None if film is None else FilmReader(film, times, shrink))
             self.titles.append(f"camera {number}" + (f"   {Path(view.film).name}" if view.film else ""))
         self.fault = ""  # a film that can't be read
         self._shown: tuple[object, ...] = ()
@@ -81,7 +82,7 @@ class ViewPictures:
         return np.full((*self.boxes[place].size, 3), _PLAIN, np.uint8)
 
 
-def boxes(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Box]:
+def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Box]:
     """Places of pictures (H, W) in rows and columns in which they are largest, within (width, height) [px]."""
     tallest = max(height / width for height, width in sizes)
     columns = max(range(1, len(sizes) + 1), key=lambda each: _width(len(sizes), each, tallest, room))

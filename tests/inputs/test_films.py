@@ -52,9 +52,9 @@ def test_frames_in_any_order(tmp_path: Path, ending: str) -> None:
         np.testing.assert_array_equal(reader.picture(index), frames[index].picture[::2])
         assert len(reader._kept) <= 48
     assert [frame.index for frame in read_frames(path, first=147)] == [147, 148, 149]
-    for before, said in ((149, "no frame 150; expected the film that was fitted"), (0, "no frames from 150 on")):
+    for before in (145, 0):  # which is in memory, or behind
         reader.picture(before)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=r"no frames? (from )?150"):
             reader.picture(150)
     np.testing.assert_array_equal(reader.picture(3), frames[3].picture[::2])  # it goes on
 

@@ -21,7 +21,7 @@ from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.film_pictures import PosedMotions
 from warp_partdr.results.save_film import draw_film
 from warp_partdr.viewer.motion_settings import MotionSettings, open_motion
-from warp_partdr.viewer.motion_views import boxes
+from warp_partdr.viewer.motion_views import arrange
 from warp_partdr.viewer.motion_window import MotionWindow
 
 one_thread = viewer.one_thread  # a fixture
@@ -192,15 +192,15 @@ def test_few_meshes_are_in_memory() -> None:
 
 def test_pictures_fill_the_room() -> None:
     for sizes in ([(1080, 1920)], [(1920, 1080)] * 2, [(480, 640)] * 4, [(100, 300), (300, 100), (200, 200)]):
-        found = boxes(sizes, (496, 784))
+        found = arrange(sizes, (496, 784))
         for (height, width), box in zip(sizes, found, strict=True):
             assert box.size[0] / box.size[1] == pytest.approx(height / width, rel=0.05)
             assert box.left >= 0 <= box.top - 20
             assert box.left + box.size[1] <= 496
             assert box.top + box.size[0] <= 784
-    (one,) = boxes([(1080, 1920)], (496, 784))
+    (one,) = arrange([(1080, 1920)], (496, 784))
     assert one.size[1] == 496
-    left, right = boxes([(1920, 1080)] * 2, (496, 784))
+    left, right = arrange([(1920, 1080)] * 2, (496, 784))
     assert left.top == right.top
 
 

@@ -146,5 +146,6 @@ def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
 
 def _times(known: np.ndarray, rate: float) -> np.ndarray:
     """Times of all frames: those that are known, and at the film's rate between and around them."""
-    even, there = np.arange(len(known)) / rate, np.isfinite(known)
-    return np.maximum.accumulate(even + np.interp(np.arange(len(known)), *np.nonzero(there), (known - even)[there]))
+    frames, there = np.arange(len(known)), np.flatnonzero(np.isfinite(known))
+    late = (known - frames / rate)[there]
+    return np.asarray(np.maximum.accumulate(frames / rate + np.interp(frames, there, late)))
