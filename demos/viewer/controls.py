@@ -16,8 +16,8 @@ from ..body.template import LOCKED_PARTS, PART_NAMES
 from ..clothing.anny import anny
 from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
-from .buttons import Button
-from .recording import FILM, Film
+from .buttons import Button, flip
+from .filming import Filming
 from .scene import PlottedScene
 from .settings import CHOICES, QUALITIES
 from .sliders import PAGES
@@ -54,7 +54,7 @@ class Controls:
         self.part = "left_upper_arm"  # that the rotation sliders turn
         self.registration: RegistrationOptions | None = None  # of the detailed body
         self._mean: Registered | None = None  # the detailed mean adult, whom others are edits of
-        self.film = Film()
+        self.filming = Filming(scene, folder, redraw)
         self._given = state.target
         self._presets = {name: body_of(name) for name in PRESETS}
         self.keys: dict[str, Callable[[], None]] = {}
@@ -66,8 +66,7 @@ class Controls:
         state, scene, folder = self._state, self._scene, self._folder
         bodies = (*PRESETS, RANDOM)
         targets = bodies if self._given.truth is not None else (_GIVEN, *bodies)
-        film = f"begin to film the window; again: write {folder / FILM}"
-        play, skeleton = partial(_flip, self, "playing"), partial(_flip, scene, "skeleton_only")
+        play, skeleton = partial(flip, self, "playing"), partial(flip, scene, "skeleton_only")
         return [
             [
                 "",
@@ -77,7 +76,7 @@ class Controls:
                 "   ",
                 Button("save", "d", f"save {_BODY}, {_MESHES} and {_PICTURE} in {folder}", self._save),
                 Button("load", "l", f"start from {folder / _BODY}", self._load),
-                Button("film", "f", film, self._film, lambda: self.film.running),
+                self.filming.button(),
                 Button("view", "r", "turn the 3D view back to where it was", self.look),
             ],
             [
@@ -180,7 +179,7 @@ class Controls:
             self._scene.message = "PartDR's z gradient: only of parts, with partdr or E0 to E3"
 
     def _toggle_outline(self) -> None:
-        _flip(self._scene, "outline_arrows")
+        flip(self._scene, "outline_arrows")
         if self._scene.outline_arrows and self._has(supervision="keypoints"):
             self._scene.message = "keypoints pull on no outline; follow the silhouette or the parts"
 
@@ -241,20 +240,6 @@ class Controls:
         self._state.reset(read_body(self._folder / _BODY))
         self._scene.message = f"starts from {self._folder / _BODY}"
 
-    def _film(self) -> None:
-        if self.film.running or self.film.pictures:
-            self.finish_film()
-        else:
-            self.film.running = True
-
-    def finish_film(self) -> None:
-        """Write what was filmed; where that fails, it is tried again the next time."""
-        self.film.running = False  # the message below isn't filmed
-        self._scene.message = f"writing {self._folder / FILM} ..."
-        self._redraw()
-        count = self.film.write(self._folder)
-        self._scene.message = f"{count} pictures in {self._folder / FILM}" if count else "nothing was filmed"
-
 
 def _each(names: Iterable[str], hint: str, do: _Do, is_on: _IsOn, first_key: int = 0) -> list[Button]:
     """A button for each of some names; ``first_key``: number of the first one's function key."""
@@ -262,10 +247,6 @@ def _each(names: Iterable[str], hint: str, do: _Do, is_on: _IsOn, first_key: int
         Button(name, f"F{key}" if first_key else "", hint + name, partial(do, name), partial(is_on, name))
         for key, name in enumerate(names, start=first_key)
     ]
-
-
-def _flip(of: object, name: str) -> None:
-    setattr(of, name, not getattr(of, name))
 
 
 def _same(one: BodyParameters, other: BodyParameters) -> bool:

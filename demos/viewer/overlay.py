@@ -67,6 +67,10 @@ class Overlay:
         actor.SetTexture(self._texture.texture)
         renderer.AddViewProp(actor)
 
+    def paste(self, picture: np.ndarray, place: tuple[int, int]) -> None:
+        """Paint a picture, RGB, shape (height, width, 3), uint8, whose upper left is at a place."""
+        self._picture.paste(Image.fromarray(picture), place)
+
     def show(self) -> None:
         """Show what is painted."""
         self._texture.show(np.asarray(self._picture))

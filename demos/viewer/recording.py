@@ -1,12 +1,12 @@
-"""Recordings of a refinement or of the window: an animated GIF, an MP4, or a page that holds its pictures."""
+"""Recordings of a refinement, a scene or the window: an animated GIF, an MP4, or a page that holds its pictures."""
 
 from __future__ import annotations
 
 import base64
 import io
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
 from importlib.util import find_spec
+from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,18 +14,19 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from ..errors import InputError
+from ..results.film_file import write_film
 from .style import PAPER
 
 if TYPE_CHECKING:
     from .scene import PlottedScene
 
 _PAUSE = 12  # times the last picture is shown at the end
-_MILLISECONDS = 80  # a picture
+RATE = 12.5  # pictures a second
 _GRAY = 8  # range of a pixel's channels up to which it is gray
 _PLAIN = 5000  # pixels that stand for gray ones, white and black in a palette
 
 FILM = "demo.gif"
-_MOST = 400  # pictures of a film, of 0.8 MB each
+MOST = 400  # pictures of a film, of 0.8 MB each
 _WIDEST = 640  # [px] of a film
 
 
@@ -45,18 +46,20 @@ def check_format(path: Path) -> None:
         raise InputError(f"--record: {path}; expected a name that ends with {', '.join(_WRITERS)}")
     if not path.absolute().parent.is_dir():
         raise InputError(f"--record: {path}; expected a file in a folder that is there")
-    if path.suffix == ".mp4" and find_spec("imageio_ffmpeg") is None:
+    if path.suffix == ".mp4" and find_spec("av") is None:
         raise InputError(
-            "--record: .mp4 without imageio-ffmpeg; expected it (pip install imageio-ffmpeg), or .gif or .html, "
-            "which need nothing more"
+            "--record: .mp4 without PyAV; expected it (pip install av), or .gif or .html, which need nothing more"
         )
 
 
-def write(pictures: Sequence[np.ndarray], path: Path) -> None:
-    """Write pictures as the file's name says; an InputError if it can't be written."""
+def write(pictures: Sequence[np.ndarray], path: Path, rate: float = RATE) -> None:
+    """Write pictures as the file's name says, so many a second; an InputError if it can't be written.
+
+    They are taken one at a time, so that they may be drawn then.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _WRITERS[path.suffix](list(pictures), path)
+        _WRITERS[path.suffix](pictures, path, rate)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected a file that can be written") from error
 
@@ -78,7 +81,7 @@ class Film:
             height, width = self.pictures[0].shape[:2]
             small = ImageOps.pad(small, (width, height), color=PAPER)
         self.pictures.append(np.asarray(small))
-        return len(self.pictures) < _MOST
+        return len(self.pictures) < MOST
 
     def write(self, folder: Path) -> int:
         """End, write ``FILM`` into a folder and forget the pictures, unless that fails; returns how many there were."""
@@ -89,34 +92,27 @@ class Film:
         return count
 
 
-def _write_gif(pictures: list[np.ndarray], path: Path) -> None:
+def _write_gif(pictures: Sequence[np.ndarray], path: Path, rate: float) -> None:
     """All pictures share one palette, so that no colour flickers; the paper, most of a picture, gets little of it."""
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]]).reshape(-1, 3)
     coloured = some[np.ptp(some, axis=1) > _GRAY]
     shown = np.concatenate([coloured, some[:: max(len(some) // _PLAIN, 1)]])
     palette = Image.fromarray(shown[None]).quantize(256)
-    images = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    durations = [_MILLISECONDS] * (len(images) - 1) + [_MILLISECONDS * _PAUSE]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=False)
+    images = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    durations = [round(1000 / rate)] * (len(pictures) - 1) + [round(1000 / rate * _PAUSE)]
+    next(images).save(path, save_all=True, append_images=images, duration=durations, loop=0, optimize=False)
 
 
-def _write_mp4(pictures: list[np.ndarray], path: Path) -> None:
-    height, width = pictures[0].shape[:2]
-    writer = import_module("imageio_ffmpeg").write_frames(
-        str(path), (width, height), fps=1000 / _MILLISECONDS, macro_block_size=2, quality=8
-    )
-    writer.send(None)
-    for picture in [*pictures, *pictures[-1:] * _PAUSE]:
-        writer.send(np.ascontiguousarray(picture))
-    writer.close()
+def _write_mp4(pictures: Sequence[np.ndarray], path: Path, rate: float) -> None:
+    write_film(path, chain(pictures, repeat(pictures[-1], _PAUSE)), rate)
 
 
-def _write_html(pictures: list[np.ndarray], path: Path) -> None:
+def _write_html(pictures: Sequence[np.ndarray], path: Path, rate: float) -> None:
     sources = []
     for picture in pictures:
         Image.fromarray(picture).save(file := io.BytesIO(), "webp", quality=80)
         sources.append(f'"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"')
-    page = _PAGE.replace("PAUSE", str(_MILLISECONDS)).replace("PAPER", PAPER)
+    page = _PAGE.replace("PAUSE", str(round(1000 / rate))).replace("PAPER", PAPER)
     path.write_text(page.replace("SOURCES", ",\n".join(sources)))  # last: pictures may hold any letters
 
 
@@ -128,7 +124,7 @@ _PAGE = """<!doctype html>
 body { margin: 1em auto; max-width: 1280px; font: 15px sans-serif; background: PAPER; }
 img { width: 100%; } input { width: 80%; vertical-align: middle; }
 </style>
-<img id="picture" alt="the refinement">
+<img id="picture" alt="the recording">
 <p><button id="play">pause</button> <input id="place" type="range" min="0" value="0"></p>
 <script>
 const pictures = [
@@ -146,7 +142,7 @@ show(0);
 </html>
 """
 
-_WRITERS: dict[str, Callable[[list[np.ndarray], Path], None]] = {
+_WRITERS: dict[str, Callable[[Sequence[np.ndarray], Path, float], None]] = {
     ".gif": _write_gif,
     ".mp4": _write_mp4,
     ".html": _write_html,

@@ -6,8 +6,6 @@ Everything is made once; ``PlottedScene.update`` changes numbers in place, which
 from __future__ import annotations
 
 import textwrap
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,15 +13,14 @@ import torch
 from ..body.icosphere import icosphere
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS, PARENTS, PART_NAMES
-from ..errors import InputError
 from ..results.palette import PART_COLOURS
 from .arrows import Arrows
 from .overlay import Texture
+from .plotted import Plotted
 from .state import DemoState
 from .style import ACCENT, INK, PAPER
 from .targets import BACKGROUND_COLOUR
 
-_WINDOW = (1280, 800)  # [px]
 _IMAGE_SIDE = 256  # [px] of the images on the right, whatever is drawn
 _SMOOTH_LEVELS = (2, 3)  # of the sphere that stands for an exact ellipsoid, where outlines are rough and smooth
 _FRAME, _TARGET_BONES = "#b9bec6", "#8a8f98"
@@ -42,41 +39,21 @@ _TITLES = {
 }
 
 
-class PlottedScene:
-    """A plotter with everything in it; ``update`` looks at the state again.
-
-    ``smooth`` outlines (multisampling) without a GPU take four times as long. An InputError says that VTK can't draw.
-    """
+class PlottedScene(Plotted):
+    """A plotter with everything in it."""
 
     def __init__(self, state: DemoState, *, off_screen: bool = True, smooth: bool = True) -> None:
-        try:
-            self._pv = pv = import_module("pyvista")
-            logger = import_module("vtkmodules.vtkCommonCore").vtkLogger
-            logger.SetStderrVerbosity(logger.VERBOSITY_ERROR)  # it tells of each display that it tries in vain
-            self.plotter = pv.Plotter(
-                shape=(3, 4),
-                groups=[(slice(0, 3), slice(0, 2)), (2, slice(2, 4))],
-                row_weights=[1.0, 1.0, 0.62],
-                off_screen=off_screen,
-                window_size=list(_WINDOW),
-                border=False,
-            )
-        except (ImportError, RuntimeError, OSError) as error:  # a VTK without libGL, or without a display to open
-            reason = " ".join(str(error).split())[:120]
-            raise InputError(
-                f"demo: VTK can't draw here ({reason}); expected OpenGL: with a display (Debian's libgl1) or without "
-                "(libegl1 or libosmesa6); partdr fit needs neither"
-            ) from error
-        self.plotter.render_window.SetMultiSamples(8 if smooth else 0)
+        groups = [(slice(0, 3), slice(0, 2)), (2, slice(2, 4))]
+        super().__init__(
+            off_screen=off_screen, smooth=smooth, shape=(3, 4), groups=groups, row_weights=[1.0, 1.0, 0.62]
+        )
         self._smooth_level = _SMOOTH_LEVELS[smooth]
         self.state = state
-        self.message = ""  # a line below the status, such as an error
         self.skeleton_only = False  # through a pale body
         self.outline_arrows = False  # pull along the silhouettes instead of that at the centres
         self.chosen: str | None = None  # the part that stands out
         self._clothed: Posed | None = None  # the body that the detailed one was made for
         self._level: int | None = -1  # of the spheres that are shown
-        self.plotter.set_background(PAPER)
         self._add_body()
         self._images = {name: self._add_image(*place) for name, place in _TITLES.items()}
         self.plotter.subplot(*_TITLES["gradient"][0])
@@ -84,10 +61,6 @@ class PlottedScene:
         self._outline_arrows = Arrows(self.plotter, _MOST_ARROWS, longest=0.16, half_width=0.0035, strongest=0.95)
         self._add_loss()
         self.update()
-
-    def _add(self, shape: Any, **look: Any) -> Any:
-        """A shape in the active view; its actor."""
-        return self.plotter.add_mesh(shape, render=False, **look)
 
     def _add_body(self) -> None:
         """Ellipsoids, skeleton, the camera's view volume, and the target on a wall behind."""
@@ -111,9 +84,7 @@ class PlottedScene:
             self._add(frame, color=_FRAME, line_width=1.5),
             self._add(wall, texture=self._wall_image.texture, lighting=False),
         )
-        look = {"viewport": True, "font_size": 9, "color": INK, "font": "arial"}
-        self._status = self.plotter.add_text("", position=(0.025, 0.985), **look)
-        self._status.prop.SetVerticalJustificationToTop()
+        self._status = self._add_status()
         self.look()
 
     def look(self) -> None:
@@ -244,15 +215,3 @@ class PlottedScene:
                 measures.append(style.format(value))
         drawn = f"{looks}   ·   {settings.drawn}, {settings.size} px"
         return "\n".join([drawn, "   ·   ".join(measures), textwrap.fill(self.message, _WIDEST)])
-
-    def screenshot(self) -> np.ndarray:
-        """The picture as it is now, RGB, shape (height, width, 3), uint8."""
-        if self.plotter.suppress_rendering:  # in a browser, where else only what is sent is drawn
-            self.plotter.render_window.Render()
-        else:
-            self.plotter.render()
-        return np.asarray(self.plotter.screenshot(return_img=True))
-
-    def close(self) -> None:
-        """Give the window and VTK's memory back."""
-        self.plotter.close()

@@ -78,6 +78,30 @@ def _sliders(state: DemoState, field: str, indices: dict[str, Any], unit: float)
     ]
 
 
+def add_slider(
+    plotter: Any, moved: Callable[[float], None], ends: tuple[float, float], height: float, style: str = "%.1f"
+) -> Any:
+    """Add a widget to the active view, of which ``ends`` and ``height`` are shares; ``moved`` is told its value."""
+    widget = plotter.add_slider_widget(
+        moved,
+        (0.0, 1.0),
+        pointa=(ends[0], height),
+        pointb=(ends[1], height),
+        title=" ",
+        title_height=0.014,
+        fmt=style,
+        slider_width=0.012,
+        tube_width=0.004,
+        color=INK,
+        interaction_event="always",
+    )
+    shown = widget.GetRepresentation()
+    shown.SetLabelHeight(0.014)
+    shown.SetEndCapLength(0.004)
+    shown.SetEndCapWidth(0.012)
+    return widget
+
+
 class SliderColumn:
     """Six slider widgets and a title at the left of the active view; ``moved`` is told which, from 0, and its value."""
 
@@ -89,25 +113,7 @@ class SliderColumn:
         self._moved = moved
 
     def _add(self, plotter: Any, index: int) -> Any:
-        y = _TOP - _STEP * index
-        widget = plotter.add_slider_widget(
-            lambda value: self._moved(index, value),
-            (0.0, 1.0),
-            pointa=(0.02, y),
-            pointb=(0.21, y),
-            title=" ",
-            title_height=0.014,
-            fmt="%.1f",
-            slider_width=0.012,
-            tube_width=0.004,
-            color=INK,
-            interaction_event="always",
-        )
-        shown = widget.GetRepresentation()
-        shown.SetLabelHeight(0.014)
-        shown.SetEndCapLength(0.004)
-        shown.SetEndCapWidth(0.012)
-        return widget
+        return add_slider(plotter, lambda value: self._moved(index, value), (0.02, 0.21), _TOP - _STEP * index)
 
     def show(self, page: Page) -> None:
         """Give the widgets a page's titles, bounds and values."""

@@ -16,9 +16,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..errors import InputError
+from .controlled import ControlledWindow
 from .stream import PictureStream
 from .style import ACCENT, PAPER
-from .window import Window
 
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that mean each of this machine's addresses
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
@@ -79,7 +79,7 @@ def check_backend() -> None:
         )
 
 
-async def serve(window: Window, host: str, port: int, ready: Callable[[int], None]) -> None:
+async def serve(window: ControlledWindow, host: str, port: int, ready: Callable[[int], None]) -> None:
     """Show an off-screen window as a page, and play, until cancelled; all who open it see and move the same body.
 
     ``ready`` is called with the port when the page can be opened; port 0 takes a free one. An InputError says why it
@@ -115,7 +115,7 @@ async def serve(window: Window, host: str, port: int, ready: Callable[[int], Non
             await server.stop()
 
 
-def _make_page(window: Window) -> tuple[Any, PictureStream]:
+def _make_page(window: ControlledWindow) -> tuple[Any, PictureStream]:
     names = ("app", "ui.html", "widgets.html", "widgets.client", "widgets.rca")
     trame, layouts, html, client, areas = (import_module(f"trame.{name}") for name in names)
     rca, encoders = import_module("trame_rca.utils"), import_module("trame_rca.encoders")
@@ -189,7 +189,7 @@ def _is_of_open_page(record: logging.LogRecord) -> bool:
     return not isinstance((record.exc_info or sys.exc_info())[1], ConnectionError)
 
 
-async def _play(window: Window) -> None:
+async def _play(window: ControlledWindow) -> None:
     while True:
         window.tick()
         await asyncio.sleep(_REST)

@@ -12,6 +12,7 @@ from scenes.films import av, write_film
 
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import films
+from warp_partdr.inputs.film_reader import FilmReader
 from warp_partdr.inputs.films import film_facts, is_film, read_frames
 
 
@@ -37,6 +38,24 @@ def test_frames_come_in_order_with_their_times(tmp_path: Path) -> None:
     assert frames[0].picture[:, :20, 0].mean() > 220 > 60 > frames[0].picture[:, :20, 2].mean()  # RGB, not BGR
     facts = film_facts(path)
     assert (facts.rate, facts.frames) == (10.0, 12)
+
+
+@pytest.mark.parametrize("ending", ["mp4", "avi", "mkv"])
+def test_frames_in_any_order(tmp_path: Path, ending: str) -> None:
+    """A reader that seeks gives the frames that come in order, and has few of them in memory."""
+    count = 150
+    pictures = [np.full((32, 64, 3), 20 + index, np.uint8) for index in range(count)]
+    path = write_film(tmp_path / f"film.{ending}", pictures, rate=25)
+    frames = list(read_frames(path))
+    reader = FilmReader(path, lambda picture: picture[::2])
+    for index in (0, 1, 149, 148, 147, 30, 31, 100, 5, 75, *range(74, 50, -1), 149, 0):
+        np.testing.assert_array_equal(reader.picture(index), frames[index].picture[::2])
+        assert len(reader._kept) <= 48
+    for before in (145, 0):  # which is in memory, or behind
+        reader.picture(before)
+        with pytest.raises(InputError, match="frame 150; expected 0 to 149"):
+            reader.picture(150)
+    np.testing.assert_array_equal(reader.picture(3), frames[3].picture[::2])  # it goes on
 
 
 def test_times_are_the_film_s_and_begin_at_0(tmp_path: Path) -> None:

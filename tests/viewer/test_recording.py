@@ -68,8 +68,8 @@ def test_record_checks_the_name(tmp_path, monkeypatch):
     ):
         with pytest.raises(InputError, match=said):
             check_format(path)
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(InputError, match=r"pip install imageio-ffmpeg\), or \.gif or \.html"):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InputError, match=r"pip install av\), or \.gif or \.html"):
         check_format(tmp_path / "out.mp4")
 
 
@@ -109,10 +109,10 @@ def test_film(window, monkeypatch):
         first = np.asarray(film.convert("RGB")).astype(int)
         film.seek(film.n_frames - 1)
         assert (np.abs(np.asarray(film.convert("RGB")) - first).max(-1) > 40).mean() > 0.01
-    monkeypatch.setattr("warp_partdr.viewer.recording._MOST", 2)  # then it ends by itself
+    monkeypatch.setattr("warp_partdr.viewer.recording.MOST", 2)  # then it ends by itself
     window.press("f")
     window.press("n")
-    assert not window.controls.film.running
+    assert not window.controls.filming.film.running
     assert "2 pictures" in window.scene.message
     window.folder.joinpath("demo.gif").unlink()
     window.folder.joinpath("demo.gif").mkdir()

@@ -14,9 +14,11 @@ from typer import Argument, Option
 
 from ..errors import InputError, told_as
 from ..files.sections import check_keys, read_section
+from ..inputs.films import is_film
 from ..inputs.part_labels import read_photo
 from .options import OutOption, PersonFiles, SettingOptions, take_whole
 
+_START, _TARGET = "t-pose", "walking"
 DEMO_HELP = """Play with a body in a window: change it, and watch it be refined toward a target, step by step.
 
 Examples: `partdr demo`, then the space bar; in a browser, `partdr demo --web`; as a file, `partdr demo --record out.gif
@@ -27,6 +29,10 @@ Point at a button for what it does and its key. Bodies by name: t-pose, walking,
 
 **A person of your own**: `partdr demo photo.jpg`, the largest person in it, or --person N; or --keypoints and, for more
 than those, --parts with --labels, as `partdr fit` takes them.
+
+**A film that was fitted**: `partdr demo FOLDER`, FOLDER being --out of `partdr fit film.mp4`: everyone in the world,
+a slider through time, and what each camera saw. Its settings: `film=FILE` (of several, their folder), where it isn't
+where it was; `speed=1`; `model=anny`.
 
 **Settings** for --set and --config, with their defaults: `supervision=parts` (or silhouette, keypoints),
 `renderer=exact` (or the meshes E0 to E3), `gradient=partdr` (or coverage, edges), `depth_gradient=true`, `size=256`
@@ -51,7 +57,8 @@ class WebAddress:
 def demo(
     files: PersonFiles,
     photo: Annotated[
-        Path | None, Argument(help="Picture of the person to reach, alone or with keypoints.", metavar="PHOTO")
+        Path | None,
+        Argument(help="Picture of the person to reach; or the folder of a fitted film.", metavar="[PHOTO|FOLDER]"),
     ] = None,
     start: Annotated[
         str,
@@ -59,10 +66,10 @@ def demo(
             help="Body to begin with: its name; network, what the label network says; or a body.npz of `partdr fit`.",
             metavar="NAME",
         ),
-    ] = "t-pose",
-    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = "walking",
+    ] = _START,
+    target: Annotated[str, Option(help="Body to reach.", metavar="NAME")] = _TARGET,
     record: Annotated[
-        Path | None, Option(help="Write the refinement, without a window: .gif, .mp4 or .html.", metavar="FILE")
+        Path | None, Option(help="Write it to a file, without a window: .gif, .mp4 or .html.", metavar="FILE")
     ] = None,
     web: Annotated[
         bool, Option("--web", help="The same in a browser; drawn on this machine, which needs no screen.")
@@ -94,6 +101,10 @@ def demo(
     torch.set_num_threads(1)  # the tensors are small
     if record is not None:
         _viewer("recording").check_format(record)
+    if photo is not None and photo.is_dir():
+        _check_folder(files, photo, start, target)
+        _show_film(photo, values, out, record, address=address if web else None, profile=profile)
+        return
     seed, settings_of_demo = take_whole(values, "seed"), _viewer("settings").Settings
     check_keys(values, [*(field.name for field in fields(settings_of_demo)), "seed", *_ADDRESS_KEYS])
     chosen = read_section(settings_of_demo, values)
@@ -103,11 +114,45 @@ def demo(
         _record(shown, record, chosen.steps)
         return
     window = _viewer("window").Window(shown, out, off_screen=profile or web, seed=seed + 1)
-    if profile:
-        for what, took in window.profile().items():
-            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture, at {chosen.size}x{chosen.size}")
+    _show(window, address if web else None, f", at {chosen.size}x{chosen.size}" if profile else None)
+
+
+def _show_film(
+    folder: Path,
+    values: dict[str, Any],
+    out: Path,
+    record: Path | None,
+    *,
+    address: WebAddress | None,
+    profile: bool,
+) -> None:
+    """Show what ``partdr fit FILM`` left in a folder, in a window or as a page, or record it."""
+    opening = _viewer("motion_settings")
+    check_keys(values, [*(field.name for field in fields(opening.MotionSettings)), *_ADDRESS_KEYS])
+    state, films = opening.open_motion(folder, read_section(opening.MotionSettings, values))
+    if record is None:
+        off_screen = profile or address is not None
+        window = _viewer("motion_window").MotionWindow(state, films, out, off_screen=off_screen)
+        _show(window, address, "" if profile else None)
         return
-    if web:
+    from .progress import FitProgress
+
+    scene = _viewer("motion_scene").PlottedMotion(state, films)
+    try:
+        with FitProgress() as progress:
+            count = _viewer("motion_recording").record_motion(scene, record, progress)
+    finally:
+        scene.close()
+    _tell_recorded(record, count)
+
+
+def _show(window: Any, address: WebAddress | None, profile: str | None) -> None:
+    """Open a window, or serve it at an address; or tell how fast it is, with these words about its size."""
+    if profile is not None:
+        for what, took in window.profile().items():
+            typer.echo(f"{what}: {took:.1f} ms from the change to its drawn picture{profile}")
+        return
+    if address is not None:
         _serve(window, address)
     else:
         window.show()
@@ -131,6 +176,16 @@ def _web_address(values: dict[str, Any], web: bool) -> WebAddress:
     return read_section(WebAddress, given)
 
 
+def _check_folder(files: PersonFiles, folder: Path, start: str, target: str) -> None:
+    """Raise an InputError if something was given that a fitted film has no use for."""
+    given = {name: value for name, value in vars(files).items() if value is not None}
+    given |= {"start": start} if start != _START else {}
+    given |= {"target": target} if target != _TARGET else {}
+    for name, value in given.items():
+        option = "format" if name == "keypoint_format" else name
+        raise InputError(f"--{option}: {value}, with {folder}, a folder of a fitted film; expected the folder alone")
+
+
 def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, seed: int) -> tuple[Any, Any]:
     """The body to begin with and the target."""
     targets = _viewer("targets")
@@ -141,6 +196,8 @@ def _bodies(files: PersonFiles, photo: Path | None, start: str, target: str, see
     elif photo is not None:
         from ..fit.photo import person_in_photo
 
+        if is_film(photo):
+            raise InputError(f"{photo}: a film; expected the folder that `partdr fit {photo.name} --out FOLDER` wrote")
         with told_as("photo", photo):
             goal = targets.person_target(person_in_photo(read_photo(photo), files.person or 0))
     elif files.person is not None:
@@ -186,4 +243,8 @@ def _record(shown: Any, path: Path, steps: int) -> None:
         _viewer("recording").write(pictures, path)
     finally:
         scene.close()
-    typer.echo(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB")
+    _tell_recorded(path, len(pictures))
+
+
+def _tell_recorded(path: Path, count: int) -> None:
+    typer.echo(f"{path}: {count} pictures, {path.stat().st_size / 1e6:.1f} MB")

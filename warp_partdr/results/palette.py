@@ -39,6 +39,21 @@ PART_COLOURS: np.ndarray = np.array([(0, 0, 0), *(_COLOURS[name] for name in PAR
 DEPTH_COLOURS = np.array([(220, 80, 20), (60, 60, 60), (0, 90, 181)], dtype=np.uint8)
 """RGB of a direction along z: toward the viewer, neither, away, shape (3, 3)."""
 
+PEOPLE_COLOURS = np.array(
+    [
+        (20, 100, 180),
+        (208, 90, 0),
+        (0, 130, 100),
+        (150, 60, 150),
+        (165, 115, 0),
+        (85, 90, 100),
+        (190, 45, 85),
+        (40, 135, 175),
+    ],
+    dtype=np.uint8,
+)
+"""RGB of people, dark enough for white letters; from the ninth on they come again."""
+
 IGNORE_COLOUR = np.array([70, 70, 70], dtype=np.uint8)
 
 

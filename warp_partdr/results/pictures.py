@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SUBDIVISIONS = 3
 _LIGHT = np.array([-0.35, -0.6, -0.72])  # toward the light, camera frame
 _AMBIENT = 0.45
-_SKIN = np.array([196, 208, 226], dtype=np.uint8)  # apart from people's
+SKIN_COLOUR = np.array([196, 208, 226], dtype=np.uint8)  # apart from people's
 _SAMPLES = 2  # a side, for smooth outlines
 _PANEL_SIDE = 480  # [px]
 _IGNORED = (150, 150, 150)
@@ -39,7 +39,7 @@ def shade_body(posed: Posed, camera: Camera, image_size: tuple[int, int]) -> np.
 
 def shade_detailed(detailed: Detailed, model: DetailedModel, camera: Camera, image_size: tuple[int, int]) -> np.ndarray:
     """The first body's skin in one colour, lit, on nothing: RGBA, shape (H, W, 4), uint8."""
-    colours = np.broadcast_to(_SKIN, PART_COLOURS.shape)
+    colours = np.broadcast_to(SKIN_COLOUR, PART_COLOURS.shape)
     return shade_mesh(detailed.vertices[:1], detailed_mesh(model).to("cpu"), camera, image_size, colours)
 
 

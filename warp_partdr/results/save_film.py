@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..body.template import LENGTH_NAMES
-from ..cameras import zoomed
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import measure_ellipbody
-from ..clothing.registration import Registered
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
@@ -23,14 +20,14 @@ from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
 from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
-from .pictures import blend, shade_detailed
+from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
 from .skinned_files import Poses, bvh, glb
 
 OVERLAY = "overlay.mp4"
-_CHUNK, _POSED = 64, 16  # frames whose meshes are in memory at a time, to measure and to draw
+_CHUNK = 64  # frames whose meshes are in memory at a time, to measure
 _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 
@@ -44,7 +41,8 @@ def save_film_fit(
     ``detailed_rotations`` (T, J, 3, 3) and ``detailed_translation`` (T, 3) [m], and ``clothes`` (8,) [m]; its
     EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
     the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on.
-    ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation.
+    ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
+    distortion, and ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...).
 
     Args:
         fit: Of ``fit_film``.
@@ -90,34 +88,17 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
         film: The file.
         place: Of the film in the fit. Distortion of its lens is taken away.
     """
-    from PIL import Image
-
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
-    camera = zoomed(seen.view.camera, zoom, size)
-    lens = None if seen.lens is None else seen.lens.resized(size)
-    tracks = {
-        person: {int(frame): row for row, frame in enumerate(each.frames)} for person, each in fit.motions.items()
-    }
-    depths = {person: seen.view.to_camera(each.translation)[:, 2].cpu().numpy() for person, each in fit.motions.items()}
-    posed: dict[int, tuple[int, Registered]] = {}
+    view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
     for frame in islice(read_frames(film), len(seen.people.times)):
-        picture = np.asarray(Image.fromarray(frame.picture).resize(size[::-1], Image.Resampling.BILINEAR))
-        if lens is not None:
-            picture = lens.undistort_picture(picture)
-        there = {person: rows[frame.index] for person, rows in tracks.items() if frame.index in rows}
-        for person in sorted(there, key=lambda one: -float(depths[one][there[one]])):
-            chunk, row = divmod(there[person], _POSED)
-            if person not in posed or posed[person][0] != chunk:
-                posed[person] = chunk, fit.motions[person].bodies(slice(chunk * _POSED, (chunk + 1) * _POSED))
-            body = posed[person][1].detailed.select(slice(row, row + 1))
-            body = replace(body, vertices=seen.view.to_camera(body.vertices))
-            picture = blend(picture, shade_detailed(body, fit.motions[person].model, camera, size), 0.9)
-        yield picture
+        yield draw_bodies(resized(frame.picture, size, seen.lens), posed.at(frame.index), fit.motions, view)
 
 
 def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
-    camera = seen.view.camera
+    camera, lens = seen.view.camera, {}
+    if seen.lens is not None:
+        lens = {"lens": {"focal": list(seen.lens.focal), "distortion": list(seen.lens.distortion)}}
     return {
         "film": name,
         "size": list(seen.people.image_size[::-1]),
@@ -125,6 +106,7 @@ def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
         "principal": camera.centre[0].tolist(),
         "rotation": seen.view.rotation.tolist(),
         "translation": seen.view.translation.tolist(),
+        **lens,
     }
 
 

@@ -1,0 +1,131 @@
+"""A fitted film as one PyVista picture: people in the world on the left, what each camera sees on the right."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..clothing.normals import vertex_normals
+from .motion_state import MotionState
+from .motion_views import ViewPictures
+from .overlay import Overlay
+from .plotted import Plotted
+
+VIEW = (768, 800)  # [px], the 3D view's (width, height) in the window
+_PICTURES = (512, 800)  # likewise the pictures'
+_MARGIN, _LETTER = 8, 12  # [px]
+_SKIN = {"interpolation": "Gouraud", "ambient": 0.25, "specular": 0.1, "specular_power": 12}
+_GRID, _CAMERAS = "#b9bec6", "#70767e"
+_MOST_LINES = 40  # of the ground, each way
+_AROUND = 0.5  # [m] of ground beside the people
+_CAMERA_DEPTH = 0.4  # [m] of a camera's pyramid
+_FROM, _ANGLE = (0.45, 0.3, 1.0), 30.0  # direction from which all is seen at first, and the angle of view [degrees]
+_FILLED = 0.6  # of the half diagonal of the people's space
+_WIDEST = 84  # letters of a message's line
+
+
+class PlottedMotion(Plotted):
+    """A plotter with people, the ground, cameras, and the views' pictures.
+
+    ``films``: of each view; ``controls``: height that they take at the bottom of the 3D view [px].
+    """
+
+    def __init__(
+        self,
+        state: MotionState,
+        films: Sequence[Path | None],
+        *,
+        controls: int = 0,
+        off_screen: bool = True,
+        smooth: bool = True,
+    ) -> None:
+        groups = [(0, slice(0, 3)), (0, slice(3, 5))]
+        super().__init__(off_screen=off_screen, smooth=smooth, shape=(1, 5), groups=groups)
+        self.state, self._controls = state, controls
+        self.ground, self.cameras = True, True  # whether they are shown
+        self.plotter.subplot(0, 0)
+        self.people = {
+            person: self._add(self._skin(person), color=state.colour(person).tolist(), name=f"person{person}", **_SKIN)
+            for person in state.people
+        }
+        self._grid = self._add(self._lines(_ground(state.room.low, state.room.high)), color=_GRID, line_width=1)
+        pyramids = np.concatenate([self._pyramid(place) for place in range(len(state.saved.views))])
+        self._pyramids = self._add(self._lines(pyramids), color=_CAMERAS, line_width=1.5)
+        self._status = self._add_status()
+        self.look()
+        self.plotter.subplot(0, 3)
+        size = (_PICTURES[0] - 2 * _MARGIN, _PICTURES[1] - 2 * _MARGIN)
+        painted = Overlay(self.plotter.renderer, _PICTURES, (_MARGIN, _MARGIN), size, _LETTER)
+        self.pictures = ViewPictures(state, painted, size, films)
+        self.update()
+
+    def _skin(self, person: int) -> object:
+        model = self.state.saved.motions[person].model
+        points = model.rest_vertices.cpu().numpy().astype(np.float32)
+        return self._pv.PolyData.from_regular_faces(points, model.faces.cpu().numpy())
+
+    def _lines(self, ends: np.ndarray) -> object:
+        """Lines between pairs of points (N, 2, 3)."""
+        count = len(ends)
+        places = np.c_[np.full(count, 2), np.arange(2 * count).reshape(count, 2)]
+        return self._pv.PolyData(ends.reshape(-1, 3), lines=places.ravel())
+
+    def _pyramid(self, place: int) -> np.ndarray:
+        """Lines from a camera to the corners of what it sees, and around them, shape (8, 2, 3)."""
+        view = self.state.saved.views[place]
+        focal, centre = (each[0].double().numpy() for each in (view.view.camera.focal, view.view.camera.centre))
+        height, width = view.size
+        corners = (np.array([(0, 0), (width, 0), (width, height), (0, height)]) - centre) / focal
+        seen = _CAMERA_DEPTH * np.c_[corners, np.ones(4)]
+        turn, move = view.view.rotation.double().numpy(), view.view.translation.double().numpy()
+        eye, ends = ((points - move) @ turn @ self.state.room.turn.T for points in (np.zeros(3), seen))
+        return np.concatenate([[(eye, end) for end in ends], np.stack([ends, np.roll(ends, -1, axis=0)], axis=1)])
+
+    def look(self) -> None:
+        """See all in 3D as at first: from the first camera's side, above the controls."""
+        self.plotter.subplot(0, 0)
+        low, high = self.state.room.low, self.state.room.high
+        middle, camera = (low + high) / 2, self.plotter.camera
+        free = 1 - self._controls / VIEW[1]
+        away = _FILLED * np.linalg.norm(high - low) / np.sin(np.deg2rad(_ANGLE / 2)) / min(free, VIEW[0] / VIEW[1])
+        self.plotter.camera_position = (middle + away * np.array(_FROM) / np.linalg.norm(_FROM), middle, (0, 1, 0))
+        camera.view_angle = _ANGLE
+        camera.SetWindowCenter(0.0, -self._controls / VIEW[1])
+        self.plotter.reset_camera_clipping_range()
+
+    def update(self) -> None:
+        """Bring everything to what the state is now; nothing is drawn yet."""
+        bodies = self.state.bodies()
+        for person, actor in self.people.items():
+            actor.visibility = person in bodies
+            if person in bodies:
+                skin, faces = actor.mapper.dataset, self.state.saved.motions[person].model.faces
+                skin.points = (bodies[person].vertices[0].cpu().numpy() @ self.state.room.turn.T).astype(np.float32)
+                skin.point_data.active_normals = vertex_normals(skin.points, faces.cpu().numpy())
+        self._grid.visibility, self._pyramids.visibility = self.ground, self.cameras
+        self.pictures.update()
+        self._status.input = self._said()
+
+    def _said(self) -> str:
+        """Description of the state."""
+        state = self.state
+        there = f"{len(state.bodies())} of {len(state.people)} people"
+        place = f"frame {state.frame} of {state.count}   ·   {state.saved.times[state.frame]:.2f} s   ·   {there}"
+        return "\n".join([place, textwrap.fill(self.message or self.pictures.fault, _WIDEST)])
+
+
+def _ground(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Lines of a square grid at the lowest y, a metre or more apart, shape (N, 2, 3)."""
+    begin, end = np.floor(low - _AROUND), np.ceil(high + _AROUND)
+    step = max(np.ceil((end - begin)[[0, 2]].max() / _MOST_LINES), 1.0)
+    end = begin + step * np.ceil((end - begin) / step)
+    lines = []
+    for along, across in ((0, 2), (2, 0)):
+        for place in np.arange(begin[across], end[across] + step / 2, step):
+            ends = np.full((2, 3), low[1])
+            ends[:, across], ends[:, along] = place, (begin[along], end[along])
+            lines.append(ends)
+    return np.array(lines)

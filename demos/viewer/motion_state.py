@@ -1,0 +1,134 @@
+"""The demo of a fitted film without a picture: people's motions, the time that is shown, and who is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from ..body.template import PART_NAMES
+from ..clothing.model import Detailed
+from ..results.film_pictures import PosedMotions
+from ..results.load_film import SavedFilm
+from ..results.palette import PEOPLE_COLOURS
+from ..scenes.film import Motion
+
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
+_MEASURED = 48  # frames of a person that tell where the ground is
+_HEAD, _FEET = PART_NAMES.index("head"), [PART_NAMES.index(f"{side}_foot") for side in ("left", "right")]
+
+
+class MotionState:
+    """Motions of a film, at a time of it; at its end it begins anew."""
+
+    def __init__(self, saved: SavedFilm, *, speed: float = 1.0) -> None:
+        self.saved, self.speed = saved, speed
+        self.playing = False
+        self.hidden: set[int] = set()  # people
+        self._time = 0.0  # [s] since the film's first frame
+        self._posed = PosedMotions(saved.motions)
+        self._bodies: tuple[int, dict[int, Detailed]] = -1, {}
+
+    @property
+    def people(self) -> list[int]:
+        """Everyone, shown or not."""
+        return list(self.saved.motions)
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.saved.times)
+
+    @property
+    def frame(self) -> int:
+        """The frame that is shown, 0 = first."""
+        return max(int(np.searchsorted(self.saved.times, self._time, side="right")) - 1, 0)
+
+    def go(self, frame: int) -> None:
+        """Show a frame, or the first or last one."""
+        self._time = float(self.saved.times[min(max(frame, 0), self.count - 1)])
+
+    def step(self, by: int) -> None:
+        """Stop, and show a frame before or after this one."""
+        self.playing = False
+        self.go(self.frame + by)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.saved.times[-1] + 1 / self.saved.rate
+        self._time = float((self._time + seconds * self.speed) % end)
+
+    def bodies(self) -> dict[int, Detailed]:
+        """Bodies (B = 1) of those who are shown and there, in the world [m]."""
+        if self._bodies[0] != self.frame:
+            self._bodies = self.frame, self._posed.at(self.frame)
+        return {person: body for person, body in self._bodies[1].items() if person not in self.hidden}
+
+    def show_all(self) -> None:
+        """Show everyone."""
+        self.hidden = set()
+
+    def show_next(self) -> None:
+        """Show one person alone, each time the next one."""
+        shown = [person for person in self.people if person not in self.hidden]
+        place = self.people.index(shown[0]) + 1 if len(shown) == 1 else 0
+        self.hidden = set(self.people) - {self.people[place % len(self.people)]}
+
+    def switch(self, person: int) -> None:
+        """Show somebody, or hide them."""
+        self.hidden ^= {person}
+
+    def colour(self, person: int) -> np.ndarray:
+        """RGB of a person, shape (3,), uint8."""
+        return np.asarray(PEOPLE_COLOURS[self.people.index(person) % len(PEOPLE_COLOURS)])
+
+    @cached_property
+    def room(self) -> Room:
+        """The space that the people move in."""
+        ups, some = np.zeros(3), []
+        for motion in self.saved.motions.values():
+            for body in _samples(motion):
+                joints = body.joints[:, list(motion.model.part_joints)].numpy()
+                ups += (joints[:, _HEAD] - joints[:, _FEET].mean(1)).mean(0)
+                some.append(body.vertices[0, ::4].numpy())
+        up = np.zeros(3)
+        up[np.abs(ups).argmax()] = np.sign(ups[np.abs(ups).argmax()])
+        turn = _upright(up, self.saved.views[0].view.rotation.double().numpy()[2])
+        points = np.concatenate(some) @ turn.T
+        return Room(turn, points.min(0), points.max(0))
+
+
+@dataclass(frozen=True)
+class Room:
+    """The space that people move in, as it is drawn: x right, y up, z toward the viewer, as the first view sees it.
+
+    Attributes:
+        turn: Rotation of the world into it, shape (3, 3).
+        low: Its least x, y (the ground) and z [m], shape (3,).
+        high: Its largest, likewise.
+    """
+
+    turn: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _upright(up: np.ndarray, look: np.ndarray) -> np.ndarray:
+    """Rotation of the world into a room where an axis is up and a direction leads away from the viewer."""
+    flat = look - up * (look @ up)
+    if np.linalg.norm(flat) < 0.1:  # seen from above
+        flat = np.roll(up, 1)
+    back = -flat / np.linalg.norm(flat)
+    return np.stack([np.cross(up, back), up, back])
+
+
+def _samples(motion: Motion) -> Iterator[Detailed]:
+    """Bodies (B = 1) in a few frames of a motion."""
+    step = -(-len(motion.frames) // _MEASURED)
+    with torch.no_grad():
+        bodies = motion.bodies(slice(0, None, step)).detailed
+    for row in range(len(bodies.vertices)):
+        yield bodies.select(slice(row, row + 1))

@@ -1,0 +1,108 @@
+"""Pictures of a scene's views: people as each camera sees them, over its film where that can be read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..inputs.film_reader import FilmReader
+from ..results.film_pictures import draw_bodies, resized, zoomed_view
+from ..results.load_film import FilmView
+from .motion_state import MotionState
+from .overlay import Overlay
+from .style import INK, PAPER
+
+_PLAIN = 232  # gray of a view without its film
+_TITLE, _GAP = 20, 6  # [px]
+
+
+@dataclass(frozen=True)
+class _Box:
+    """Place of a view's picture among the others [px]."""
+
+    left: int
+    top: int
+    size: tuple[int, int]  # (H, W)
+
+
+class ViewPictures:
+    """All views side by side in a painted box."""
+
+    def __init__(
+        self, state: MotionState, overlay: Overlay, size: tuple[int, int], films: Sequence[Path | None]
+    ) -> None:
+        """``size``: (width, height) of the box [px]; ``films``: of each view."""
+        self.state, self._overlay = state, overlay
+        self.over_film = True
+        self.boxes = arrange([view.size for view in state.saved.views], size)
+        self._readers: list[FilmReader | None] = []
+        self.titles: list[str] = []
+        for number, (view, box, film) in enumerate(zip(state.saved.views, self.boxes, films, strict=True), start=1):
+            shrink = partial(_shrunk, view=view, size=box.size)
+            self._readers.append(None if film is None else FilmReader(film, shrink))
+            self.titles.append(f"camera {number}" + (f"   {Path(view.film).name}" if view.film else ""))
+        self.fault = ""  # a film that can't be read
+        self._shown: tuple[object, ...] = ()
+
+    def update(self) -> None:
+        """Paint all views, if something is new."""
+        now = self.state.frame, frozenset(self.state.hidden), self.over_film
+        if now == self._shown:
+            return
+        self._shown, draw = now, self._overlay.draw
+        for place, box in enumerate(self.boxes):
+            picture = self.picture(place)  # first: it finds that a film can't be read
+            title = self.titles[place] + ("" if self._readers[place] else "   without its film")
+            draw.rectangle((box.left, box.top - _TITLE, box.left + box.size[1], box.top - 1), fill=PAPER)
+            draw.text((box.left, box.top - 6), title, INK, self._overlay.font, anchor="ls")
+            self._overlay.paste(picture, (box.left, box.top))
+        self._overlay.show()
+
+    def picture(self, place: int) -> np.ndarray:
+        """A view as it is now, RGB, (H, W, 3) of its box, uint8."""
+        state, view, size = self.state, self.state.saved.views[place], self.boxes[place].size
+        seen = zoomed_view(view.view, size[1] / view.size[1], size)
+        people = {person: state.colour(person) for person in state.people}
+        return draw_bodies(self._background(place), state.bodies(), state.saved.motions, seen, people)
+
+    def _background(self, place: int) -> np.ndarray:
+        reader = self._readers[place]
+        if reader is not None and self.over_film:
+            try:
+                return reader.picture(self.state.frame)
+            except InputError as error:
+                self._readers[place] = None  # it is not tried at each frame
+                self.fault = str(error)
+        return np.full((*self.boxes[place].size, 3), _PLAIN, np.uint8)
+
+
+def arrange(sizes: Sequence[tuple[int, int]], room: tuple[int, int]) -> list[_Box]:
+    """Places of pictures (H, W) in rows and columns in which they are largest, within (width, height) [px]."""
+    tallest = max(height / width for height, width in sizes)
+    columns = max(range(1, len(sizes) + 1), key=lambda each: _width(len(sizes), each, tallest, room))
+    widest = _width(len(sizes), columns, tallest, room)
+    found = []
+    for place, (height, width) in enumerate(sizes):
+        row, column = divmod(place, columns)
+        left, top = column * (widest + _GAP), _TITLE + row * (round(widest * tallest) + _TITLE + _GAP)
+        found.append(_Box(left, top, (max(round(widest * height / width), 1), widest)))
+    return found
+
+
+def _width(count: int, columns: int, tallest: float, room: tuple[int, int]) -> int:
+    """Width of each picture in so many columns [px]."""
+    rows = -(-count // columns)
+    across = (room[0] - _GAP * (columns - 1)) / columns
+    return max(int(min(across, ((room[1] - _GAP * (rows - 1)) / rows - _TITLE) / tallest)), 1)
+
+
+def _shrunk(picture: np.ndarray, view: FilmView, size: tuple[int, int]) -> np.ndarray:
+    if picture.shape[:2] != view.size:
+        told, wanted = ("x".join(map(str, each[1::-1])) for each in (picture.shape, view.size))
+        raise InputError(f"pictures of {told}; expected {wanted}, as were fitted")
+    return resized(picture, size, view.lens)

@@ -1,0 +1,159 @@
+"""Reading back what ``partdr fit FILM`` wrote: the people's motions, and the cameras that saw them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..cameras import Perspective
+from ..clothing.clothes import CLOTHED
+from ..clothing.model import DetailedModel
+from ..errors import InputError, cause
+from ..files.array_files import read_npz
+from ..files.json_files import read_json
+from ..inputs.calibrated_camera import CalibratedCamera
+from ..scenes.film import Motion
+from ..scenes.scene import PersonShape, View
+from .predictions import FilmBodies, load_film_bodies
+from .result_sets import PEOPLE_REPORT
+
+_EXPECTED = "the people.json of `partdr fit FILM --out FOLDER`"
+_MOTION = "a personN.npz of `partdr fit FILM --out FOLDER`"
+_VIEW = '{"film": name, "size": [W, H], "focal", "principal": [u, v], "rotation", "translation", "lens"}'
+_MOST_FRAMES = 10_000_000
+
+
+@dataclass(frozen=True)
+class FilmView:
+    """View of a scene, and the film that was taken there.
+
+    Attributes:
+        film: Its name, "" if it isn't known.
+        size: (H, W) of its pictures [px].
+        view: The camera, of pixels without distortion.
+        lens: The camera whose distortion was taken away; None: there is none.
+    """
+
+    film: str
+    size: tuple[int, int]
+    view: View
+    lens: CalibratedCamera | None = None
+
+
+@dataclass(frozen=True)
+class SavedFilm:
+    """People's motions through a film, or through several of the same scene.
+
+    Attributes:
+        rate: Frames a second.
+        times: Time of each frame since the first [s], shape (T,).
+        motions: By person.
+        views: One or more.
+    """
+
+    rate: float
+    times: np.ndarray
+    motions: dict[int, Motion]
+    views: list[FilmView]
+
+
+def load_film_fit(folder: str | Path, model: DetailedModel) -> SavedFilm:
+    """Read a folder of ``save_film_fit``.
+
+    Args:
+        folder: With people.json.
+        model: The detailed model that the people are bodies of.
+
+    Raises:
+        InputError: If files are missing, damaged, of another model or of different runs.
+    """
+    path = Path(folder) / PEOPLE_REPORT
+    report = read_json(path, _EXPECTED)
+    try:
+        rate, count = float(report["rate"]), int(report["frames"])
+        names = {int(each["person"]): f"person{int(each['person'])}.npz" for each in report["people"]}
+        seen = [_view(each, f"{path}: views") for each in report.get("views", ())]
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"{path}: of no film ({type(error).__name__}: {cause(error)}); expected {_EXPECTED}"
+        ) from error
+    if not (0 < rate < np.inf and 0 < count <= _MOST_FRAMES and names):
+        raise InputError(f"{path}: {len(names)} people, {count} frames, {rate:g} a second; expected some of each")
+    motions, known = {}, np.full(count, np.nan)
+    for person, name in names.items():
+        bodies = load_film_bodies(Path(folder) / name)
+        motions[person] = _motion(Path(folder) / name, bodies, count, model)
+        known[bodies.rows["frames"]] = bodies.rows["times"]
+        seen = seen or [_view_of(Path(folder) / name, bodies)]
+    return SavedFilm(rate, _times(known, rate), motions, seen)
+
+
+def _motion(path: Path, bodies: FilmBodies, count: int, model: DetailedModel) -> Motion:
+    """The motion in a person's file, which ``load_film_bodies`` has read."""
+    rows, joints = len(bodies.rows), model.num_joints
+    shapes = {
+        "clothes": (len(CLOTHED),),
+        "detailed_shape": (model.num_shapes,),
+        "detailed_rotations": (rows, joints, 3, 3),
+        "detailed_translation": (rows, 3),
+    }
+    data = read_npz(path, ("detailed_model", *shapes), expected=_MOTION)
+    if (named := str(data.pop("detailed_model"))[:40]) != model.name:
+        raise InputError(f"{path}: a body of {named!r}; expected one of {model.name!r}, the model that is loaded")
+    for name, shape in shapes.items():
+        if data[name].shape != shape or data[name].dtype.kind != "f" or not np.isfinite(data[name]).all():
+            raise InputError(f"{path}: {name}: {data[name].dtype} {data[name].shape}; expected finite numbers {shape}")
+    frames = bodies.rows["frames"].astype(np.int64)
+    if frames[0] < 0 or frames[-1] >= count or (np.diff(frames) <= 0).any():
+        raise InputError(f"{path}: frames: {frames[0]} to {frames[-1]}; expected some of 0 to {count - 1}, in order")
+    clothes, values, rotations, translation = (
+        torch.from_numpy(data[name].astype(np.float32)).to(model.rest_vertices) for name in shapes
+    )
+    return Motion(model, frames, PersonShape(values, clothes), rotations, translation)
+
+
+def _view(values: Any, where: str) -> FilmView:
+    """A view as the report has it."""
+    try:
+        width, height = map(int, values["size"])
+        u, v = map(float, values["principal"])
+        camera = Perspective.of_picture((height, width), focal=float(values["focal"]), principal=(u, v))
+        rotation, translation = (
+            torch.tensor(values[name], dtype=torch.float32) for name in ("rotation", "translation")
+        )
+        if width < 1 or height < 1:
+            raise ValueError(f"size: {width}, {height}")
+        lens = None
+        if "lens" in values:
+            across, down = map(float, values["lens"]["focal"])
+            distortion = tuple(map(float, values["lens"]["distortion"]))
+            lens = CalibratedCamera((across, down), (u, v), distortion, size=(height, width))
+        return FilmView(str(values["film"]), (height, width), View(camera, rotation, translation), lens)
+    except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+        raise InputError(f"{where}: {type(error).__name__}: {cause(error)}; expected {_VIEW} each") from error
+
+
+def _view_of(path: Path, bodies: FilmBodies) -> FilmView:
+    """The only view of bodies in the camera's frame."""
+    row = bodies.rows[0]
+    u, v = row["camera_translation"].tolist()
+    try:
+        if not bodies.perspective or min(bodies.image_size) < 1:
+            raise ValueError(f"camera_perspective: {bodies.perspective}, image_size: {bodies.image_size}")
+        camera = Perspective.of_picture(bodies.image_size, focal=float(row["camera_scale"]), principal=(u, v))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; expected {_MOTION}") from error
+    return FilmView("", bodies.image_size, View(camera))
+
+
+def _times(known: np.ndarray, rate: float) -> np.ndarray:
+    """Times of all frames: those that are known, and at the film's rate between and around them."""
+    frames, there = np.arange(len(known)), np.flatnonzero(np.isfinite(known))
+    late = (known - frames / rate)[there]
+    return np.asarray(np.maximum.accumulate(frames / rate + np.interp(frames, there, late)))
