@@ -135,9 +135,18 @@ def _refine(
     with FitProgress() as progress:
         fit = refine_given(given, camera, parts, person, others=others, progress=progress)
         progress("writing results", 1, 1)
-        about = {"clothes": fit.clothes, "start": str(body), "seconds": round(time.perf_counter() - started, 3)}
-        seen = {"photo": photo, "evidence": fit.ellipbody.evidence}
-        report = save_registered(fit.body, out, fit.camera, (height, width), **seen, **about)
+        seconds = round(time.perf_counter() - started, 3)
+        report = save_registered(
+            fit.body,
+            out,
+            fit.camera,
+            (height, width),
+            photo=photo,
+            evidence=fit.ellipbody.evidence,
+            clothes=fit.clothes,
+            start=str(body),
+            seconds=seconds,
+        )
     typer.echo(say_detailed(report, out))
 
 
