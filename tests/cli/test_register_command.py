@@ -16,9 +16,13 @@ from scenes import commands
 from scenes.commands import GOOD, Run, ids, save_ids
 from scenes.files import body_file, save_npz
 
+from warp_partdr.body.labels import label_set
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.load import load_model
+from warp_partdr.clothing.model import detailed_mesh
 from warp_partdr.clothing.smpl_parameters import from_smplx
+from warp_partdr.fit.given_files import read_given
+from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.results.save import DETAILED_FILES, SMPLX_FILE
 
 REGISTER = "register out/body.npz --out new --device cpu"
@@ -123,3 +127,39 @@ def test_a_model_of_smpl_leaves_its_own_parameters(tmp_path: Path, monkeypatch: 
         assert {path.name for path in Path("out").iterdir()} == set(DETAILED_FILES)
     code, _, complaint = run(f"register body.npz --model out/{SMPLX_FILE} --device cpu")
     assert (code, "would replace" in complaint) == (2, True)
+
+
+def test_another_methods_body_is_refined_against_labels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = load_model(save_npz(Path("smpl.npz")))
+    orientation = np.array([np.pi, 0.0, 0.0])  # y down, as cameras see it
+    given = {"betas": np.zeros(10), "global_orient": orientation, "transl": np.array([0.0, 0.2, 4.0])}
+    np.savez("regressed.npz", **given, focal_length=np.array(400.0))
+    body, camera = read_given(Path("regressed.npz"), model, (240, 200))
+    beside = body.moved(torch.tensor([[0.05, 0.0, 0.0]]))
+    shown = draw_mesh(beside.detailed.vertices, detailed_mesh(model), camera, (240, 200)).labels[0].numpy()
+    Image.fromarray(label_set("body14").part_groups[shown]).save("p.png")
+    code, said, _ = run("register regressed.npz --model smpl.npz --parts p.png --labels body14 --device cpu")
+    assert code == 0
+    assert "foreground F1" in said
+    assert {path.name for path in Path("out").iterdir()} == {*DETAILED_FILES, SMPLX_FILE}
+    found, again = read_given(Path("out") / SMPLX_FILE, model, (240, 200))
+    assert again.intrinsics[0].tolist() == pytest.approx(camera.intrinsics[0].tolist(), abs=1e-2)
+    moved = (found.detailed.joints - body.detailed.joints).mean(1)[0].tolist()
+    assert 0.02 < moved[0] < 0.08
+    assert json.loads(Path("out/registration.json").read_text())["start"] == "regressed.npz"
+
+    Path("empty.npz").write_bytes(b"")
+    for wrong, says in (
+        ("regressed.npz --model smpl.npz", "--parts: missing"),
+        ("regressed.npz --parts p.png --labels body14", "model: anny; expected one of smpl, smplh, smplx"),
+        ("regressed.npz --model smpl.npz --parts p.png --labels body14 --grow", "--inscribed, --grow: with"),
+        ("empty.npz", "empty.npz"),
+        ("p.json", "p.json"),
+    ):
+        code, _, complaint = run(f"register {wrong} --out new --device cpu")
+        assert (code, says in complaint) == (2, True), complaint
+    body_file().save("body.npz")
+    assert "--keypoints: with body.npz, a fit's" in run("register body.npz --keypoints k.json --device cpu")[2]

@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 REGISTER_HELP = """Clothe a fitted body in a detailed model: body.npz of `partdr fit` in, a skinned mesh out.
 
-Example: `partdr register out/body.npz --photo photo.png --out detailed`
+Examples: `partdr register out/body.npz --photo photo.png --out detailed`;
+`partdr register regressed.npz --model SMPLX.npz --parts p.png --labels cdcl14`
+
+**Another method's body**, .npz or .json, is refined against --parts and comes out as the same parameters: SMPL's by
+smplx's names (betas, global_orient, body_pose, transl or pred_cam_t, focal_length), or Multi-HMR's (rotvec, shape,
+transl_pelvis, K); --model says which file of SMPL's it is of.
 
 **Results** in FOLDER: detailed.png (look at this first), detailed.glb (mesh, skeleton and skin weights, posed; opens in
 Blender), detailed.obj, detailed.ply (with part colours), detailed.bvh (skeleton and pose), detailed.npz (shape,
@@ -33,17 +38,20 @@ rotations and position for the model) and registration.json (terms of the loss; 
 against the labels); of SMPL's models detailed.smplx.npz, too: betas, global_orient, body_pose, ... and transl, as the
 smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. Older results there are replaced.
 """
-MODEL_HELP = "anny, or an .npz or .safetensors file of SMPL, SMPL-H or SMPL-X"
+MODEL_HELP = "anny, mhr:FOLDER, or a .npz or .safetensors of SMPL, SMPL-H or SMPL-X"
 
 
 def register_body(
-    body: Annotated[Path, Argument(help="body.npz of partdr fit.", metavar="BODY.npz")],
+    body: Annotated[Path, Argument(help="body.npz of partdr fit, or another method's body.", metavar="BODY")],
     model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
     photo: Annotated[Path | None, Option(help="The fit's picture, to draw the body over.", metavar="FILE")] = None,
     parts: Annotated[
         Path | None, Option(help="The fit's part labels, to say how well the detailed body fills them.", metavar="FILE")
     ] = None,
     labels: LabelsOption = None,
+    keypoints: Annotated[
+        Path | None, Option(help="2D keypoints, if another method's body is to follow them, too.", metavar="FILE")
+    ] = None,
     out: OutOption = Path("out"),
     inscribed: Annotated[
         bool, Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead.")
@@ -54,11 +62,21 @@ def register_body(
     device: DeviceOption = "auto",
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
+    from ..fit.given_files import is_given
     from ..inputs.part_labels import check_sizes, read_labelled_parts, read_photo
     from ..results.body_file import BODY_ARRAYS, load_body
 
     picture = None if photo is None else read_photo(photo)
     image = read_labelled_parts(parts, labels)
+    if is_given(body):
+        if image is None:
+            raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
+        if inscribed or grow:
+            raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
+        _refine((body, model, photo, keypoints, labels, parts), picture, image, out, device)
+        return
+    if keypoints is not None:
+        raise InputError(f"--keypoints: with {body}, a fit's; expected another method's body")
     fitted = load_body(body)
     height, width = fitted.image_size.tolist()
     seen = {"photo": picture, "parts": None if image is None else image.groups}
@@ -83,6 +101,53 @@ def register_body(
     with FitProgress() as progress:
         told = clothe(posed, detailed_model, out, *view, progress=progress, inscribed=inscribed, grow=grow)
     typer.echo(told)
+
+
+def _refine(
+    files: tuple[Path, str, Path | None, Path | None, str | None, Path | None],
+    photo: np.ndarray | None,
+    parts: PartLabels,
+    out: Path,
+    device: str,
+) -> None:
+    """Refine another method's body and write it; the files are those of the command line."""
+    from ..fit.given_files import read_given
+    from ..fit.given_start import body_keypoints, refine_given
+    from ..inputs.keypoint_files import read_keypoints
+    from ..inputs.keypoints import choose_person
+    from ..inputs.part_labels import check_sizes
+    from ..interop.devices import choose_device
+    from ..results.result_sets import check_folder, check_inputs
+    from ..results.save import DETAILED_FILES, SMPLX_FILE, save_registered
+    from .progress import FitProgress
+
+    body, model, _, keypoints, *_ = files
+    height, width = parts.groups.shape[:2]
+    check_sizes(photo=None if photo is None else photo.shape[:2], parts=(height, width))
+    where = choose_device(device)
+    check_folder(out)
+    check_inputs(out, [None if name is None else Path(name) for name in files], (*DETAILED_FILES, SMPLX_FILE))
+    given, camera = read_given(body, read_model(model, where), (height, width))
+    people = [] if keypoints is None else read_keypoints(keypoints)
+    person = choose_person(people, parts.groups) if people else body_keypoints(given, camera)
+    others = [other for other in people if other is not person]
+    started = time.perf_counter()
+    with FitProgress() as progress:
+        fit = refine_given(given, camera, parts, person, others=others, progress=progress)
+        progress("writing results", 1, 1)
+        seconds = round(time.perf_counter() - started, 3)
+        report = save_registered(
+            fit.body,
+            out,
+            fit.camera,
+            (height, width),
+            photo=photo,
+            evidence=fit.ellipbody.evidence,
+            clothes=fit.clothes,
+            start=str(body),
+            seconds=seconds,
+        )
+    typer.echo(say_detailed(report, out))
 
 
 def _evidence_of(posed: Posed, camera: Camera, parts: PartLabels) -> Evidence:

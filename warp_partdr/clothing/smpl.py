@@ -154,9 +154,8 @@ def smpl_model(
     of_pelvis = vertex_parts < 0
     left, right = (PART_NAMES.index(hip) for hip in _HIPS)
     vertex_parts[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
-    corners = vertex_parts[arrays["f"]]
-    face_parts = np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
-    landmarks = _landmarks(names, vertices, joints, vertex_parts)
+    face_parts = parts_of_faces(arrays["f"], vertex_parts)
+    landmarks = joint_landmarks(names, vertices, joints, vertex_parts)
 
     def numbers(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(device, dtype)
@@ -194,10 +193,16 @@ def _part_of(joint: str) -> int:
     raise AssertionError(joint)
 
 
-def _landmarks(
+def parts_of_faces(faces: np.ndarray, vertex_parts: np.ndarray) -> np.ndarray:
+    """Part of each face, shape (F,): that of most of its corners."""
+    corners = vertex_parts[faces]
+    return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
+
+
+def joint_landmarks(
     names: list[str], vertices: np.ndarray, joints: np.ndarray, vertex_parts: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Weights of vertices and then joints, shape (V + J,), of each landmark."""
+    """Weights of vertices and then joints, shape (V + J,), of each landmark; joints by SMPL's names."""
     count = len(vertices)
     points = {name: [count + names.index(each) for each in sources] for name, sources in _MIDDLE_LANDMARKS.items()}
     for side in ("left", "right"):

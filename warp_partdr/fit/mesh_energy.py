@@ -31,6 +31,7 @@ from ..network.uncertainty import Uncertainty
 from ..refinement.energy import split_votes
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
+from .given_poses import GivenPoses
 from .mesh_options import MeshOptions
 from .result import FitResult
 from .steps import Tensors
@@ -290,18 +291,25 @@ def _reduced(model: DetailedModel, vertices: int | None, error: float) -> tuple[
     return few, drawn, torch.nn.functional.pad(basis, (0, 0, 0, few.num_vertices - basis.shape[1]))
 
 
-def gather_starts(energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult]) -> Starts:
+def gather_starts(
+    energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult], given: GivenPoses | None = None
+) -> Starts:
     """Starts of people whose labels are of the energy's set; all have a camera, or none.
 
     Args:
         energy: Of ``mesh_energy``.
         model: The whole one.
         results: Each goes on from where its outline stage began.
+        given: Bodies to start from instead, where the results see theirs.
     """
     start = BodyParameters.joined([each.before_outline or each.parameters for each in results])
-    posed = start.posed()
-    shape = shape_from_lengths(model, posed)
-    rotations, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
+    if given is None:
+        posed = start.posed()
+        shape = shape_from_lengths(model, posed)
+        whole, translation = pose_from_ellipbody(model, posed, shape, trunk_along=True)
+        rotations = whole[:, energy.turning]
+    else:
+        shape, rotations, translation = given.shape, given.turning_rotations(), given.translation
     seen = [each.observation for each in results]
     places, points, votes = gather_keypoints(energy.model, seen)
     depth_spreads, turn_spreads = gather_spreads(energy, [each.uncertainty for each in results], shape)
@@ -312,7 +320,7 @@ def gather_starts(energy: MeshEnergy, model: DetailedModel, results: Sequence[Fi
     if seen[0].lens is not None:
         lens = torch.stack([each.lens for each in seen if each.lens is not None])
     people = Starts(
-        rotations=rotations[:, energy.turning],
+        rotations=rotations,
         translation=translation,
         shape=shape,
         log_scale=start.log_scale,

@@ -30,6 +30,7 @@ from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
 from ..render.mesh import PartImage, draw_mesh
 from .fitting import Progress
+from .given_poses import GivenPoses
 from .mesh_energy import MeshEnergy, Starts, Unknowns, gather_starts, mesh_energy
 from .mesh_options import MeshOptions
 from .result import FitResult
@@ -102,6 +103,7 @@ def refine_meshes(
     model: DetailedModel | None = None,
     *,
     options: MeshOptions | None = None,
+    starts: Sequence[Registered] | None = None,
     progress: Progress | None = None,
 ) -> list[MeshFit]:
     """Refine the detailed bodies of many people side by side, each as ``refine_mesh`` does.
@@ -113,6 +115,8 @@ def refine_meshes(
         results: Of ``fit_body``, on one device.
         model: As of ``refine_mesh``, as the other arguments and what is raised.
         options: Of all.
+        starts: Bodies of that model to start from, one a result and its pelvis at the origin, of ``begin_at``; None:
+            those that have the results' EllipBodies' bones and pose.
         progress: Told of all batches' iterations.
     """
     for result in results:
@@ -134,7 +138,10 @@ def refine_meshes(
 
     for (energy, _), places in batches.items():
         assert model is not None
-        found |= zip(places, _refine_batch(energy, model, [results[place] for place in places], step), strict=True)
+        some, given = [results[place] for place in places], None
+        if starts is not None:
+            given = GivenPoses.of([starts[place] for place in places], energy.turning)
+        found |= zip(places, _refine_batch(energy, model, some, given, step), strict=True)
         done += options.iterations
     return [found[place] for place in range(len(results))]
 
@@ -150,17 +157,21 @@ def _checked_model(model: DetailedModel | None, result: FitResult) -> DetailedMo
 
 
 def _refine_batch(
-    energy: MeshEnergy, model: DetailedModel, results: Sequence[FitResult], told: Callable[[int], None]
+    energy: MeshEnergy,
+    model: DetailedModel,
+    results: Sequence[FitResult],
+    given: GivenPoses | None,
+    told: Callable[[int], None],
 ) -> list[MeshFit]:
     started, iterations = time.perf_counter(), energy.options.iterations
     with torch.no_grad():
-        people = gather_starts(energy, model, results)
+        people = gather_starts(energy, model, results, given)
     steps = find_steps(energy, people, energy.options)
     for iteration in range(iterations):
         steps.step(rate_share(iteration, iterations))
         told(iteration)
     with torch.no_grad():
-        return _finish(energy, model, people, steps, results, started)
+        return _finish(energy, model, people, steps, results, given, started)
 
 
 def _finish(
@@ -169,22 +180,17 @@ def _finish(
     people: Starts,
     steps: Steps[Starts, Unknowns],
     results: Sequence[FitResult],
+    given: GivenPoses | None,
     started: float,
 ) -> list[MeshFit]:
     """Detailed bodies where their cameras see them, and EllipBodies measured from them."""
     found = steps.unknowns
     terms = {name: term.clone() for name, term in steps.terms.items()}
-    bodies = ungrown(model, *energy.whole_pose(model, people, found), terms)
-    orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
-    measured = BodyParameters(
-        rotation_to_6d(orientation),
-        rotation_to_axis_angle(turns),
-        lengths,
-        thicknesses,
-        found.log_scale,
-        found.shift,
-    )
-    seen = move_pelvises(measured, people.lens, pelvises)
+    shape, rotations, translation = energy.whole_pose(model, people, found)
+    if given is not None:
+        rotations = given.whole(rotations[:, energy.turning])
+    bodies = ungrown(model, shape, rotations, translation, terms)
+    seen, pelvises = measure_parameters(bodies, found.log_scale, found.shift, people.lens)
     there, _ = place_bodies(seen, seen.posed(), people.lens, REFERENCE_SIZE)
     bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes)
     numbers = {name: term.tolist() for name, term in terms.items()}
@@ -201,3 +207,13 @@ def _finish(
         )
         fits.append(MeshFit(result, bodies.select(own), ellipbody, clothes[own]))
     return fits
+
+
+def measure_parameters(
+    bodies: Registered, log_scale: torch.Tensor, shift: torch.Tensor, lens: torch.Tensor | None
+) -> tuple[BodyParameters, torch.Tensor]:
+    """EllipBodies of detailed bodies about the origin, which is seen at ``log_scale`` and ``shift``; their pelvises."""
+    orientation, pelvises, turns, lengths, thicknesses = measure_ellipbody(bodies)
+    sizes = lengths, thicknesses, log_scale, shift
+    measured = BodyParameters(rotation_to_6d(orientation), rotation_to_axis_angle(turns), *sizes)
+    return move_pelvises(measured, lens, pelvises), pelvises
