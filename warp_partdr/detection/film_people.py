@@ -15,7 +15,9 @@ from ..errors import InputError
 from ..inputs.films import Frame, film_facts, read_frames
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.person import crop_nearest
+from ..interop.ahead import made_ahead
 from . import MIN_SCORE
+from .crops import Pyramid
 from .masks import instance_map
 from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
@@ -133,8 +135,15 @@ def follow_people(
         InputError: As of ``read_frames``.
     """
     tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
+    for frame, pyramid in made_ahead(_with_pyramids(path, device)):
+        yield frame, tracker.find(pyramid)
+
+
+def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid]]:
     for frame in read_frames(path):
-        yield frame, tracker.find(frame.picture)
+        pyramid = Pyramid(frame.picture, device)
+        pyramid.level(0)
+        yield frame, pyramid
 
 
 def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:

@@ -16,6 +16,7 @@ from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
 from ..inputs.films import read_frames
+from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
 from ..scenes.seen_film import SeenFilm
@@ -69,7 +70,8 @@ def save_film_fit(
             report["people"].append({**_save_motion(fit, person, motion, temporary), "seen_by": by})
         total, done = sum(len(seen.people.times) for seen in fit.films), 0
         for place, film in enumerate(films):
-            shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(draw_film(fit, film, place)))
+            pictures = made_ahead(draw_film(fit, film, place))
+            shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(pictures))
             write_film(temporary / overlay_name(place), shown, fit.people.rate)
             done += len(fit.films[place].people.times)
     return report
@@ -91,8 +93,9 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
     view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
-    for frame in islice(read_frames(film), len(seen.people.times)):
-        yield draw_bodies(resized(frame.picture, size, seen.lens), posed.at(frame.index), fit.motions, view)
+    frames = enumerate(islice(read_frames(film), len(seen.people.times)))
+    for index, picture in made_ahead((index, resized(frame.picture, size, seen.lens)) for index, frame in frames):
+        yield draw_bodies(picture, posed.at(index), fit.motions, view)
 
 
 def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
