@@ -121,7 +121,7 @@ def test_a_run_that_was_ended_goes_on_where_it_was(
 
 def test_windows_cover_all_frames() -> None:
     assert windows(5, 9, 8, 3) == [range(5, 9)]
-    assert windows(0, 14, 8, 3) == [range(8), range(5, 13), range(6, 14)]
+    assert windows(0, 14, 8, 3) == [range(7), range(4, 11), range(7, 14)]
     assert windows(0, 13, 8, 3) == [range(8), range(5, 13)]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -62,6 +62,10 @@ class TurnedCrops:
         """Places in the pictures [px], shape (N, K, 2), to places in the crops."""
         offsets = np.einsum("nji,nkj->nki", self._turns, places - self.centres[:, None])
         return offsets / self._extents + 0.5
+
+    def zoomed(self, zoom: float) -> TurnedCrops:
+        """The same of pictures at another size, ``zoom`` pixels a pixel."""
+        return replace(self, centres=self.centres * zoom, sides=self.sides * zoom)
 
     @property
     def _extents(self) -> np.ndarray:

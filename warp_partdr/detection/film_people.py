@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ import torch
 from ..errors import InputError
 from ..inputs.films import Frame, film_facts, read_frames
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.person import crop_nearest
 from ..interop.ahead import made_ahead
+from ..interop.torch_threads import one_torch_thread
 from . import MIN_SCORE
 from .crops import Pyramid
 from .masks import instance_map
@@ -84,6 +84,7 @@ def row_keypoints(row: np.ndarray) -> Keypoints2D:
     return Keypoints2D(SKELETON, points[:, :2].copy(), points[:, 2].copy())
 
 
+@one_torch_thread()
 def find_film_people(
     path: str | Path,
     *,
@@ -158,9 +159,9 @@ def areas(boxes: np.ndarray) -> np.ndarray:
 
 
 def _pack(people: Sequence[FoundPerson], size: tuple[int, int]) -> bytes:
-    height, width = size
-    owners = instance_map(people, size).clip(0, 255).astype(np.uint8)
-    return pack_owners(crop_nearest(owners, (0.0, 0.0, width, height), kept_size(size), fill=0))
+    kept = kept_size(size)
+    small = [replace(person, crop=person.crop.zoomed(kept[1] / size[1])) for person in people]
+    return pack_owners(instance_map(small, kept).clip(0, 255).astype(np.uint8))
 
 
 def pack_owners(owners: np.ndarray) -> bytes:

@@ -81,7 +81,8 @@ class NetworkFiles(Generic[Network, Config]):
             if isinstance(error, InputError) and str(error).startswith(str(path)):
                 raise
             raise InputError(f"{path}: {cause(error)}; expected {self.expected}") from None
-        return network.eval().requires_grad_(False).to(device)
+        # Convolutions of pictures whose channels lie together take a sixth less time on CPU.
+        return network.eval().requires_grad_(False).to(device, memory_format=torch.channels_last)
 
 
 _LABEL_NETWORKS = NetworkFiles(

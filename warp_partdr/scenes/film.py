@@ -323,8 +323,10 @@ class _Blend:
 
 
 def windows(start: int, stop: int, length: int, overlap: int) -> list[range]:
-    """Windows of so many frames, each sharing at least ``overlap`` with the one before; the last ends at ``stop``."""
+    """Windows of one length, ``length`` frames at most, that share at least ``overlap`` with the one before."""
     if stop - start <= length:
         return [range(start, stop)]
-    firsts = [*range(start, stop - length, length - overlap), stop - length]
+    count = -(-(stop - start - overlap) // (length - overlap))
+    length = -(-(stop - start + (count - 1) * overlap) // count)
+    firsts = [start + round(place * (stop - start - length) / (count - 1)) for place in range(count)]
     return [range(first, first + length) for first in firsts]
