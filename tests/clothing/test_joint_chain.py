@@ -6,7 +6,7 @@ import pytest
 import torch
 from scenes.bodies import random_turns
 
-from warp_partdr.clothing.joint_chain import chain_joints
+from warp_partdr.clothing.joint_chain import joint_frames
 
 FORK = (-1, 0, 0, 1, 3, 3, 2, 5, 0)  # levels: 0 | 1 2 8 | 3 6 | 4 5 | 7
 
@@ -25,7 +25,7 @@ def slow_chain(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.T
 def test_chains_are_products(parents, dtype, near, device):
     rotations = random_turns(3, len(parents), 0.7).to(dtype)
     bones = torch.randn(3, len(parents), 3, dtype=dtype)
-    found = chain_joints(parents, rotations.to(device), bones.to(device))
+    found = joint_frames(parents, rotations.to(device), bones.to(device))
     torch.testing.assert_close(found.cpu(), slow_chain(parents, rotations, bones), atol=near, rtol=near)
 
 
@@ -37,21 +37,21 @@ def test_the_gradient_is_that_of_the_products(parents, device):
     pull = torch.randn(2, len(parents), 4, 4, dtype=torch.float64)
     wanted = torch.autograd.grad((slow_chain(parents, rotations, bones) * pull).sum(), (rotations, bones))
     moved = [each.detach().to(device).requires_grad_() for each in (rotations, bones)]
-    found = torch.autograd.grad((chain_joints(parents, *moved) * pull.to(device)).sum(), moved)
+    found = torch.autograd.grad((joint_frames(parents, *moved) * pull.to(device)).sum(), moved)
     for one, other in zip(found, wanted, strict=True):
         torch.testing.assert_close(one.cpu(), other, atol=1e-10, rtol=1e-10)
 
 
 def test_nobody_has_no_frames():
-    assert chain_joints(FORK, torch.zeros(0, 9, 3, 3), torch.zeros(0, 9, 3)).shape == (0, 9, 4, 4)
+    assert joint_frames(FORK, torch.zeros(0, 9, 3, 3), torch.zeros(0, 9, 3)).shape == (0, 9, 4, 4)
 
 
 def test_second_derivatives_are_refused():
     rotations = random_turns(1, 2, 0.3).requires_grad_()
     (first,) = torch.autograd.grad(
-        chain_joints((-1, 0), rotations, torch.ones(1, 2, 3).double()).square().sum(), rotations, create_graph=True
+        joint_frames((-1, 0), rotations, torch.ones(1, 2, 3).double()).square().sum(), rotations, create_graph=True
     )
     with pytest.raises(NotImplementedError, match="pose"):
         first.sum().backward()
     with pytest.raises(NotImplementedError, match="torch.func"):
-        torch.func.vmap(lambda each: chain_joints((-1, 0), each[None], torch.ones(1, 2, 3).double()))(rotations)
+        torch.func.vmap(lambda each: joint_frames((-1, 0), each[None], torch.ones(1, 2, 3).double()))(rotations)

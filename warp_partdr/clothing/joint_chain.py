@@ -13,7 +13,7 @@ from ..interop.streams import on_torch_stream
 from ..kernels import joint_chain as kernels
 
 
-def chain_joints(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
+def joint_frames(parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
     """Each joint's frame, its rotation and its position, shape (B, J, 4, 4).
 
     Args:

@@ -18,7 +18,7 @@ from ..body.template import NUM_PARTS, PART_NAMES
 from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
-from .joint_chain import chain_joints
+from .joint_chain import joint_frames
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
@@ -134,7 +134,7 @@ class DetailedModel(Movable):
             bones = joints[:, 1:] - joints[:, self._parents[1:]]
             bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
             placed = torch.cat([joints[:, :1], bones], dim=1)
-            stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
+            stretched = joint_frames(self.parents, turns, placed)[..., :3, 3]
             carrying = list(self.part_joints)
             vertices = _blend(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
             joints = stretched
@@ -174,7 +174,7 @@ class DetailedModel(Movable):
         bones = torch.cat(
             [translation[:, None], rest.joints[:, 1:] - rest.joints.index_select(1, self._parents[1:])], dim=1
         )
-        transforms = chain_joints(self.parents, rotations, bones)
+        transforms = joint_frames(self.parents, rotations, bones)
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
         return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
 
