@@ -102,7 +102,9 @@ def equation_section(number: str, equation: dict[str, Any]) -> str:
         "Torch": [code_link(name) for name in equation["torch"]],
         "Tests": [link(name, ROOT / file) for file, _, name in (test.partition("::") for test in equation["tests"])],
     }
-    formula = f'<div class="arithmatex">{convert(equation["latex"], display="block")}</div>'
+    # Browsers know columns' alignment as a style alone.
+    formula = convert(equation["latex"], display="block").replace('columnalign="left"', 'style="text-align: left"')
+    formula = f"<div>{formula}</div>"
     entries = [f"- {title}: {', '.join(links)}" for title, links in named.items() if links]
     return "\n".join([f"### Equation {number}: {equation['title']}", "", formula, "", *entries, ""])
 
@@ -124,7 +126,7 @@ def link(name: str, file: Path) -> str:
 
 
 def gallery() -> str:
-    """All pictures that pages show, each with its line, its page and the command that makes it."""
+    """All pictures that pages show, charts last, each with its line, its page and the command that makes it."""
     pictures = ast.parse((ROOT / "scripts" / "pictures.py").read_text(encoding="utf-8"))
     (measured,) = (
         ast.literal_eval(node.value)
@@ -132,13 +134,15 @@ def gallery() -> str:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MEASURED"
     )
     shown: dict[str, str] = {}
-    for source in [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]:
+    for source in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
         for line, path in _PICTURE.findall(source.read_text(encoding="utf-8")):
             picture = (source.parent / path).relative_to(ROOT).as_posix()
             command = measured.get(Path(path).name, "make pictures")
             page = source.relative_to(ROOT).as_posix()
             shown.setdefault(picture, f"![{line}]({picture})\n\n{line}: [{source.stem}]({page}), by `{command}`.\n")
-    return "# Gallery\n\n" + "\n".join(shown.values())
+    return "# Gallery\n\n" + "\n".join(
+        shown[each] for each in sorted(shown, key=lambda picture: Path(picture).name in measured)
+    )
 
 
 def tutorial(text: str) -> str:
