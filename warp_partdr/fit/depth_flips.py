@@ -71,10 +71,13 @@ def repair_depth_orders(
         everyone: What was seen, where it is stacked already, and the first of ``seen`` alone is looked at.
     """
     count, lens = bodies.batch_size, seen[0].lens
-    if lens is not None and everyone is not None:
-        lenses = everyone.lenses
-    else:
-        lenses = None if lens is None else torch.stack([each.lens for each in seen if each.lens is not None])
+    lenses = None
+    if lens is not None:
+        lenses = (
+            everyone.lenses
+            if everyone is not None
+            else torch.stack([each.lens for each in seen if each.lens is not None])
+        )
     flips, owners, names = _propose(bodies, prior, lenses)
     tried: list[list[str]] = [[] for _ in range(count)]
     for name, owner in zip(names, owners.tolist(), strict=True):
