@@ -82,7 +82,8 @@ class NetworkFiles(Generic[Network, Config]):
                 raise
             raise InputError(f"{path}: {cause(error)}; expected {self.expected}") from None
         # Convolutions of pictures whose channels lie together take a sixth less time on CPU.
-        return network.eval().requires_grad_(False).to(device, memory_format=torch.channels_last)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's own stubs lack it
+        return network.eval().requires_grad_(False).to(device)
 
 
 _LABEL_NETWORKS = NetworkFiles(
