@@ -251,6 +251,7 @@ class Peer:
     devices: tuple[str, ...]  # where it runs, of "cpu" and "cuda"
     adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]  # in time that is not counted
     differentiates: bool = True
+    most_bodies: int = 1024  # that are timed at once: more would take minutes
 
     @property
     def is_installed(self) -> bool:
@@ -264,6 +265,6 @@ PEERS = {
     "DRTK": Peer("drtk", ("cuda",), drtk),
     "nvdiffrast": Peer("nvdiffrast", ("cuda",), nvdiffrast),
     "PyTorch3D": Peer("pytorch3d", ("cuda", "cpu"), pytorch3d),
-    "Mitsuba": Peer("mitsuba", ("cuda", "cpu"), mitsuba),
+    "Mitsuba": Peer("mitsuba", ("cuda", "cpu"), mitsuba, most_bodies=1),
     "Embree": Peer("embreex", ("cpu",), embree, differentiates=False),
 }
