@@ -32,7 +32,7 @@ SOURCES = {
 }
 # Loaded only when a feature needs it; the plain import starts not even torch and Warp.
 EXTRAS = set(
-    "PIL accelerate anny av matplotlib pyvista rich safetensors scipy tensorboard transformers trimesh typer vtk "
+    "PIL accelerate anny av matplotlib pxr pyvista rich safetensors scipy tensorboard transformers trimesh typer vtk "
     "vtkmodules".split()
 )
 

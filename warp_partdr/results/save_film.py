@@ -22,6 +22,7 @@ from ..scenes.film import FilmFit, Motion
 from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
 from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
+from .further_files import save_further
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
@@ -34,7 +35,12 @@ _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 @one_torch_thread()
 def save_film_fit(
-    fit: FilmFit, folder: str | Path, *, films: Sequence[str | Path], progress: Progress | None = None
+    fit: FilmFit,
+    folder: str | Path,
+    *,
+    films: Sequence[str | Path],
+    formats: Sequence[str] = (),
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write overlay.mp4 and people.json, and of each person N personN.npz, personN.glb and personN.bvh.
 
@@ -49,6 +55,7 @@ def save_film_fit(
         fit: Of ``fit_film``.
         folder: Made if it is not there.
         films: The files, as in the fit.
+        formats: Of ``FURTHER``, for more files of each motion.
         progress: Told the stage, frames done and in all.
 
     Returns:
@@ -67,7 +74,7 @@ def save_film_fit(
         for place, (person, motion) in enumerate(fit.motions.items()):
             tell("writing motions", place, len(fit.motions))
             by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
-            report["people"].append({**_save_motion(fit, person, motion, temporary), "seen_by": by})
+            report["people"].append({**_save_motion(fit, person, motion, temporary, formats), "seen_by": by})
         total, done = sum(len(seen.people.times) for seen in fit.films), 0
         for place, film in enumerate(films):
             pictures = made_ahead(draw_film(fit, film, place))
@@ -118,7 +125,7 @@ def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.nd
     return picture
 
 
-def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path) -> dict[str, Any]:
+def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path, formats: Sequence[str]) -> dict[str, Any]:
     """Files of a person, and what the report says."""
     rows, lowest = _rows(fit, person, motion)
     name = f"person{person}"
@@ -135,10 +142,11 @@ def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path) -> dic
     first = motion.bodies(slice(0, 1))
     (folder / f"{name}.glb").write_bytes(glb(first, poses))
     (folder / f"{name}.bvh").write_text(bvh(first, poses))
+    further = save_further(first, folder / name, formats, poses)
     seen = _seen(fit, person)
     return {
         "person": person,
-        "files": [f"{name}.{kind}" for kind in ("npz", "glb", "bvh")],
+        "files": [*(f"{name}.{kind}" for kind in ("npz", "glb", "bvh")), *further],
         "score": round(float(np.concatenate([rows["scores"] for rows in seen]).mean()), 3),
         "first_frame": int(motion.frames[0]),
         "last_frame": int(motion.frames[-1]),
