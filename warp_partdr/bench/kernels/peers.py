@@ -20,7 +20,7 @@ from ...render.mesh import draw_mesh, mesh_label_loss
 from ...render.part_mesh import PartMesh
 
 _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
-_LLVM = 17  # for Mitsuba: 15 has no minimum of floats on x86-64 and ends the process, 22 runs
+_LLVM = 17  # for Mitsuba: 15 lacks an instruction on x86-64 and ends the process, 22 runs; between them is not tried
 _PICTURE_COLOURS = 3  # of one of Mitsuba's pictures
 
 
