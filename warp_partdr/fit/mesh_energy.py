@@ -21,8 +21,9 @@ from ..cameras import Camera
 from ..clothing.capsules import Capsules, measure_capsules
 from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
 from ..clothing.joint_merging import merge_joints
+from ..clothing.joint_turns import turn_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
-from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints, turning_joints
+from ..clothing.pose import free_joints, pose_from_ellipbody, turning_joints
 from ..clothing.reduction import reduce_model, reduce_within
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
