@@ -18,7 +18,8 @@ def blend_skin(
     """Vertices (B, V, 3) that follow maps (B, N, 3, 3) of ``rest`` to ``places``, (B, N, 3), by weights (V, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
     # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
-    own = torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT @ weights.T
+    rows = torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+    own = torch.nn.functional.linear(rows, weights)  # one product for all bodies
     if torch.compiler.is_compiling() or is_transformed(own, vertices):
         return _carry(own, vertices)
     carried: torch.Tensor = _Carried.apply(own, vertices)
