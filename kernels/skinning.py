@@ -53,6 +53,9 @@ def launch_carry(maps: wp.array, rest: wp.array, carried: wp.array) -> None:
     wp.launch(carry_vertices, carried.shape[:2], [maps, rest, carried], device=carried.device)
 
 
-def launch_carry_adjoint(maps: wp.array, rest: wp.array, adjoint: wp.array, gradients: list[wp.array]) -> None:
-    """Fill ``gradients`` with respect to maps and rest from the ``adjoint`` of what ``launch_carry`` filled."""
-    wp.launch(carry_vertices_adjoint, adjoint.shape[:2], [maps, rest, adjoint, *gradients], device=adjoint.device)
+def launch_carry_adjoint(
+    maps: wp.array, rest: wp.array, adjoint: wp.array, grad_maps: wp.array, grad_rest: wp.array
+) -> None:
+    """Fill gradients with respect to maps and rest from the ``adjoint`` of what ``launch_carry`` filled."""
+    inputs = [maps, rest, adjoint, grad_maps, grad_rest]
+    wp.launch(carry_vertices_adjoint, adjoint.shape[:2], inputs, device=adjoint.device)

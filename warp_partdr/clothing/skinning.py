@@ -53,5 +53,5 @@ class _Carried(torch.autograd.Function):
         found = [torch.empty_like(each) for each in own[:2]]
         if found[1].numel():
             with on_torch_stream(maps.device):
-                kernels.launch_carry_adjoint(*map(warp_array, own), list(map(warp_array, found)))
+                kernels.launch_carry_adjoint(*(warp_array(each) for each in (*own, *found)))
         return tuple(found)
