@@ -213,8 +213,9 @@ def _crossing(posed: Posed, view: torch.Tensor) -> torch.Tensor:
     bones = posed.semi_axes[:, :, :1] * axes[..., 0]
     places = posed.centres @ across[:, 0].mT
     points = places[:, :, None] + _PLACES.to(bones)[:, None] * bones[:, :, None]  # (B, 20, places, 2)
-    offsets = points[:, :, :, None] - places[:, None, None]  # (B, 20, places, 20, 2)
-    squares = (offsets[..., None, :] @ torch.linalg.inv(outlines)[:, None, None] @ offsets[..., None])[..., 0, 0]
+    x, y = (points[:, :, :, None] - places[:, None, None]).unbind(-1)  # (B, 20, places, 20)
+    inverse = torch.linalg.inv(outlines)[:, None, None]
+    squares = inverse[..., 0, 0] * x * x + 2 * inverse[..., 0, 1] * x * y + inverse[..., 1, 1] * y * y
     return ((squares < _BESIDE).any(2) & _apart(view.device)).any(2)
 
 
