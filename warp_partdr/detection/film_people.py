@@ -88,6 +88,7 @@ def find_film_people(
     min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
+    watch: Callable[[Frame, Sequence[FoundPerson]], None] | None = None,
 ) -> FilmPeople:
     """Find and follow the people of a film, frame by frame.
 
@@ -96,6 +97,7 @@ def find_film_people(
         min_score: Least confidence that there is a person.
         device: Device to run on.
         progress: Told frames done and in all.
+        watch: Given each frame and its people, in the order of ``places``.
 
     Raises:
         InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
@@ -112,6 +114,8 @@ def find_film_people(
             times.append(frame.time)
             for place, (number, person) in enumerate(found.items()):
                 rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            if watch is not None:
+                watch(frame, list(found.values()))
             if progress is not None:
                 progress(len(times), max(facts.frames, len(times)))
     except InputError as error:
