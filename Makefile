@@ -6,8 +6,8 @@ PYTEST_ARGS ?=
 MUTANTS_ARGS ?=
 
 BIN := $(VENV)/bin
-# -qq: errors only.
-PIP_FLAGS := -qq --disable-pip-version-check
+# In CI errors only, so that its log stays short. A person sees each package and its download: the first time takes minutes.
+PIP_FLAGS := $(if $(CI),-qq) --disable-pip-version-check
 INSTALL := $(BIN)/python -m pip install $(PIP_FLAGS) --constraint constraints.txt
 EXAMPLE := warp_partdr/assets/example
 SOURCES := $(shell find warp_partdr kernels body demos/viewer -type f -not -path '*/__pycache__/*')

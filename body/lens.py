@@ -54,12 +54,10 @@ def move_pelvises(parameters: BodyParameters, lens: torch.Tensor | None, moves: 
     ``lens`` may be one a body, (B, 3). With weak perspective, which knows no distance, moves along the view change
     nothing.
     """
-    scale = parameters.log_scale.exp()
     if lens is None:
-        return replace(parameters, shift=parameters.shift + scale[:, None] * moves[:, :2])
-    lens = lens.to(scale).expand(len(scale), 3)
-    place = torch.cat([parameters.shift - lens[:, 1:], lens[:, :1]], dim=1) / scale[:, None] + moves
-    log_scale, shift = seen_at(place, lens)
+        return replace(parameters, shift=parameters.shift + parameters.log_scale.exp()[:, None] * moves[:, :2])
+    lens = lens.to(moves).expand(len(moves), 3)
+    log_scale, shift = seen_at(placed_at(parameters.log_scale, parameters.shift, lens) + moves, lens)
     return replace(parameters, log_scale=log_scale, shift=shift)
 
 
@@ -68,6 +66,11 @@ def seen_at(pelvises: torch.Tensor, lens: torch.Tensor) -> tuple[torch.Tensor, t
     focal, middle = lens[:, :1], lens[:, 1:]
     log_scale = (focal / pelvises[:, 2:])[:, 0].log()
     return log_scale, middle + focal * pelvises[:, :2] / pelvises[:, 2:]
+
+
+def placed_at(log_scale: torch.Tensor, shift: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
+    """Pelvises before the camera, (B, 3) [m]: the inverse of ``seen_at``."""
+    return torch.cat([shift - lens[:, 1:], lens[:, :1]], dim=1) / log_scale.exp()[:, None]
 
 
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:

@@ -2,7 +2,8 @@
 
 The folder mirrors the repository, so that links between pages stay as they are. Pages that are made here: a demo each
 (its docstring, then its code), a public name each (from its docstring, by mkdocstrings), and a file of code each that a
-page links to.
+page links to. The formula book's equations are drawn by the browser itself (MathML), so the site needs no script from
+elsewhere; the gallery shows the pictures of all pages.
 """
 
 from __future__ import annotations
@@ -11,7 +12,11 @@ import ast
 import re
 import shutil
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
 
 import warp_partdr
 
@@ -19,6 +24,8 @@ ROOT = Path(__file__).resolve().parent.parent
 API = "api"
 _COPIED = (".png", ".gif", ".jpg", ".ipynb", ".json", ".toml")
 _LINK = re.compile(r"(\]\()([^)\s:]+?)(#[^)\s]*)?(\))")
+_PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
+_AT_THE_TOP = ("kernels", "body")  # folders of the repository that lie in the package
 
 
 def make_pages(folder: Path) -> None:
@@ -40,6 +47,7 @@ def make_pages(folder: Path) -> None:
         waiting += linked
     for name, module in warp_partdr._EXPORTS.items():
         write(folder / API / f"{name}.md", api_page(name, module))
+    write(folder / "gallery.md", gallery())
 
 
 def demos() -> list[Path]:
@@ -62,6 +70,8 @@ def page(source: Path) -> tuple[str, list[Path]]:
         return (tutorial(text) if source in demos() else code(source.relative_to(ROOT).as_posix(), text)), []
     if source.suffix != ".md":
         return code(source.name, text, ""), []
+    if source == ROOT / "docs" / "equations.md":
+        text = re.sub(r"(?m)(?:^\|.*\n)+", lambda _: equations(), text, count=1)
     linked: list[Path] = []
 
     def moved(match: re.Match[str]) -> str:
@@ -72,9 +82,67 @@ def page(source: Path) -> tuple[str, list[Path]]:
         if target.suffix in (".md", *_COPIED):
             return match[0]
         place = page_path(target).name
-        return f"{match[1]}{Path(match[2]).parent.as_posix()}/{place}{match[4]}"
+        line = re.sub("^#L", "#__span-0-", match[3] or "")  # mkdocs.yml has the same name of a line
+        return f"{match[1]}{Path(match[2]).parent.as_posix()}/{place}{line}{match[4]}"
 
     return _LINK.sub(moved, text), linked
+
+
+def equations() -> str:
+    """The formula book's equations, a section each: rendered, with links to their code."""
+    index = (ROOT / "warp_partdr" / "reference" / "index.toml").read_text(encoding="utf-8")
+    return "\n".join(equation_section(number, each) for number, each in tomllib.loads(index).items())
+
+
+def equation_section(number: str, equation: dict[str, Any]) -> str:
+    """One equation, and the lines where function, kernels, torch functions and tests are defined."""
+    named = {
+        "Book": [code_link(f"reference.{equation['book']}")],
+        "Kernels": [code_link(name) for name in equation["kernels"]],
+        "Torch": [code_link(name) for name in equation["torch"]],
+        "Tests": [link(name, ROOT / file) for file, _, name in (test.partition("::") for test in equation["tests"])],
+    }
+    # Browsers know columns' alignment as a style alone.
+    formula = convert(equation["latex"], display="block").replace('columnalign="left"', 'style="text-align: left"')
+    formula = f"<div>{formula}</div>"
+    entries = [f"- {title}: {', '.join(links)}" for title, links in named.items() if links]
+    return "\n".join([f"### Equation {number}: {equation['title']}", "", formula, "", *entries, ""])
+
+
+def code_link(name: str) -> str:
+    """A link from docs/ to where a dotted name of the package is defined."""
+    parts = name.split(".")
+    folder = ROOT if parts[0] in _AT_THE_TOP else ROOT / "warp_partdr"
+    files = (folder.joinpath(*parts[:count]).with_suffix(".py") for count in range(1, len(parts)))
+    return link(name, next(file for file in files if file.is_file()))
+
+
+def link(name: str, file: Path) -> str:
+    """A link from docs/ to the line of a file that defines a name."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    definition = re.compile(rf"\s*(?:def|class) {name.rpartition('.')[2]}\b")
+    number = next(count for count, line in enumerate(lines, 1) if definition.match(line))
+    return f"[`{name}`](../{file.relative_to(ROOT).as_posix()}#L{number})"
+
+
+def gallery() -> str:
+    """All pictures that pages show, charts last, each with its line, its page and the command that makes it."""
+    pictures = ast.parse((ROOT / "scripts" / "pictures.py").read_text(encoding="utf-8"))
+    (measured,) = (
+        ast.literal_eval(node.value)
+        for node in pictures.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "MEASURED"
+    )
+    shown: dict[str, str] = {}
+    for source in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for line, path in _PICTURE.findall(source.read_text(encoding="utf-8")):
+            picture = (source.parent / path).relative_to(ROOT).as_posix()
+            command = measured.get(Path(path).name, "make pictures")
+            page = source.relative_to(ROOT).as_posix()
+            shown.setdefault(picture, f"![{line}]({picture})\n\n{line}: [{source.stem}]({page}), by `{command}`.\n")
+    return "# Gallery\n\n" + "\n".join(
+        shown[each] for each in sorted(shown, key=lambda picture: Path(picture).name in measured)
+    )
 
 
 def tutorial(text: str) -> str:

@@ -23,7 +23,8 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.cameras import Camera, Perspective
 from warp_partdr.clothing.anny import anny, anny_shape
-from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody, turn_joints
+from warp_partdr.clothing.joint_turns import turn_joints
+from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody
 from warp_partdr.clothing.registration import Registered, ungrown
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.given_start import refine_given

@@ -1,43 +1,118 @@
 """Measure and print how many people a second are fitted side by side, from crops on the device to bodies.
 
-    python scripts/measure_together.py [DEVICE [PEOPLE...]]
+    python scripts/measure_together.py [--half] [--alone] [DEVICE [PEOPLE...]]
 
-PartBench's first 64 people at realistic noise, again and again; each number of people three times, the last one counts.
+``--half`` asks the network in bfloat16, ``--alone`` without the mirror image. PartBench's first 64 people at realistic
+noise, again and again; each number of people three times, the last one counts. A fourth time, which waits for the
+device after each step, says where the time goes.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
 
 import torch
 import warp as wp
 
 from warp_partdr.bulk.people import stages_of_quality
+from warp_partdr.bulk.rows import describe_bodies
 from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.fit import depth_flips, together
 from warp_partdr.fit.together import CutPerson, fit_together
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.network import predict
 from warp_partdr.network.checkpoint import packaged_network
+from warp_partdr.refinement import captured
+from warp_partdr.refinement.batch import Batch
 
 _DISTINCT = 64
 
 
-def main(device: str = "cpu", *counts: str) -> None:
+def main(*given: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
+    device, *counts = [each for each in given if not each.startswith("--")] or ["cpu"]
+    how = {"half": "--half" in given, "mirror": "--alone" not in given}
     some = [cut(index, device) for index in range(_DISTINCT)]
     network = packaged_network(device)
     for quality in ("network", "fast"):
+        options = replace(stages_of_quality(quality), **how)  # type: ignore[arg-type]
         for count in map(int, counts or ("64",)):
             people = [some[row % _DISTINCT] for row in range(count)]
             for _ in range(3):
+                wait(device)
                 began = time.perf_counter()
-                fit_together(people, stages_of_quality(quality), network)  # type: ignore[arg-type]
-                if device != "cpu":
-                    torch.cuda.synchronize()
+                fits = fit_together(people, options, network)
+                wait(device)
                 seconds = time.perf_counter() - began
             print(f"{quality}, {count} people: {count / seconds:.0f} a second", flush=True)
+            steps = Steps(device)
+            steps.measure(lambda: fit_together(people, options, network))  # noqa: B023  at once
+            steps.print(count)
+            began = time.perf_counter()
+            describe_bodies(fits)
+            print(f"  {1e6 * (time.perf_counter() - began) / count:8.1f} us a person: rows of a data set, beside it")
+
+
+def wait(device: str) -> None:
+    if device != "cpu":
+        torch.cuda.synchronize()
+
+
+class Steps:
+    """Seconds of the steps of a fit, each without those of steps inside it."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inner = [0.0]
+
+    def measure(self, work: Callable[[], Any]) -> None:
+        """Run it with a clock in each step."""
+        steps = (
+            (predict, "network_inputs", "network, its input stacked"),
+            (together, "ask_network", "network"),
+            (Batch, "of", "stacking"),
+            (Batch, "drawn_at", "label images resized"),
+            (depth_flips, "_propose", "depth flips proposed"),
+            (together, "repair_depth_orders", "depth flips chosen"),
+            (captured.CapturedRefinement, "__init__", "refinement, set up and captured"),
+            (captured.CapturedRefinement, "refine", "refinement, replayed"),
+        )
+        patches = [patch.object(where, name, self._clocked(getattr(where, name), what)) for where, name, what in steps]
+        for each in patches:
+            each.start()
+        try:
+            self._clocked(work, "results and the rest")()
+        finally:
+            for each in patches:
+                each.stop()
+
+    def print(self, people: int) -> None:
+        """Microseconds a person, the longest first."""
+        for what, seconds in sorted(self.seconds.items(), key=lambda step: -step[1]):
+            print(f"  {1e6 * seconds / people:8.1f} us a person: {what}")
+
+    def _clocked(self, work: Callable[..., Any], what: str) -> Callable[..., Any]:
+        def clocked(*args: Any, **options: Any) -> Any:
+            wait(self.device)
+            began = time.perf_counter()
+            self._inner.append(0.0)
+            try:
+                return work(*args, **options)
+            finally:
+                wait(self.device)
+                took = time.perf_counter() - began
+                self.seconds[what] += took - self._inner.pop()
+                self._inner[-1] += took
+
+        return clocked
 
 
 def cut(index: int, device: str) -> CutPerson:

@@ -169,6 +169,12 @@ def test_a_peer_that_is_missing_or_fails_is_one_line(monkeypatch: pytest.MonkeyP
     assert len(remarks) == 2
 
 
+def test_a_slow_peer_draws_few_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "PEERS", {"Slow": peers.Peer("json", ("cpu",), peers.embree, most_bodies=3)})
+    jobs = measure._peer_jobs(replace(PLAN, device="cpu", batches=(1, 3, 4)), [])
+    assert [name for name, _ in jobs] == ["Slow, B = 1", "Slow, B = 3"]
+
+
 def test_our_renderer_is_timed_as_peers_are(figures: dict[str, Any]) -> None:
     rows = [row for row in figures["rows"] if row["group"] == PEER_ROWS and row["renderer"] == peers.OURS]
     assert [(row["name"], row["label_agreement"]) for row in rows] == [(LABELS, 1.0), (GRADIENT, 1.0)]

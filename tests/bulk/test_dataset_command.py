@@ -105,6 +105,19 @@ def test_rows_are_those_of_single_fits(run: Run) -> None:
     assert np.array(table["stature"]) == pytest.approx(1.8, abs=0.15)
 
 
+def test_settings_change_the_fits_and_are_remembered(run: Run) -> None:
+    write_folder(Path("photos"))
+    assert run(f"{FOLDER} --out out --quality network")[0] == 0
+    assert run(f"{FOLDER} --out alone --quality network --set mirror=false")[0] == 0
+    plain, alone = (arrays(pq.read_table(folder), "joints") for folder in ("out", "alone"))
+    assert 1e-4 < np.abs(plain - alone).max() < 0.3
+    metadata = pq.read_schema("alone/" + parts("alone")[0]).metadata
+    assert any(b'"settings": {"mirror": false}' in value for value in metadata.values())
+    code, _, complaint = run(f"{FOLDER} --out alone --quality network")
+    assert code != 0
+    assert "settings" in complaint
+
+
 def test_annotations_are_taken(run: Run) -> None:
     write_coco(Path("coco"))
     assert run(f"{COCO} --out out")[0] == 0
@@ -311,6 +324,9 @@ def test_a_person_at_fault_is_a_row_with_an_error(run: Run, monkeypatch: pytest.
         ("twice.txt", "twice.txt: a.jpg twice; expected each picture once"),
         ("bad.json", "bad.json: no lists images and annotations; expected COCO's annotations"),
         ("lost.json", "expected the image_id of one of the images"),
+        ("coco --set mirrored=false", "mirrored: unknown; expected one of"),
+        ("coco --quality fast --set mesh.iterations=3", "mesh: settings, with --quality fast; expected --quality mesh"),
+        ("coco --set network=mine", "network: a setting; expected the option --network"),
         ("coco --network none.safetensors", "none.safetensors: No such file"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,15 @@ from warp_partdr.errors import InputError
 from warp_partdr.fit.mesh_stage import MeshFit
 from warp_partdr.fit.result import FitResult
 from warp_partdr.results.body_file import load_body
+from warp_partdr.results.further_files import FURTHER
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import save_fit, save_registered
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 
 run = commands.run  # fixture
-ALL = " ".join(f"--to {name}" for name in WRITERS)
+# USD needs an extra, FBX Blender.
+ALL = " ".join(f"--to {name}" for name in WRITERS if name not in FURTHER)
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +105,7 @@ def test_ellipsoids_come_back(camera: str, run: Run, fits: list[FitResult]) -> N
         check_result(own / "body.npz")
 
 
-def test_detailed_bodies_come_back(run: Run, fits: list[MeshFit]) -> None:
+def test_detailed_bodies_come_back(run: Run, fits: list[MeshFit], monkeypatch: pytest.MonkeyPatch) -> None:
     write_folder(Path("photos"))
     Path("photos/more/two.png").unlink()
     assert run("dataset photos --quality mesh --device cpu --out people")[0] == 0
@@ -113,6 +116,12 @@ def test_detailed_bodies_come_back(run: Run, fits: list[MeshFit]) -> None:
     assert_same_arrays(own / "detailed.npz", Path("fit/detailed.npz"))
     for name in ("detailed.glb", "detailed.obj"):
         assert_same_meshes(own / name, Path("fit", name))
+    if find_spec("pxr") is not None:
+        assert run("export people --rows 0/1 --to usda --out usd")[0] == 0
+        assert Path("usd/00000-000001/detailed.usda").read_text().startswith("#usda")
+    monkeypatch.setenv("PATH", "")
+    code, _, said = run("export people --rows 0/1 --to fbx --out fbx")
+    assert (code, "--to: fbx: no command 'blender'" in said, Path("fbx").exists()) == (2, True, False)
     report = json.loads((own / "report.json").read_text())
     assert (report["row"], report["picture"], report["person"]) == ("0/1", "b_one.png", 0)
     assert report["made"]["options"]["quality"] == "mesh"

@@ -60,6 +60,19 @@ def test_it_scores_the_person_alone(fitted: dict[str, Any], run: Run) -> None:
     assert scores[0][0] < fitted["parts"]["foreground_f1"]
 
 
+def test_more_formats_are_of_the_set(fitted: dict[str, Any], run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pxr", reason="needs the extra 'usd'")
+    assert run(f"{REGISTER} --to usda --to usdz")[0] == 0
+    found = json.loads(Path("new/registration.json").read_text())["files"]
+    assert {"detailed.usda", "detailed.usdz"} < found.keys()
+    assert run(f"fit {GOOD} --device cpu --set also=usdz --out more")[0] == 0
+    assert Path("more/detailed.usdz").read_bytes()[:2] == b"PK"
+    monkeypatch.setenv("PATH", "")
+    code, _, said = run(f"fit {GOOD} --device cpu --set also=fbx --out other")
+    assert (code, "also: fbx: no command 'blender'" in said, Path("other").exists()) == (2, True, False)
+    assert "with --model none" in run(f"fit {GOOD} --model none --set also=usdz --out other")[2]
+
+
 def test_labels_of_another_picture_are_refused(fitted: dict[str, Any], run: Run) -> None:
     shown = ids()
     away = np.zeros_like(shown)

@@ -11,8 +11,9 @@ from scenes.bodies import walker
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.joint_merging import merge_joints
+from warp_partdr.clothing.joint_turns import turn_joints
 from warp_partdr.clothing.model import DetailedModel
-from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody, turn_joints, turning_joints
+from warp_partdr.clothing.pose import free_joints, pose_from_ellipbody, turning_joints
 
 
 def model_with_bends(bends: bool) -> DetailedModel:

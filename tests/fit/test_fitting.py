@@ -71,8 +71,8 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
     keypoints, parts = seen_by(walker())
     lean = rotation_from_axis_angle(torch.tensor([0.4, 0.0, 0.0]))
 
-    def said(observations, network):
-        found = ask_network(observations, network)
+    def said(observations, network, **how):
+        found = ask_network(observations, network, **how)
         return replace(found, orientation=lean @ found.orientation)
 
     monkeypatch.setattr(fitting, "ask_network", said)

@@ -17,9 +17,10 @@ from warp_partdr.body.labels import label_set
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.cameras import Camera, Perspective, WeakPerspective
 from warp_partdr.clothing.anny import anny, anny_shape
+from warp_partdr.clothing.joint_turns import turn_joints
 from warp_partdr.clothing.load import load_model
 from warp_partdr.clothing.model import detailed_mesh
-from warp_partdr.clothing.pose import free_joints, turn_joints, turning_joints
+from warp_partdr.clothing.pose import free_joints, turning_joints
 from warp_partdr.clothing.registration import Registered, ungrown
 from warp_partdr.clothing.smpl_parameters import to_smplx
 from warp_partdr.errors import InputError

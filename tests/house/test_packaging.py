@@ -18,6 +18,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from packaging.version import Version
 
 import warp_partdr
 
@@ -31,7 +32,7 @@ SOURCES = {
 }
 # Loaded only when a feature needs it; the plain import starts not even torch and Warp.
 EXTRAS = set(
-    "PIL accelerate anny av matplotlib pyvista rich safetensors scipy tensorboard transformers trimesh typer vtk "
+    "PIL accelerate anny av matplotlib pxr pyvista rich safetensors scipy tensorboard transformers trimesh typer vtk "
     "vtkmodules".split()
 )
 
@@ -94,6 +95,29 @@ def test_constraints_pin_every_direct_dependency() -> None:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {line.partition("==")[0] for line in lines if "==" in line}
     assert sorted({re.split(r"[\[>]", name)[0] for name in needed} - pinned) == []
+
+
+def test_the_oldest_versions_are_the_stated_ones() -> None:
+    """Of all that the oldest Python has wheels for; Ray, peers, USD and body models are left out."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    left_out = {"ray", "bodies", "peers", "usd", "dev", "docs", "release"}
+    stated = [*project["dependencies"], *chain.from_iterable(extras[each] for each in sorted(set(extras) - left_out))]
+    bounds = {name: Version(bound) for name, _, bound in (entry.partition(">=") for entry in stated)}
+    lines = (ROOT / "constraints-oldest.txt").read_text().splitlines()
+    pinned = {name: Version(pin) for name, found, pin in (line.partition("==") for line in lines) if found}
+    assert pinned == bounds
+
+
+@pytest.mark.parametrize(("environment", "quiet"), [({}, False), ({"CI": "true"}, True)], ids=["person", "ci"])
+def test_a_person_sees_what_pip_does(environment: dict[str, str], quiet: bool, tmp_path: Path) -> None:
+    clean = {name: value for name, value in os.environ.items() if name != "CI"}
+    command = ["make", "--dry-run", "install", f"VENV={tmp_path / 'venv'}"]
+    done = subprocess.run(command, env=clean | environment, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    installs = [line for line in done.stdout.splitlines() if "pip install" in line]
+    assert installs
+    assert all(("-qq" in line) is quiet for line in installs)
 
 
 @pytest.mark.parametrize(

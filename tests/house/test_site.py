@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import warp_partdr
+from warp_partdr.reference.index import EQUATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -36,7 +37,7 @@ def test_the_navigation_has_all(pages: Path) -> None:
     expected |= {f"demos/{path.stem}.md" for path in (ROOT / "demos").glob("*.py")}
     expected |= {f"api/{name}.md" for name in warp_partdr._EXPORTS}
     expected |= {f"warp_partdr/assets/{path.name}" for path in (ROOT / "warp_partdr/assets").glob("*.md")}
-    assert expected | {"README.md", "CHANGELOG.md"} == set(nav)
+    assert expected | {"README.md", "CHANGELOG.md", "gallery.md"} == set(nav)
     for entry in nav:
         assert (pages / entry).is_file(), entry
 
@@ -65,3 +66,27 @@ def test_a_demo_is_a_page_of_its_own_words(pages: Path) -> None:
     assert page.startswith("# Write your own loss on part maps: any function of them has a gradient\n")
     assert page.count('"""Write your own') == 0
     assert "\n````python\nfrom __future__ import annotations\n" in page
+
+
+def test_each_equation_is_rendered_and_leads_to_its_code(pages: Path) -> None:
+    page = (pages / "docs" / "equations.md").read_text()
+    sections = re.split(r"(?m)^### Equation (\d+): ", page)
+    assert [int(number) for number in sections[1::2]] == list(EQUATIONS)
+    for equation, section in zip(EQUATIONS.values(), sections[2::2], strict=True):
+        assert section.count("<math ") == section.count("</math>") == 1
+        assert "\\" not in section, "a command of LaTeX was not understood"
+        names = [f"reference.{equation.book}", *equation.kernels, *equation.torch]
+        names += [test.partition("::")[2] for test in equation.tests]
+        for name in names:
+            (link,) = re.findall(rf"\[`{re.escape(name)}`\]\(\.\./([^)]+)\.md#__span-0-(\d+)\)", section)
+            line = (ROOT / link[0]).read_text().splitlines()[int(link[1]) - 1]
+            assert re.match(rf"\s*(def|class) {name.rpartition('.')[2]}\b", line), name
+    assert "| eq. |" not in page
+
+
+def test_the_gallery_shows_all_pictures(pages: Path) -> None:
+    page = (pages / "gallery.md").read_text()
+    shown = re.findall(r"!\[[^\]]+\]\((docs/images/[^)]+)\)", page)
+    assert sorted(shown) == sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs/images").iterdir())
+    assert all((pages / picture).is_file() for picture in shown)
+    assert "[performance](docs/performance.md), by `partdr bench kernels --device cuda`" in page

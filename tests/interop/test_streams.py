@@ -14,10 +14,13 @@ from conftest import HANG
 from scenes.bodies import seen_by, walker
 
 from warp_partdr.body.parameters import BodyParameters
+from warp_partdr.clothing.joint_chain import chain_joints
+from warp_partdr.clothing.joint_turns import turn_joints
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.observation import observe
-from warp_partdr.interop.streams import capture_graph, on_torch_stream
+from warp_partdr.interop.captured_step import CapturedStep
+from warp_partdr.interop.streams import capture_graph, capturing, launching, on_torch_stream
 from warp_partdr.refinement.energy import Energy
 from warp_partdr.refinement.refine import refine
 from warp_partdr.render.ellipsoids import draw_ellipsoids
@@ -59,6 +62,35 @@ def test_a_capture_does_not_wait_for_itself():
     cpu = torch.device("cpu")
     with on_torch_stream(cpu), pytest.raises(RuntimeError, match="inside on_torch_stream"):
         capture_graph(lambda: None, cpu)
+
+
+def test_a_launch_that_belongs_to_a_capture_does_not_wait_for_it():
+    """Autograd's thread, for which the one that captures waits."""
+
+    def launch():
+        with launching(captured=True):
+            return "launched"
+
+    with ThreadPoolExecutor(1) as pool, capturing():
+        assert pool.submit(launch).result(timeout=HANG) == "launched"
+
+
+def test_kernels_of_a_backward_are_captured(cuda):
+    """Of a step whose gradient is a kernel's, which autograd's thread launches."""
+    turns = torch.zeros(2, 3, 3, device=cuda, requires_grad=True)
+    rotations, joints = torch.eye(3, device=cuda).repeat(2, 4, 1, 1), torch.tensor([0, 1, 3], device=cuda)
+    aim = torch.randn(2, 4, 3, 3, device=cuda)
+
+    def slope() -> torch.Tensor:
+        turned = turn_joints(rotations, joints, turns)
+        frames = chain_joints((-1, 0, 1, 2), turned, aim[..., 0])
+        return torch.autograd.grad((frames[..., :3, :3] * aim).sum(), turns)[0]
+
+    captured = CapturedStep(slope, torch.device(cuda))
+    with torch.no_grad():
+        turns.copy_(torch.randn(2, 3, 3))
+    captured.replay()
+    torch.testing.assert_close(captured.result, slope())
 
 
 def test_fits_and_pictures_of_two_threads_are_those_of_one():

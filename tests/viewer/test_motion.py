@@ -21,7 +21,7 @@ from warp_partdr.inputs.films import film_facts, read_frames
 from warp_partdr.results.film_pictures import PosedMotions
 from warp_partdr.results.save_film import draw_film
 from warp_partdr.viewer.motion_settings import MotionSettings, open_motion
-from warp_partdr.viewer.motion_views import arrange
+from warp_partdr.viewer.motion_views import ViewPictures, arrange
 from warp_partdr.viewer.motion_window import MotionWindow
 
 one_thread = viewer.one_thread  # a fixture
@@ -55,6 +55,27 @@ def window(folder: Path, can_draw: None) -> Iterator[MotionWindow]:
     made.scene.screenshot()
     yield made
     made.scene.close()
+
+
+def test_a_lens_s_distortion_is_taken_away(folder: Path, tmp_path: Path) -> None:
+    """A grid of the film lies where the camera's own removal puts it."""
+    from scenes.films import write_film
+
+    grid = np.full((*SIZE, 3), 40, np.uint8)
+    grid[::25], grid[:, ::40] = 220, 220
+    write_film(tmp_path / "walk.mp4", [grid] * COUNT, rate=RATE)
+    lens = {"focal": [300.0, 302.0], "distortion": [-0.2, 0.03, 0.001, 0.0]}
+    change(folder, views=[FRONT | {"lens": lens}])
+    state, films = open_motion(folder, MotionSettings())
+    (view,) = state.saved.views
+    assert view.lens is not None
+    assert (list(view.lens.focal), list(view.lens.distortion)) == (lens["focal"], lens["distortion"])
+    pictures = ViewPictures(state, None, (SIZE[1], SIZE[0] + 20), films)  # type: ignore[arg-type]
+    state.hidden = set(state.people)
+    drawn = pictures.picture(0).astype(int)
+    expected = view.lens.undistort_picture(grid).astype(int)
+    assert drawn.shape == expected.shape
+    assert np.abs(drawn - expected).mean() < 5 < np.abs(drawn - grid).mean()
 
 
 def whose(picture: np.ndarray, colour: np.ndarray) -> np.ndarray:

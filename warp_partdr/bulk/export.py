@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered
 from ..errors import InputError
 from ..results.ellipbody_files import ellipbody_scene
+from ..results.further_files import FURTHER, save_further
 from ..results.result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
 from ..results.save import describe_posed, save_description, save_detailed_arrays
 from ..results.skinned_files import glb, posed_mesh
@@ -33,11 +35,19 @@ def _save_glb(body: Body, folder: Path) -> None:
         (folder / "detailed.glb").write_bytes(glb(body.registered))
 
 
-def _save_obj(body: Body, folder: Path) -> None:
+def _detailed(body: Body, name: str) -> Registered:
     if body.registered is None:
         told = "rows hold ellipsoids alone; expected glb, npz or json, or a data set of --quality mesh"
-        raise InputError(f"--to: obj: {told}")
-    posed_mesh(body.registered).export(folder / "detailed.obj")
+        raise InputError(f"--to: {name}: {told}")
+    return body.registered
+
+
+def _save_obj(body: Body, folder: Path) -> None:
+    posed_mesh(_detailed(body, "obj")).export(folder / "detailed.obj")
+
+
+def _save_further(name: str, body: Body, folder: Path) -> None:
+    save_further(_detailed(body, name), folder / "detailed", [name])
 
 
 def _save_npz(body: Body, folder: Path) -> None:
@@ -57,6 +67,7 @@ WRITERS: Mapping[str, Callable[[Body, Path], None]] = {
     "obj": _save_obj,
     "npz": _save_npz,
     "json": _save_json,
+    **{name: partial(_save_further, name) for name in FURTHER},
 }
 
 

@@ -65,9 +65,9 @@ class PeopleFitter:
     """Fits of everyone in pictures.
 
     Attributes:
-        quality: "network": the label network's bodies; "fast": refined; "mesh": the detailed body, too.
+        options: Of the fits, such as ``stages_of_quality``.
         network: On the device, in evaluation mode.
-        model: On the device, of quality "mesh".
+        model: On the device; with one, the mesh stage makes the detailed body, too.
         device: "cpu" or a CUDA device.
         batch: People that are fitted at a time.
         min_score: Least confidence that there is a person, of those who are found.
@@ -75,7 +75,7 @@ class PeopleFitter:
         skeleton: Format of keypoints in rows; those of other formats lose what it has not.
     """
 
-    quality: BulkQuality
+    options: FitOptions
     network: LabelNetwork
     model: DetailedModel | None
     device: str
@@ -132,11 +132,11 @@ class PeopleFitter:
                 places = [place for place, each in enumerate(people) if each.evidence.keypoints.format.name == form]
                 rows |= zip(places, self.bodies([people[place] for place in places]), strict=True)
             return [rows[place] for place in range(len(people))]
-        fits = fit_together(people, stages_of_quality(self.quality), self.network)
-        if self.quality != "mesh":
+        fits = fit_together(people, self.options, self.network)
+        if self.model is None:
             return describe_bodies(fits)
         with _MESHES:
-            meshes = refine_meshes(fits, self.model)
+            meshes = refine_meshes(fits, self.model, options=self.options.mesh)
         return describe_bodies(meshes)
 
 

@@ -27,7 +27,8 @@ _KERNELS_HELP = """Time every kernel and the whole iteration: renderers, batches
 Example: `partdr bench kernels --device cpu --quick`
 
 A table on the screen; the same figures as bench-kernels-DEVICE.json and .png in FOLDER, with machine and versions.
-DRTK, nvdiffrast, PyTorch3D and Embree (embreex) draw the same mesh where they are installed.
+DRTK, nvdiffrast, PyTorch3D, Mitsuba and Embree (embreex) draw the same mesh where they are installed; pip brings the
+last two: `.[peers]`.
 """
 
 _SAVINGS_HELP = """Time what it saves to model only what a scene requires, one row a saving.

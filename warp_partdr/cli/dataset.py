@@ -20,7 +20,15 @@ from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..files.disk import file_sha256
 from .loading import load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, LabelsOption, check_score, people_at_a_time, say_people
+from .options import (
+    CameraOptions,
+    DeviceOption,
+    LabelsOption,
+    SettingOptions,
+    check_score,
+    people_at_a_time,
+    say_people,
+)
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
     from ..bulk.shards import Shards, Tally
     from ..bulk.sources import PictureSource
     from ..clothing.model import DetailedModel
+    from ..fit.options import FitOptions
 
 # As ``bulk.people.BulkQuality``, which is not loaded for --help.
 BulkQualityName = StrEnum("BulkQualityName", ["network", "fast", "mesh"])
@@ -42,7 +51,8 @@ keypoints and masks are taken then. Beside 7.jpg, also in tar files, may lie 7.k
 says what its ids mean). People without keypoints are found, as by `partdr fit photo.jpg`.
 
 **How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
-`partdr fit`, too). Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
+`partdr fit`, too). `--set mirror=false`, `--set half=true` make the network faster, `--set mesh.iterations=30` the mesh
+stage. Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
 
 **Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
 The same command again makes those that are missing, so a run may be killed at any time; options that differ are
@@ -64,8 +74,8 @@ mesh_rotations, mesh_translation, stature, clothes. The schema's metadata has ve
 
 
 @dataclass(frozen=True)
-class BulkOptions:
-    """Options that rows depend on."""
+class BulkOptions(SettingOptions):
+    """Options that rows depend on; settings are those of ``partdr fit``."""
 
     quality: Annotated[BulkQualityName, Option(help="How far each fit goes.", metavar="NAME")] = BulkQualityName.fast
     model: Annotated[str, Option(help=f"Detailed model of --quality mesh: {MODEL_HELP}.", metavar="NAME")] = "anny"
@@ -80,11 +90,26 @@ class BulkOptions:
     def absolute(self) -> BulkOptions:
         """The same with files' full paths."""
         model = str(Path(self.model).absolute()) if Path(self.model).is_file() else self.model
-        return replace(self, model=model, network=self.network and self.network.absolute())
+        files = {name: path and path.absolute() for name in ("network", "config") for path in [getattr(self, name)]}
+        return replace(self, model=model, **files)
+
+    def fit_options(self) -> FitOptions:
+        """Options of the fits: the quality's, with the settings."""
+        from ..bulk.people import BulkQuality, stages_of_quality
+        from ..fit.settings import MESH, change_options
+
+        values = self.read()
+        if "network" in values:
+            raise InputError("network: a setting; expected the option --network")
+        if MESH in values and self.quality != MESH:
+            raise InputError(f"{MESH}: settings, with --quality {self.quality.value}; expected --quality {MESH}")
+        quality: BulkQuality = self.quality.value  # type: ignore[assignment]  # its names
+        return change_options(stages_of_quality(quality), values)
 
     def record(self, view: CameraOptions, source: PictureSource) -> dict[str, Any]:
         """All that rows depend on but the pictures, as shards state it."""
         check_score("--min-score", self.min_score)
+        self.fit_options()  # whether they can be read
         model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
@@ -93,6 +118,7 @@ class BulkOptions:
             "min_score": self.min_score if source.finds else None,
             "network": None if self.network is None else _sha256(self.network),
             "model": model if self.quality == "mesh" else None,
+            **({"settings": values} if (values := self.read()) else {}),
             **{name: getattr(view, name) for name in ("focal", "fov", "principal")},
         }
 
@@ -145,13 +171,12 @@ class FitterSetup:
 
     def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
         """Make the fitter, and load its kernels."""
-        from ..bulk.people import BulkQuality, PeopleFitter, no_camera, stages_of_quality
+        from ..bulk.people import PeopleFitter, no_camera, stages_of_quality
         from ..network.checkpoint import load_label_network
 
         detailed = detailed or self.model()
-        quality: BulkQuality = self.how.quality.value  # type: ignore[assignment]  # its names
         fitter = PeopleFitter(
-            quality,
+            self.how.fit_options(),
             load_label_network(self.how.network, device=self.device),
             detailed,
             self.device,

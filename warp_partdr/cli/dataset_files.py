@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from ..errors import InputError, cause
 from ..files.disk import file_sha256
-from .options import say_people
+from .options import BodyFormat, check_further, say_people
 from .register import MODEL_HELP, read_model
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # As ``bulk.survey.RANKED`` and ``bulk.export.WRITERS``, which are not loaded for --help.
 ByName = StrEnum("ByName", ["keypoint_error", "energy", "score", "depth", "size"])
-FormatName = StrEnum("FormatName", ["glb", "obj", "npz", "json"])
+FormatName = StrEnum("FormatName", ["glb", "obj", "npz", "json", "usda", "usdz", "fbx"])
 
 _MOST_DRAWN = 1000
 
@@ -45,7 +45,8 @@ Examples: `partdr export people --rows 3/17,3/20 --to glb`; `partdr export peopl
 --rows: shard/row, both from 0 on, as `partdr report` shows them; or 0:100, counted through all shards; commas between.
 
 --to: glb (ellipbody.glb), npz (body.npz, which `load_body` and `partdr register` read), json (body.json). Of rows with
-a detailed body (--quality mesh) also its detailed.glb, detailed.npz, and of obj detailed.obj.
+a detailed body (--quality mesh) also its detailed.glb, detailed.npz, of obj detailed.obj, and of usda, usdz (extra
+`usd`) and fbx (made by Blender's command) the same.
 """
 
 DatasetArgument = Annotated[Path, Argument(help="Folder of partdr dataset.", metavar="DATASET")]
@@ -103,7 +104,8 @@ def export(
     worst: Annotated[int | None, Option(help="Or so many of the worst.", metavar="N", min=1)] = None,
     by: ByOption = ByName.keypoint_error,
     to: Annotated[
-        list[FormatName] | None, Option(help="glb, obj, npz, json; may be given again.", metavar="NAME")
+        list[FormatName] | None,
+        Option(help="glb, obj, npz, json, usda, usdz, fbx; may be given again.", metavar="NAME"),
     ] = None,
     model: Annotated[
         str | None, Option(help=f"Of detailed bodies: {MODEL_HELP}; by default theirs.", metavar="NAME")
@@ -129,6 +131,7 @@ def export(
         with PictureProgress(len(files.paths), "shards") as progress:
             chosen = by_shard(worst_people(files, by.value, worst or 0, progress).addresses)
     formats = [each.value for each in to or [FormatName.glb]]
+    check_further([name for name in formats if name in list(BodyFormat)])
     detailed = _model(files, model)
     written = 0
     empty: list[str] = []

@@ -15,7 +15,16 @@ from ..detection import MIN_SCORE
 from ..errors import InputError, shown
 from ..inputs.films import is_film
 from .loading import NO_MODEL, load_kernels, load_mesh_kernels
-from .options import CameraOptions, DeviceOption, OutOption, PhotoFiles, SettingOptions, check_score, take_whole
+from .options import (
+    CameraOptions,
+    DeviceOption,
+    OutOption,
+    PhotoFiles,
+    SettingOptions,
+    check_score,
+    take_formats,
+    take_whole,
+)
 from .register import MODEL_HELP, clothe, describe_scores, read_model, say_detailed
 
 if TYPE_CHECKING:
@@ -50,7 +59,7 @@ registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older o
 
 **Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
 the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`,
-`min_score=0.6` (how sure it must be that there is a person, default {MIN_SCORE}).
+`min_score=0.6` (how sure that there is a person, default {MIN_SCORE}), `also=usdz,fbx` (more files; usda, too).
 """
 
 # Of these, the default stands in the text: typer would give each a line of its own.
@@ -97,7 +106,8 @@ def fit(
         if explain:
             raise InputError("--explain: without --keypoints; expected them with it")
         score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
-        chosen = take_whole(values, "threads"), score, fit_options(quality, start, values)
+        formats = take_formats(values)
+        chosen = take_whole(values, "threads"), score, fit_options(quality, start, values), formats
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
     if _SCORE in values:
@@ -115,6 +125,9 @@ def fit(
 
     where = choose_device(device)
     set_num_threads(take_whole(values, "threads"))
+    formats = take_formats(values)
+    if formats and model == NO_MODEL:
+        raise InputError(f"also: {', '.join(formats)}, with --model none; expected a detailed model")
     options = fit_options(quality, start, values)
     check_folder(out)
     named = (options.network, files.keypoint_format, files.labels, model)
@@ -152,15 +165,17 @@ def fit(
         with FitProgress() as progress:
             seen = result.camera, size, person.photo, result.evidence
             if mesh is None:
-                told = clothe(result.posed, detailed_model, out, *seen, progress=progress)
+                told = clothe(result.posed, detailed_model, out, seen, formats=formats, progress=progress)
             else:
-                told = _save_mesh(mesh, out, size, person.photo)
+                told = _save_mesh(mesh, out, size, person.photo, formats)
     except _FAULTS as error:
         raise InputError(f"{error}; {out} holds the fit without its detailed body") from error
     typer.echo(told)
 
 
-def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarray | None) -> str:
+def _save_mesh(
+    mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarray | None, formats: tuple[str, ...]
+) -> str:
     """Files of the mesh stage, and a line about them."""
     from ..results.save import save_registered
 
@@ -173,6 +188,7 @@ def _save_mesh(mesh: MeshFit, out: Path, size: tuple[int, int], photo: np.ndarra
         photo=photo,
         evidence=fit.evidence,
         clothes=mesh.clothes,
+        formats=formats,
         seconds=round(fit.stage_seconds["mesh"], 3),
     )
     return say_detailed(report, out)

@@ -12,7 +12,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import film_facts
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import CameraOptions, NetworkOptions, PhotoFiles, take_whole
+from .options import CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
 
 
@@ -35,7 +35,7 @@ def fit_motions(
         device: As the option says.
         model: Name or file of the detailed model.
         view: The camera, which stands still.
-        values: Settings: ``threads``, and fields of ``SceneOptions``.
+        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
         min_score: Least confidence that there is a person.
     """
     for name, given in (("keypoints", files.keypoints), ("parts", files.parts)):
@@ -63,7 +63,7 @@ class FilmRun:
         model: Name or file of the detailed model.
         person: Whom alone.
         min_score: Least confidence that there is a person.
-        values: Settings: ``threads``, and fields of ``SceneOptions``.
+        values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
         networks: Of others.
         view: The one camera.
         cameras: Or the file of calibrated ones.
@@ -99,6 +99,7 @@ def fit_films(run: FilmRun) -> None:
 
     films, where = run.films, choose_device(run.device)
     set_num_threads(take_whole(run.values, "threads"))
+    formats = take_formats(run.values)
     options = read_section(SceneOptions, run.values, base=SceneOptions.film())
     check_folder(run.out)
     check_inputs(run.out, films, [overlay_name(place) for place in range(len(films))])
@@ -125,7 +126,7 @@ def fit_films(run: FilmRun) -> None:
                 seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
         kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}
         fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **kind)
-        report = save_film_fit(fit, run.out, films=films, progress=progress)
+        report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)

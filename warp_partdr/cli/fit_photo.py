@@ -24,7 +24,7 @@ def fit_everyone(
     device: str,
     model: str,
     view: CameraOptions,
-    chosen: tuple[int, float, FitOptions],
+    chosen: tuple[int, float, FitOptions, tuple[str, ...]],
 ) -> None:
     """Fit bodies to everyone in a photo, or to one of them.
 
@@ -35,7 +35,7 @@ def fit_everyone(
         device: As the option says.
         model: Name or file of the detailed model.
         view: The camera.
-        chosen: Number of threads, least confidence in a person, and the fit's options.
+        chosen: Number of threads, least confidence in a person, the fit's options, and formats of more files.
     """
     if photo is None:
         raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
@@ -53,7 +53,7 @@ def fit_everyone(
 
     if model == NO_MODEL:
         raise InputError("--model: none, without keypoints; expected a detailed model")
-    where, (threads, score, options) = choose_device(device), chosen
+    where, (threads, score, options, formats) = choose_device(device), chosen
     set_num_threads(threads)
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
@@ -67,7 +67,7 @@ def fit_everyone(
         with told_as("photo", photo):
             fit = fit_photo(picture, person=files.person, min_score=score, progress=progress, **networks, **how)
         progress("writing results", 0, 1)
-        report = save_photo_fit(fit, out, photo=picture)
+        report = save_photo_fit(fit, out, photo=picture, formats=formats)
     for person in report["people"]:
         for warning in person["warnings"]:
             typer.echo(f"partdr: warning: {person['folder']}: {warning}", err=True)

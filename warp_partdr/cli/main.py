@@ -53,7 +53,7 @@ def _root(
 
 app.command("fit", help=FIT_HELP)(grouped(fit))
 app.command("scene", help=SCENE_HELP)(grouped(scene))
-app.command("register", help=REGISTER_HELP)(register_body)
+app.command("register", help=REGISTER_HELP)(grouped(register_body))
 app.command("predict", help=PREDICT_HELP)(grouped(predict))
 app.command("dataset", help=DATASET_HELP)(grouped(dataset))
 app.command("report", help=REPORT_HELP)(report)

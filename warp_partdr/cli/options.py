@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -43,6 +44,29 @@ class SettingOptions:
         for override in self.overrides or ():
             set_value(values, override)
         return values
+
+
+# As ``results.further_files.FURTHER``, which is not loaded for --help.
+BodyFormat = StrEnum("BodyFormat", ["usda", "usdz", "fbx"])
+_ALSO = "also"
+
+
+def take_formats(values: dict[str, Any]) -> tuple[str, ...]:
+    """Take the formats of more files of detailed bodies out of settings: ``also=usdz,fbx``, or a list."""
+    given = values.pop(_ALSO, ())
+    names = given.split(",") if isinstance(given, str) else given
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{_ALSO}: {shown(given)}; expected of {', '.join(BodyFormat)}")
+    return check_further([name.strip() for name in names], _ALSO)
+
+
+def check_further(given: Sequence[str] | None, option: str = "--to") -> tuple[str, ...]:
+    """Formats of more files of detailed bodies, each once; an InputError if one can't be written here."""
+    from ..results.further_files import check_formats
+
+    formats = tuple(dict.fromkeys(str(name) for name in given or ()))
+    check_formats(option, formats)
+    return formats
 
 
 def take_whole(values: dict[str, Any], name: str) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +11,7 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from .options import DeviceOption, LabelsOption, OutOption
+from .options import BodyFormat, DeviceOption, LabelsOption, OutOption, check_further
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,6 +41,18 @@ smplx package takes them (use_pca=False, flat_hand_mean=True), and the camera. O
 MODEL_HELP = "anny, mhr:FOLDER, or a .npz or .safetensors of SMPL, SMPL-H or SMPL-X"
 
 
+@dataclass(frozen=True)
+class ClotheOptions:
+    """Options for a fit's body: how the model is to follow its ellipsoids."""
+
+    inscribed: Annotated[
+        bool, Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead.")
+    ] = False
+    grow: Annotated[
+        bool, Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited.")
+    ] = False
+
+
 def register_body(
     body: Annotated[Path, Argument(help="body.npz of partdr fit, or another method's body.", metavar="BODY")],
     model: Annotated[str, Option(help=f"{MODEL_HELP}.", metavar="NAME")] = "anny",
@@ -53,13 +65,12 @@ def register_body(
         Path | None, Option(help="2D keypoints, if another method's body is to follow them, too.", metavar="FILE")
     ] = None,
     out: OutOption = Path("out"),
-    inscribed: Annotated[
-        bool, Option("--inscribed", help="Keep the skin outside the ellipsoids; a fit's match its outlines instead.")
-    ] = False,
-    grow: Annotated[
-        bool, Option("--grow", help="Let parts grow beyond the model's people: for bodies whose lengths were edited.")
-    ] = False,
+    to: Annotated[
+        list[BodyFormat] | None, Option(help="Also detailed.usda, .usdz or .fbx (by Blender).", metavar="NAME")
+    ] = None,
     device: DeviceOption = "auto",
+    *,
+    how: ClotheOptions,
 ) -> None:
     """Register a detailed model; see ``REGISTER_HELP``."""
     from ..fit.given_files import is_given
@@ -68,12 +79,13 @@ def register_body(
 
     picture = None if photo is None else read_photo(photo)
     image = read_labelled_parts(parts, labels)
+    formats = check_further(to)
     if is_given(body):
         if image is None:
             raise InputError(f"--parts: missing; expected the part labels that {body}, another method's, is to follow")
-        if inscribed or grow:
+        if how.inscribed or how.grow:
             raise InputError(f"--inscribed, --grow: with {body}, another method's body; expected one of partdr fit")
-        _refine((body, model, photo, keypoints, labels, parts), picture, image, out, device)
+        _refine((body, model, photo, keypoints, labels, parts), picture, image, out, device, formats)
         return
     if keypoints is not None:
         raise InputError(f"--keypoints: with {body}, a fit's; expected another method's body")
@@ -99,7 +111,7 @@ def register_body(
     person = None if image is None else _evidence_of(posed, fitted.camera(), image)
     view = fitted.camera(), (height, width), picture, person
     with FitProgress() as progress:
-        told = clothe(posed, detailed_model, out, *view, progress=progress, inscribed=inscribed, grow=grow)
+        told = clothe(posed, detailed_model, out, view, how, formats=formats, progress=progress)
     typer.echo(told)
 
 
@@ -109,6 +121,7 @@ def _refine(
     parts: PartLabels,
     out: Path,
     device: str,
+    formats: tuple[str, ...],
 ) -> None:
     """Refine another method's body and write it; the files are those of the command line."""
     from ..fit.given_files import read_given
@@ -144,6 +157,7 @@ def _refine(
             photo=photo,
             evidence=fit.ellipbody.evidence,
             clothes=fit.clothes,
+            formats=formats,
             start=str(body),
             seconds=seconds,
         )
@@ -181,18 +195,16 @@ def clothe(
     posed: Posed,
     model: DetailedModel,
     out: Path,
-    camera: Camera,
-    size: tuple[int, int],
-    photo: np.ndarray | None,
-    evidence: Evidence | None,
+    seen: tuple[Camera, tuple[int, int], np.ndarray | None, Evidence | None],
+    how: ClotheOptions = ClotheOptions(),
     *,
+    formats: tuple[str, ...] = (),
     progress: FitProgress,
-    inscribed: bool = False,
-    grow: bool = False,
 ) -> str:
     """Register a model to one EllipBody (B = 1) and write it as ``save_registered`` does; returns a line about it.
 
-    ``inscribed``: the ellipsoids are to lie within the skin. ``grow``: EllipBody's lengths and thicknesses count one by
+    ``seen``: the camera, the picture's size, the picture and what is known of the person in it. ``how.inscribed``: the
+    ellipsoids are to lie within the skin. ``how.grow``: EllipBody's lengths and thicknesses count one by
     one, and parts may grow beyond the model's people. A fit's are too rough for that: hands and feet came out as thin
     as boards.
     """
@@ -205,16 +217,20 @@ def clothe(
 
     for module in (registration, rasterize, resolve):
         wp.load_module(module, device=str(posed.joints.device))
-    if inscribed:
-        weights = RegistrationWeights.inscribed() if grow else replace(RegistrationWeights.inscribed(), measures=0.0)
+    if how.inscribed:
+        weights = (
+            RegistrationWeights.inscribed() if how.grow else replace(RegistrationWeights.inscribed(), measures=0.0)
+        )
     else:
-        weights = RegistrationWeights() if grow else RegistrationWeights.fitted()
-    options = RegistrationOptions(weights=weights, growth=grow)
+        weights = RegistrationWeights() if how.grow else RegistrationWeights.fitted()
+    options = RegistrationOptions(weights=weights, growth=how.grow)
     started = time.perf_counter()
     registered = register(posed, model, options=options, progress=progress)
     seconds = round(time.perf_counter() - started, 3)
     progress("writing results", 1, 1)
-    report = save_registered(registered, out, camera, size, photo=photo, evidence=evidence, seconds=seconds)
+    camera, size, photo, evidence = seen
+    about: dict[str, Any] = {"photo": photo, "evidence": evidence, "seconds": seconds}
+    report = save_registered(registered, out, camera, size, formats=formats, **about)
     return say_detailed(report, out)
 
 

@@ -18,6 +18,7 @@ from ..body.template import NUM_PARTS, PART_NAMES
 from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
+from .joint_chain import chain_joints, homogeneous
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
@@ -132,11 +133,12 @@ class DetailedModel(Movable):
             self._check("stretches", stretches, shape.shape[0], NUM_PARTS, 3, 3)
             bones = joints[:, 1:] - joints[:, self._parents[1:]]
             bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
-            stretched = self._chain(_homogeneous(turns, torch.cat([joints[:, :1], bones], dim=1)))[..., :3, 3]
+            placed = torch.cat([joints[:, :1], bones], dim=1)
+            stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
             carrying = list(self.part_joints)
             vertices = _blend(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
             joints = stretched
-        return Detailed(vertices, joints, _homogeneous(turns, joints))
+        return Detailed(vertices, joints, homogeneous(turns, joints))
 
     def pose(
         self,
@@ -172,7 +174,7 @@ class DetailedModel(Movable):
         bones = torch.cat(
             [translation[:, None], rest.joints[:, 1:] - rest.joints.index_select(1, self._parents[1:])], dim=1
         )
-        transforms = self._chain(_homogeneous(rotations, bones))
+        transforms = chain_joints(self.parents, rotations, bones)
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
         return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
 
@@ -221,26 +223,6 @@ class DetailedModel(Movable):
             weights = sums / counts[:, None]
         return weights
 
-    @cached_property
-    def _jumps(self) -> list[torch.Tensor]:
-        """Joint 1, 2, 4, ... bones above each joint, J where there is none; as many as the longest chain takes.
-
-        Shape (J + 1,) each: above none there is none.
-        """
-        above, jumps = [*(self.num_joints if parent < 0 else parent for parent in self.parents), self.num_joints], []
-        while any(joint < self.num_joints for joint in above):
-            jumps.append(torch.tensor(above, device=self.faces.device))
-            above = [above[joint] for joint in above]
-        return jumps
-
-    def _chain(self, local: torch.Tensor) -> torch.Tensor:
-        """Products along the joints' tree, shape (B, J, 4, 4): of 1, 2, 4, ... bones, so that few steps do."""
-        nowhere = torch.eye(4, dtype=local.dtype, device=local.device).expand(len(local), 1, 4, 4)
-        world = torch.cat([local, nowhere], dim=1)
-        for above in self._jumps:
-            world = world.index_select(1, above) @ world
-        return world[:, :-1]
-
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
         check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
@@ -258,13 +240,6 @@ def _blend(
     for column, coordinate in zip(columns, vertices.mT.unsqueeze(2).unbind(1), strict=True):
         skinned = torch.addcmul(skinned, column, coordinate)
     return skinned.mT.contiguous()
-
-
-def _homogeneous(rotations: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
-    """Rigid motions as matrices, shape (..., 4, 4)."""
-    top = torch.cat([rotations, positions[..., None]], dim=-1)
-    bottom = torch.eye(4, dtype=top.dtype, device=top.device)[3:].expand(*top.shape[:-2], 1, 4)
-    return torch.cat([top, bottom], dim=-2)
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find

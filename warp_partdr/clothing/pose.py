@@ -101,13 +101,6 @@ def turning_joints(model: DetailedModel) -> list[int]:
     return sorted({joint for joint in between if joint is not None}.union(free_joints(model)))
 
 
-def turn_joints(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
-    """Local rotations (B, J, 3, 3) of which those of ``joints``, (N,), are turned by rotation vectors (B, N, 3)."""
-    turned = rotations.clone()
-    turned[:, joints] = rotations[:, joints] @ rotation_from_axis_angle(turns)
-    return turned
-
-
 def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = False) -> torch.Tensor:
     """Rotation of each part from the model's rest pose to EllipBody's, shape (B, 20, 3, 3)."""
     aimed = (*_AIMED, *_TRUNK) if trunk_along else _AIMED

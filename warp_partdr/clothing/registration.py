@@ -22,8 +22,9 @@ from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from .clothes import clothes_basis, clothes_offsets
 from .growth import MEASURES, UNGROWN, Growth
+from .joint_turns import turn_joints
 from .model import Detailed, DetailedModel
-from .pose import free_joints, pose_from_ellipbody, turn_joints
+from .pose import free_joints, pose_from_ellipbody
 from .surfaces import PartCells, surface_samples, vertex_costs, vertex_parts
 
 # Where joints are compared: not at the neck, which in a detailed model is the middle of the shoulders and moves along.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -63,6 +63,10 @@ class TurnedCrops:
         offsets = np.einsum("nji,nkj->nki", self._turns, places - self.centres[:, None])
         return offsets / self._extents + 0.5
 
+    def zoomed(self, zoom: float) -> TurnedCrops:
+        """The same of pictures at another size, ``zoom`` pixels a pixel."""
+        return replace(self, centres=self.centres * zoom, sides=self.sides * zoom)
+
     @property
     def _extents(self) -> np.ndarray:
         """Widths and heights [px], shape (N, 1, 2)."""
@@ -105,7 +109,8 @@ def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, dev
     Torch's own threads would wait for one another in every operator (``one_torch_thread``); these meet at the end.
     """
     on_cpu = device.type == "cpu"
-    step = _BATCH["cpu" if on_cpu else "cuda"]
+    cores = get_num_threads() if on_cpu else 1
+    step = min(_BATCH["cpu" if on_cpu else "cuda"], max(-(-len(crops) // cores), 1))
     parts = [crops[start : start + step] for start in range(0, len(crops), step)]
     results: list[list[Result]] = [[] for _ in parts]
 
@@ -115,7 +120,7 @@ def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, dev
         for index in range(len(parts))[some]:
             results[index].append(work(parts[index]))
 
-    threads = max(min(get_num_threads(), len(parts)), 1) if on_cpu else 1
+    threads = max(min(cores, len(parts)), 1)
     run_slices(share, [slice(first, None, threads) for first in range(threads)])
     return [result for (result,) in results]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ import torch
 from ..errors import InputError
 from ..inputs.films import Frame, film_facts, read_frames
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.person import crop_nearest
+from ..interop.ahead import made_ahead
+from ..interop.torch_threads import one_torch_thread
 from . import MIN_SCORE
+from .crops import Pyramid
 from .masks import instance_map
 from .person import SKELETON, FoundPerson
 from .tracks import PeopleTracker
@@ -82,13 +84,14 @@ def row_keypoints(row: np.ndarray) -> Keypoints2D:
     return Keypoints2D(SKELETON, points[:, :2].copy(), points[:, 2].copy())
 
 
+@one_torch_thread()
 def find_film_people(
     path: str | Path,
     *,
     min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
-    watch: Callable[[Frame, Sequence[FoundPerson]], None] | None = None,
+    watch: Callable[[Frame, Pyramid, Sequence[FoundPerson]], None] | None = None,
 ) -> FilmPeople:
     """Find and follow the people of a film, frame by frame.
 
@@ -97,7 +100,7 @@ def find_film_people(
         min_score: Least confidence that there is a person.
         device: Device to run on.
         progress: Told frames done and in all.
-        watch: Given each frame and its people, in the order of ``places``.
+        watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
 
     Raises:
         InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
@@ -108,14 +111,14 @@ def find_film_people(
     times: list[float] = []
     size, fault = (0, 0), ""
     try:
-        for frame, found in follow_people(path, facts.rate, min_score=min_score, device=device):
+        for frame, pyramid, found in follow_people(path, facts.rate, min_score=min_score, device=device):
             size = (frame.picture.shape[0], frame.picture.shape[1])
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
             for place, (number, person) in enumerate(found.items()):
                 rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
             if watch is not None:
-                watch(frame, list(found.values()))
+                watch(frame, pyramid, list(found.values()))
             if progress is not None:
                 progress(len(times), max(facts.frames, len(times)))
     except InputError as error:
@@ -130,15 +133,22 @@ def find_film_people(
 
 def follow_people(
     path: str | Path, rate: float, *, min_score: float, device: torch.device | str
-) -> Iterator[tuple[Frame, dict[int, FoundPerson]]]:
-    """Frames of a film, so many a second, and their people by numbers that stay.
+) -> Iterator[tuple[Frame, Pyramid, dict[int, FoundPerson]]]:
+    """Frames of a film, so many a second, pictures to cut crops from, and their people by numbers that stay.
 
     Raises:
         InputError: As of ``read_frames``.
     """
     tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
+    for frame, pyramid in made_ahead(_with_pyramids(path, device)):
+        yield frame, pyramid, tracker.find(pyramid)
+
+
+def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid]]:
     for frame in read_frames(path):
-        yield frame, tracker.find(frame.picture)
+        pyramid = Pyramid(frame.picture, device)
+        pyramid.level(0)
+        yield frame, pyramid
 
 
 def seen_values(person: FoundPerson, frame: int, time: float) -> tuple[Any, ...]:
@@ -153,9 +163,9 @@ def areas(boxes: np.ndarray) -> np.ndarray:
 
 
 def _pack(people: Sequence[FoundPerson], size: tuple[int, int]) -> bytes:
-    height, width = size
-    owners = instance_map(people, size).clip(0, 255).astype(np.uint8)
-    return pack_owners(crop_nearest(owners, (0.0, 0.0, width, height), kept_size(size), fill=0))
+    kept = kept_size(size)
+    small = [replace(person, crop=person.crop.zoomed(kept[1] / size[1])) for person in people]
+    return pack_owners(instance_map(small, kept).clip(0, 255).astype(np.uint8))
 
 
 def pack_owners(owners: np.ndarray) -> bytes:

@@ -14,7 +14,7 @@ import torch
 
 from ..errors import check_whole
 from . import MIN_SCORE
-from .crops import TurnedCrops
+from .crops import Pyramid, TurnedCrops
 from .people import find_people
 from .person import FoundPerson
 from .same_person import similarity
@@ -45,11 +45,11 @@ class PeopleTracker:
         self._since = self._every  # frames since the detector's last look
         self._known = 0  # numbers that were given
 
-    def find(self, picture: np.ndarray) -> dict[int, FoundPerson]:
+    def find(self, picture: np.ndarray | Pyramid) -> dict[int, FoundPerson]:
         """Find the people of the next frame.
 
         Args:
-            picture: RGB, shape (H, W, 3), uint8, of one size in all frames.
+            picture: As in ``find_people``, of one size in all frames.
 
         Returns:
             People by their numbers.
@@ -78,7 +78,7 @@ class PeopleTracker:
         self._here = followed
         return dict(followed)
 
-    def _find(self, picture: np.ndarray, previous: list[FoundPerson]) -> list[FoundPerson]:
+    def _find(self, picture: np.ndarray | Pyramid, previous: list[FoundPerson]) -> list[FoundPerson]:
         how: dict[str, Any] = {"device": self._device, "min_score": self._min_score}
         return find_people(picture, levels=_LEVELS, previous=previous, **how)
 

@@ -60,7 +60,7 @@ def repair_depth_order(body: BodyParameters, seen: Observation, prior: PosePrior
 
 
 def repair_depth_orders(
-    bodies: BodyParameters, seen: Sequence[Observation], prior: PosePrior
+    bodies: BodyParameters, seen: Sequence[Observation], prior: PosePrior, everyone: Batch | None = None
 ) -> tuple[BodyParameters, list[DepthOrder]]:
     """Bodies of people after ``repair_depth_order`` of each, all at once.
 
@@ -68,9 +68,16 @@ def repair_depth_orders(
         bodies: One of each person.
         seen: With labels of one set; of several people no probabilities. Cameras of all or of none are known.
         prior: Of poses.
+        everyone: What was seen, where it is stacked already, and the first of ``seen`` alone is looked at.
     """
     count, lens = bodies.batch_size, seen[0].lens
-    lenses = None if lens is None else torch.stack([each.lens for each in seen if each.lens is not None])
+    lenses = None
+    if lens is not None:
+        lenses = (
+            everyone.lenses
+            if everyone is not None
+            else torch.stack([each.lens for each in seen if each.lens is not None])
+        )
     flips, owners, names = _propose(bodies, prior, lenses)
     tried: list[list[str]] = [[] for _ in range(count)]
     for name, owner in zip(names, owners.tolist(), strict=True):
@@ -79,7 +86,10 @@ def repair_depth_orders(
     if not names:
         return bodies, orders
     energy = Energy(seen[0], _SIZE, FLIP_WEIGHTS, prior, renderer=RendererEllipsoids("edges"))
-    everyone = Batch.of(seen, energy) if count > 1 else None
+    if everyone is not None:
+        everyone = everyone.drawn_at(_SIZE)
+    elif count > 1:
+        everyone = Batch.of(seen, energy)
     # Each one's own body comes before its flips.
     asked = owners.unique()
     both, people = BodyParameters.joined([bodies.select(asked), flips]), torch.cat([asked, owners])

@@ -142,7 +142,7 @@ class _Fit:
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
-        predicted = ask_network([self.seen], network)
+        predicted = ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half)
         body = self._turned(predicted.parameters()) if self.body is None else self.body
         seconds = {"network": time.perf_counter() - started}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])

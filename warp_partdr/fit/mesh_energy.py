@@ -21,8 +21,9 @@ from ..cameras import Camera
 from ..clothing.capsules import Capsules, measure_capsules
 from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
 from ..clothing.joint_merging import merge_joints
+from ..clothing.joint_turns import turn_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
-from ..clothing.pose import free_joints, pose_from_ellipbody, turn_joints, turning_joints
+from ..clothing.pose import free_joints, pose_from_ellipbody, turning_joints
 from ..clothing.reduction import reduce_model, reduce_within
 from ..clothing.registration import shape_from_lengths
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
@@ -32,6 +33,7 @@ from ..refinement.energy import split_votes
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .given_poses import GivenPoses
+from .landmark_costs import LandmarkAims, landmark_costs
 from .mesh_options import MeshOptions
 from .result import FitResult
 from .steps import Tensors
@@ -166,12 +168,13 @@ class MeshEnergy:
         posed = self.pose(people, unknowns)
         points = self.landmarks(posed)
         camera, away = self._camera(people, unknowns, REFERENCE_SIZE)
-        marks = points.gather(1, people.places[..., None].expand(-1, -1, 3))
-        apart = camera.project(marks + away)[..., :2] - (people.points + 1) * (REFERENCE_SIZE / 2)
-        moved = (self.depths(points) - people.depths) / people.depth_spreads
+        aims = LandmarkAims(
+            people.places, people.points, people.votes, self.ends, people.depths, people.depth_spreads.pow(-2)
+        )
+        seen, deep = landmark_costs(points + away, camera, aims)
         terms = {
-            "proj": options.proj * (apart.abs().sum(-1) * people.votes).sum(1),
-            "depth": options.depth * moved.square().sum(1),
+            "proj": options.proj * seen,
+            "depth": options.depth * deep,
             "turns": options.turns * (unknowns.turns.square().sum(-1) / people.turn_spreads.square()).sum(1),
             "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(1),
         }

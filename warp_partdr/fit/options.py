@@ -29,6 +29,8 @@ class FitOptions:
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
+        mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
+        half: Ask it in bfloat16.
         mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
     """
 
@@ -40,6 +42,8 @@ class FitOptions:
     network: str | None = None
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
     depth_flips: bool = True
+    mirror: bool = True
+    half: bool = False
     mesh: MeshOptions = field(default_factory=MeshOptions)
 
     def __post_init__(self) -> None:

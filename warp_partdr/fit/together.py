@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from ..body.labels import LabelSet
@@ -22,6 +23,7 @@ from ..inputs.observation import Observation
 from ..interop.torch_threads import one_torch_thread
 from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
+from ..network.uncertainty import Uncertainty
 from ..refinement.batch import Batch
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
@@ -91,39 +93,49 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
     first = people[0].observation
     device = first.points.device
     prior = PosePrior().to(device)
-    predicted = ask_network([person.observation for person in people], network)
+    given = [person.observation for person in people]
+    predicted = ask_network(given, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
     bodies = predicted.parameters()
     if first.lens is not None:
-        bodies = turn_to_rays(bodies, torch.stack([_lens(person) for person in people]))
-    sized = zip(people, bodies.lengths, bodies.thicknesses, strict=True)
-    seen = [replace(person.observation, lengths=each, thicknesses=thick) for person, each, thick in sized]
+        bodies = turn_to_rays(bodies, torch.stack([each.lens for each in given if each.lens is not None]))
+    lengths, thicknesses = bodies.lengths, bodies.thicknesses
+    first = replace(first, lengths=lengths[0], thicknesses=thicknesses[0])
+    # Stacked once; of a person alone, what is drawn differs from stage to stage.
+    everyone = replace(Batch.of(given, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
     stages = options.stages
     if first.label_set is None:
         stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
     orders: Sequence[DepthOrder | None] = [None] * len(people)
     several = first.label_set is not None and first.label_set.num_groups > 1
     if stages and several and options.depth_flips:
-        bodies, orders = repair_depth_orders(bodies, seen, prior)
+        bodies, orders = repair_depth_orders(bodies, [first], prior, everyone)
     depths, spreads = bodies.posed().centres[..., 2], said.centre_depths()
-    seen = [replace(each, depths=depths[row], depth_spreads=spreads[row]) for row, each in enumerate(seen)]
+    first = replace(first, depths=depths[0], depth_spreads=spreads[0])
+    everyone = replace(everyone, depths=depths, depth_scales=1 / spreads)
     terms: dict[str, torch.Tensor] = {}
-    history: list[torch.Tensor] = []
+    history: list[np.ndarray] = []
     before_outline: BodyParameters | None = None
     for stage in stages:
         if stage.name == OUTLINE:
             before_outline = bodies
-        energy = _energy(seen[0], stage, options, prior)
+        energy = _energy(first, stage, options, prior)
         rule = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "frozen": stage.frozen}
-        refined = refine_captured(bodies, energy, rule, people=Batch.of(seen, energy))
+        refined = refine_captured(bodies, energy, rule, people=everyone.drawn_at(stage.size or 1))
         bodies, terms = refined.parameters, refined.terms
-        history.append(refined.history.cpu())
+        history.append(refined.history.T.cpu().numpy())
     numbers = {name: term.tolist() for name, term in terms.items()}
-    told = _complaints(bodies, seen, Energy(seen[0], _JUDGED, prior=prior))
+    told = _complaints(bodies, everyone.drawn_at(_JUDGED), Energy(first, _JUDGED, prior=prior))
+    sizes = lengths.unbind(), thicknesses.unbind(), depths.unbind(), spreads.unbind()
+    seen = [
+        replace(each, lengths=length, thicknesses=thickness, depths=depth, depth_spreads=spread)
+        for each, length, thickness, depth, spread in zip(given, *sizes, strict=True)
+    ]
+    sure = [Uncertainty(*row) for row in zip(*(each.split(1) for each in vars(said).values()), strict=True)]
+    before = [None] * len(people) if before_outline is None else before_outline.apart()
     results: list[FitResult] = []
-    for row, person in enumerate(people):
-        own = bodies.select(slice(row, row + 1))
+    for row, (person, own) in enumerate(zip(people, bodies.apart(), strict=True)):
         results.append(
             FitResult(
                 parameters=own,
@@ -131,7 +143,7 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
                 observation=seen[row],
                 stages=stages,
                 energy={name: values[row] for name, values in numbers.items()},
-                history=[each[:, row].numpy() for each in history],
+                history=[each[row] for each in history],
                 stage_seconds={},
                 hypotheses=1,
                 finalists=[],
@@ -139,17 +151,11 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
                 evidence=person.evidence,
                 warnings=(*person.evidence.warnings, *told[row]),
                 depth_order=orders[row],
-                uncertainty=said.select(slice(row, row + 1)),
-                before_outline=None if before_outline is None else before_outline.select(slice(row, row + 1)),
+                uncertainty=sure[row],
+                before_outline=before[row],
             )
         )
     return results
-
-
-def _lens(person: CutPerson) -> torch.Tensor:
-    lens = person.observation.lens
-    assert lens is not None
-    return lens
 
 
 def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:
@@ -159,9 +165,8 @@ def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePri
     return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
 
-def _complaints(bodies: BodyParameters, seen: Sequence[Observation], energy: Energy) -> list[list[str]]:
+def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> list[list[str]]:
     """Warnings of what each body is too far from, as ``complaints`` of one, at once and of a smaller picture."""
-    people = Batch.of(seen, energy)
     terms = refine_captured(bodies, energy, {"iterations": 0}, people=people).terms
     offs = (terms["proj"] / energy.weights.proj / people.votes.sum(1)).tolist()
     if people.targets is None:

@@ -1,7 +1,8 @@
-"""Errors for derivatives that kernels lack: second ones, and ``torch.func``'s, which autograd would take for 0."""
+"""Derivatives that kernels lack, second ones and ``torch.func``'s, 0 to autograd: torch's instead, or errors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -55,6 +56,21 @@ class _Once(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> Any:
         raise_second_derivative(ctx.name)
+
+
+def differentiate_again(
+    function: Callable[..., torch.Tensor], inputs: tuple[torch.Tensor, ...], adjoint: torch.Tensor
+) -> tuple[torch.Tensor | None, ...]:
+    """Gradients by torch, which have derivatives themselves: for a kernel's ``backward`` under ``create_graph=True``.
+
+    Args:
+        function: Says by torch what the kernel says.
+        inputs: Its arguments; those without gradient get None.
+        adjoint: Incoming gradient.
+    """
+    wanted = [each for each in inputs if each.requires_grad]
+    found = iter(torch.autograd.grad(function(*inputs), wanted, adjoint, create_graph=True))
+    return tuple(next(found) if each.requires_grad else None for each in inputs)
 
 
 def raise_second_derivative(name: str) -> None:

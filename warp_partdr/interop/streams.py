@@ -30,10 +30,15 @@ class _Gate:
         self._own = threading.local()  # how often this thread is launching
 
     @contextmanager
-    def launching(self) -> Iterator[None]:
-        """Enter for a launch: any number of threads at once, but during a capture only the thread that captures."""
+    def launching(self, *, captured: bool = False) -> Iterator[None]:
+        """Enter for a launch: any number of threads at once, but during a capture only those that belong to it.
+
+        Args:
+            captured: This thread launches on the stream that is captured: autograd's does, for which the one that
+                captures waits.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._capturing in (None, threading.get_ident()))
+            self._changed.wait_for(lambda: captured or self._capturing in (None, threading.get_ident()))
             self._launching += 1
         self._own.count = getattr(self._own, "count", 0) + 1
         try:
@@ -112,7 +117,8 @@ def on_torch_stream(device: torch.device, *, torch_memory: bool = False) -> Iter
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"device: {device}; expected a cpu or cuda device")
     wp.init()  # does nothing the second time; device_from_torch relies on it
-    with _gate.launching(), _on_stream(device, torch_memory) as where:
+    captured = device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+    with _gate.launching(captured=captured), _on_stream(device, torch_memory) as where:
         yield where
 
 

@@ -22,6 +22,7 @@ from ..errors import InputError, check_type
 from ..inputs.films import Frame
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
+from ..interop.torch_threads import all_torch_threads
 from .keypoints import ask_keypoints
 from .networks import KeypointNetwork, PartNetwork, cut_upright
 from .parts import PlacedParts, ask_parts
@@ -155,9 +156,9 @@ def find_film_sights(
     check_type("networks", networks, GivenNetworks, "such as GivenNetworks(keypoints_from=network)")
     asked = _Asked(networks, torch.device(device))
 
-    def watch(frame: Frame, people: Sequence[FoundPerson]) -> None:
+    def watch(frame: Frame, picture: Pyramid, people: Sequence[FoundPerson]) -> None:
         try:
-            asked.watch(frame, people)
+            asked.watch(frame.index, picture, people)
         except InputError as error:
             raise _NetworkError(error) from error
 
@@ -211,11 +212,11 @@ class _Asked:
     keypoints: dict[tuple[int, int], Keypoints2D] = field(default_factory=dict)
     packed: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
-    def watch(self, frame: Frame, people: Sequence[FoundPerson]) -> None:
+    def watch(self, frame: int, picture: Pyramid, people: Sequence[FoundPerson]) -> None:
         """Take the people of a frame; of its picture, only their crops are kept."""
         if not people:
             return
-        picture, parts = Pyramid(frame.picture, self.device), None
+        parts = None
         if (network := self.networks.parts_from) is not None:
             size = kept_size(picture.size)
             small = [_smaller(person, size[1] / picture.size[1]) for person in people]
@@ -226,7 +227,7 @@ class _Asked:
                 pictures["parts"] = cut_upright(picture, person, network.size, stretch=network.stretch)
             if (other := self.networks.keypoints_from) is not None:
                 pictures["keypoints"] = cut_upright(picture, person, other.size)
-            self.waiting.append(_Waiting((frame.index, place), person, parts, pictures))
+            self.waiting.append(_Waiting((frame, place), person, parts, pictures))
         while len(self.waiting) >= _TOGETHER[self.device.type]:
             self._ask(_TOGETHER[self.device.type])
 
@@ -249,6 +250,10 @@ class _Asked:
         some, self.waiting = self.waiting[:count], self.waiting[count:]
         if not some:
             return
+        with all_torch_threads():
+            self._ask_about(some)
+
+    def _ask_about(self, some: Sequence[_Waiting]) -> None:
         if (network := self.networks.keypoints_from) is not None:
             pictures = torch.cat([each.pictures["keypoints"] for each in some])
             found = ask_keypoints(network, pictures, [each.person for each in some])
@@ -263,7 +268,5 @@ class _Asked:
 
 def _smaller(person: FoundPerson, zoom: float) -> FoundPerson:
     """A person of a picture drawn at ``zoom``."""
-    crop = replace(person.crop, centres=person.crop.centres * zoom, sides=person.crop.sides * zoom)
-    return replace(
-        person, crop=crop, keypoints=replace(person.keypoints, points=person.keypoints.points * np.float32(zoom))
-    )
+    keypoints = replace(person.keypoints, points=person.keypoints.points * np.float32(zoom))
+    return replace(person, crop=person.crop.zoomed(zoom), keypoints=keypoints)

@@ -14,6 +14,7 @@ class Equation:
     Attributes:
         title: A few words.
         formula: The paper's, as plain text.
+        latex: The same in LaTeX.
         book: The function of this book, whose docstring tells the letters and the differences from the paper.
         kernels: Warp kernels and device functions; none where torch alone does it.
         torch: The functions that users call.
@@ -22,6 +23,7 @@ class Equation:
 
     title: str
     formula: str
+    latex: str
     book: str
     kernels: list[str]
     torch: list[str]

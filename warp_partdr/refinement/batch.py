@@ -31,6 +31,7 @@ class Batch:
         lenses: Focal lengths and principal points, shape (N, 3); 0 without.
         targets: Label images, shape (N, size, size), uint8; None if nothing is drawn.
         seen: Names of the landmarks that anybody has.
+        labels: Label images as they were given, of one size; None without, and of some of the people.
     """
 
     points: torch.Tensor
@@ -42,6 +43,7 @@ class Batch:
     lenses: torch.Tensor
     targets: torch.Tensor | None
     seen: frozenset[str]
+    labels: torch.Tensor | None = None
 
     @classmethod
     def of(cls, people: Sequence[Observation], energy: Energy) -> Batch:
@@ -64,6 +66,7 @@ class Batch:
             own = [getattr(each, name) for each in people]
             return torch.stack([usual if each is None else each for each in own])
 
+        labels = None if energy.target is None else _stack_labels(people)
         return cls(
             points=points,
             votes=split_votes(sure, on_parts),
@@ -72,25 +75,35 @@ class Batch:
             depths=stacked("depths", sure.new_zeros(NUM_PARTS)),
             depth_scales=stack_depth_scales([each.depth_spreads for each in people], device),
             lenses=stacked("lens", sure.new_zeros(3)),
-            targets=None if energy.target is None else _targets(people, energy.size),
-            seen=frozenset(name for each in people for name in each.body_points),
+            targets=None if labels is None else resize_nearest(labels, energy.size),
+            seen=frozenset(name for names in {each.body_points for each in people} for name in names),
+            labels=labels,
         )
 
     def __len__(self) -> int:
         """N."""
         return len(self.votes)
 
+    def drawn_at(self, size: int) -> Batch:
+        """With label images of ``size`` pixels a side; of 0, nothing is drawn."""
+        if self.labels is None or size == 0:
+            return replace(self, targets=None)
+        return replace(self, targets=resize_nearest(self.labels, size))
+
     def select(self, rows: torch.Tensor | slice) -> Batch:
         """Some of the people; one may come several times."""
-        chosen: dict[str, Any] = {name: each[rows] for name, each in vars(self).items() if torch.is_tensor(each)}
-        return replace(self, **chosen)
+        own = {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
+        chosen: dict[str, Any] = {name: each[rows] for name, each in own.items()}
+        return replace(self, labels=None, **chosen)  # large, and drawn already
 
 
-def _targets(people: Sequence[Observation], size: int) -> torch.Tensor:
+def _stack_labels(people: Sequence[Observation]) -> torch.Tensor:
+    """Label images (N, size, size), as large as the largest."""
     labels = [each.labels for each in people if each.labels is not None]
-    if len({each.shape for each in labels}) > 1:
-        return torch.stack([resize_nearest(each, size) for each in labels])
-    return resize_nearest(torch.stack(labels), size)
+    sides = {each.shape[-1] for each in labels}
+    if len(sides) > 1:
+        labels = [resize_nearest(each, max(sides)) for each in labels]
+    return torch.stack(labels)
 
 
 @lru_cache(maxsize=256)

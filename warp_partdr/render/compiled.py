@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, List  # noqa: UP035  torch 2.6 knows no list[torch.Tensor] as a result
 
 import torch
 
@@ -52,7 +52,7 @@ def _register(kind: type[MeshPasses | EllipsoidPasses], num_inputs: int, index: 
         integers: Sequence[int],
         gradient: str,
         numbers: Sequence[float],
-    ) -> list[torch.Tensor]:
+    ) -> List[torch.Tensor]:  # noqa: UP006
         *images, grad_maps = picture
         passes = kind.of(tensors[num_inputs:], integers, gradient, numbers)
         return list(passes.gradients(tuple(tensors[:num_inputs]), Picture(*images), grad_maps))

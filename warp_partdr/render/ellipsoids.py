@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 import torch
 
@@ -18,7 +17,7 @@ from ..interop.layouts import Tensors
 from ..interop.movable import Movable
 from . import compiled as compiled  # registers the operations for torch.compile
 from .ellipsoid_passes import EllipsoidPasses, ellipsoid_passes
-from .options import DEFAULT_DEPTH_WEIGHT, Gradient, cached, check_partdr_options, check_target
+from .options import DEFAULT_DEPTH_WEIGHT, GRADIENTS, Gradient, cached, check_partdr_options, check_target
 from .part_mesh import MAX_LABEL
 from .pictures import DrawnLater, Size, draw_picture, find_loss
 
@@ -155,8 +154,8 @@ _Rule = tuple[Gradient, float, float, float]  # gradient, max_distance, depth_we
 @cached
 def check_rule(gradient: Gradient, max_distance: float, depth_weight: float, samples_per_pixel: float) -> _Rule:
     """Options of the gradient, checked, for ``ellipsoid_passes``."""
-    if gradient not in get_args(Gradient):
-        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(Gradient))}")
+    if gradient not in GRADIENTS:
+        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(GRADIENTS)}")
     check_partdr_options(max_distance, depth_weight)
     if not 0 < samples_per_pixel <= MAX_SAMPLES:
         raise ValueError(f"samples_per_pixel: {samples_per_pixel}; expected a positive number up to {MAX_SAMPLES}")

@@ -11,6 +11,9 @@ import torch
 
 Gradient = Literal["edges", "coverage", "partdr"]
 MeshGradient = Literal["edges", "partdr"]
+# torch 2.6 can't compile get_args itself.
+GRADIENTS: tuple[str, ...] = get_args(Gradient)
+MESH_GRADIENTS: tuple[str, ...] = get_args(MeshGradient)
 
 IGNORE_LABEL = 255  # a target pixel that neither attracts nor repels
 DEFAULT_DEPTH_WEIGHT = 1.0  # the paper's lambda in eq. 12, to which it gives no value
@@ -30,8 +33,8 @@ def check_mesh_rule(
     gradient: MeshGradient, max_distance: float, depth_weight: float
 ) -> tuple[float, float, MeshGradient]:
     """Options of a mesh's gradient, checked, as the last three of ``mesh_passes``."""
-    if gradient not in get_args(MeshGradient):
-        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(get_args(MeshGradient))}, of a mesh")
+    if gradient not in MESH_GRADIENTS:
+        raise ValueError(f"gradient: {gradient!r}; expected one of {', '.join(MESH_GRADIENTS)}, of a mesh")
     check_partdr_options(max_distance, depth_weight)
     return float(max_distance), float(depth_weight), gradient
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,7 @@ from ..interop.torch_threads import one_torch_thread
 from ..render.mesh import draw_mesh
 from .body_file import BodyFile
 from .ellipbody_files import ellipbody_scene
+from .further_files import save_further
 from .palette import group_colours
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
 from .result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
@@ -122,6 +123,7 @@ def save_registered(
     photo: np.ndarray | None = None,
     evidence: Evidence | None = None,
     clothes: torch.Tensor | None = None,
+    formats: Sequence[str] = (),
     **about: Any,
 ) -> dict[str, Any]:
     """Write the first body as ``DETAILED_FILES``; returns the report.
@@ -137,6 +139,7 @@ def save_registered(
         photo: The picture, shape (H, W, 3), uint8, if there was one.
         evidence: Of the person in that picture, for the report's scores where it has labels.
         clothes: Thicknesses on parts ``CLOTHED`` [m], shape (1, 8), that picture and scores show; meshes are without.
+        formats: Of ``FURTHER``, for more files.
         **about: More for the report.
     """
     model = registered.model
@@ -161,6 +164,7 @@ def save_registered(
         report |= score_labels(label_set.part_groups[image.labels[0].cpu().numpy()], evidence.target(scored), label_set)
     with replacing(Path(folder), REGISTRATION_REPORT, report, outdates=(REGISTRATION_REPORT,)) as temporary:
         save_detailed(registered, temporary)
+        save_further(registered, temporary / "detailed", formats)
         save_detailed_arrays(registered, temporary, clothes)
         picture.save(temporary / "detailed.png")
         if model.name in POSES and bool((registered.growth[0] == 1).all()):

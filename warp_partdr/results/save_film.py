@@ -16,11 +16,13 @@ from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
 from ..inputs.films import read_frames
+from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
 from ..scenes.film import FilmFit, Motion
 from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
 from .film_pictures import PosedMotions, draw_bodies, resized, zoomed_view
+from .further_files import save_further
 from .predictions import ROW, FilmBodies
 from .result_sets import PEOPLE_REPORT, replacing
 from .save import shown_at
@@ -33,7 +35,12 @@ _SIDE = 960  # [px], longer side of the film that shows the bodies
 
 @one_torch_thread()
 def save_film_fit(
-    fit: FilmFit, folder: str | Path, *, films: Sequence[str | Path], progress: Progress | None = None
+    fit: FilmFit,
+    folder: str | Path,
+    *,
+    films: Sequence[str | Path],
+    formats: Sequence[str] = (),
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write overlay.mp4 and people.json, and of each person N personN.npz, personN.glb and personN.bvh.
 
@@ -48,6 +55,7 @@ def save_film_fit(
         fit: Of ``fit_film``.
         folder: Made if it is not there.
         films: The files, as in the fit.
+        formats: Of ``FURTHER``, for more files of each motion.
         progress: Told the stage, frames done and in all.
 
     Returns:
@@ -66,10 +74,11 @@ def save_film_fit(
         for place, (person, motion) in enumerate(fit.motions.items()):
             tell("writing motions", place, len(fit.motions))
             by = [each["film"] for each, rows in zip(report["views"], _seen(fit, person), strict=True) if len(rows)]
-            report["people"].append({**_save_motion(fit, person, motion, temporary), "seen_by": by})
+            report["people"].append({**_save_motion(fit, person, motion, temporary, formats), "seen_by": by})
         total, done = sum(len(seen.people.times) for seen in fit.films), 0
         for place, film in enumerate(films):
-            shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(draw_film(fit, film, place)))
+            pictures = made_ahead(draw_film(fit, film, place))
+            shown = (_told(picture, done + row, total, tell) for row, picture in enumerate(pictures))
             write_film(temporary / overlay_name(place), shown, fit.people.rate)
             done += len(fit.films[place].people.times)
     return report
@@ -91,8 +100,9 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
     seen = fit.films[place]
     zoom, size = shown_at(seen.people.image_size, _SIDE)
     view, posed = zoomed_view(seen.view, zoom, size), PosedMotions(fit.motions)
-    for frame in islice(read_frames(film), len(seen.people.times)):
-        yield draw_bodies(resized(frame.picture, size, seen.lens), posed.at(frame.index), fit.motions, view)
+    frames = enumerate(islice(read_frames(film), len(seen.people.times)))
+    for index, picture in made_ahead((index, resized(frame.picture, size, seen.lens)) for index, frame in frames):
+        yield draw_bodies(picture, posed.at(index), fit.motions, view)
 
 
 def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
@@ -115,7 +125,7 @@ def _told(picture: np.ndarray, number: int, total: int, tell: Progress) -> np.nd
     return picture
 
 
-def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path) -> dict[str, Any]:
+def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path, formats: Sequence[str]) -> dict[str, Any]:
     """Files of a person, and what the report says."""
     rows, lowest = _rows(fit, person, motion)
     name = f"person{person}"
@@ -132,10 +142,11 @@ def _save_motion(fit: FilmFit, person: int, motion: Motion, folder: Path) -> dic
     first = motion.bodies(slice(0, 1))
     (folder / f"{name}.glb").write_bytes(glb(first, poses))
     (folder / f"{name}.bvh").write_text(bvh(first, poses))
+    further = save_further(first, folder / name, formats, poses)
     seen = _seen(fit, person)
     return {
         "person": person,
-        "files": [f"{name}.{kind}" for kind in ("npz", "glb", "bvh")],
+        "files": [*(f"{name}.{kind}" for kind in ("npz", "glb", "bvh")), *further],
         "score": round(float(np.concatenate([rows["scores"] for rows in seen]).mean()), 3),
         "first_frame": int(motion.frames[0]),
         "last_frame": int(motion.frames[-1]),

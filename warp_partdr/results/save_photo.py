@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from ..fit.mesh_stage import MeshFit
 from ..fit.photo import PhotoFit
 from ..interop.torch_threads import one_torch_thread
 from .ellipbody_files import GLTF_FROM_CAMERA
+from .further_files import FURTHER_FILES
 from .palette import PART_COLOURS
 from .pictures import draw_keypoints
 from .result_sets import PEOPLE_REPORT, replacing
@@ -38,13 +40,16 @@ _TINT = 0.45  # of masks over the photo
 
 
 @one_torch_thread()
-def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> dict[str, Any]:
+def save_photo_fit(
+    fit: PhotoFit, folder: str | Path, *, photo: np.ndarray, formats: Sequence[str] = ()
+) -> dict[str, Any]:
     """Write person0, person1, ... (``RESULT_FILES`` and ``DETAILED_FILES`` each), and ``PHOTO_FILES``.
 
     Args:
         fit: Of ``fit_photo``.
         folder: Made if it is not there. Files of people whom an older run left in it are removed.
         photo: The picture, shape (H, W, 3), uint8.
+        formats: Of ``FURTHER``, for more files of each detailed body.
 
     Returns:
         The report, which is ``people.json``.
@@ -73,7 +78,7 @@ def save_photo_fit(fit: PhotoFit, folder: str | Path, *, photo: np.ndarray) -> d
         save_fit(found, own, photo=shown, sources=fit.sources[place], mesh=mesh.body)
         save_registered(
             mesh.body, own, found.camera, size, photo=small, evidence=found.evidence, clothes=mesh.clothes,
-            seconds=round(found.stage_seconds["mesh"], 3),
+            seconds=round(found.stage_seconds["mesh"], 3), formats=formats,
         )  # fmt: skip
     _remove_others(folder, {_name(place) for place in fit.fits})
     return report
@@ -165,7 +170,7 @@ def _remove_others(folder: Path, kept: set[str]) -> None:
     for own in folder.glob("person[0-9]*"):
         if own.name in kept or not own.is_dir() or not own.name[len("person") :].isdigit():
             continue
-        for name in (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE):
+        for name in (*RESULT_FILES, *DETAILED_FILES, *FURTHER_FILES, SMPLX_FILE):
             (own / name).unlink(missing_ok=True)
         if not any(own.iterdir()):
             own.rmdir()

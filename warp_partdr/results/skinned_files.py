@@ -19,6 +19,7 @@ import torch
 from ..clothing.model import DetailedModel
 from ..clothing.normals import vertex_normals
 from ..clothing.registration import Registered
+from .binding import Binding, from_rest, numbers_of, to_quaternions
 from .ellipbody_files import GLTF_FROM_CAMERA
 from .palette import PART_COLOURS
 
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
     import trimesh
 
 SKIN_WEIGHTS = 4  # a vertex, as glTF's JOINTS_0 has it
+SKIN_LOOK: dict[str, Any] = {  # by glTF's names
+    "baseColorFactor": [0.6, 0.42, 0.34, 1.0],
+    "metallicFactor": 0.0,
+    "roughnessFactor": 0.8,
+}
 _DTYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}  # glTF's component types
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _USUAL_RATE = 30.0  # poses a second of a file with one
@@ -82,24 +88,19 @@ def glb(registered: Registered, poses: Poses | None = None) -> bytes:
     """The first body as binary glTF 2.0: mesh, skeleton, skin weights, and its pose; of several poses, an animation."""
     poses = poses or Poses.first(registered)
     model, faces = registered.model, registered.model.faces.cpu().numpy()
-    rest, transforms = _first(registered.rest().joints), _first(registered.detailed.transforms)
-    weights, joints = model.skin_weights.cpu().double().topk(min(SKIN_WEIGHTS, model.num_joints), dim=1)
-    padding = (0, SKIN_WEIGHTS - weights.shape[1])
-    shares = torch.nn.functional.pad(weights / weights.sum(1, keepdim=True), padding).numpy()
-    bones = torch.nn.functional.pad(joints, padding).numpy()
-    inverse_bind = np.tile(np.eye(4), (len(rest), 1, 1))
-    inverse_bind[:, :3, 3] = -rest
-    # The mesh that the skin takes to the posed one, so that what a viewer shows is exact.
-    skin = np.einsum("vk,vkij->vij", shares, (transforms @ inverse_bind)[bones])
-    posed = _first(registered.detailed.vertices)
-    bind = np.linalg.solve(skin[:, :3, :3], (posed - skin[:, :3, 3])[..., None])[..., 0]
+    binding = Binding.of(registered, SKIN_WEIGHTS)
+    rest, bind = binding.joints, binding.points
 
     nodes: list[dict[str, Any]] = []
-    rotations, translation = _first(registered.rotations), _first(registered.translation)
+    rotations, translation = numbers_of(registered.rotations), numbers_of(registered.translation)
     for joint, (name, parent) in enumerate(zip(model.joint_names, model.parents, strict=True)):
         offset = translation if parent < 0 else rest[joint] - rest[parent]
         nodes.append(
-            {"name": name, "translation": offset.tolist(), "rotation": _quaternions(rotations[joint][None])[0].tolist()}
+            {
+                "name": name,
+                "translation": offset.tolist(),
+                "rotation": to_quaternions(rotations[joint][None])[0].tolist(),
+            }
         )
         if children := _children(model, joint):
             nodes[-1]["children"] = children
@@ -112,13 +113,12 @@ def glb(registered: Registered, poses: Poses | None = None) -> bytes:
     attributes = {
         "POSITION": buffer.add(bind.astype(np.float32), bounds=True),
         "NORMAL": buffer.add(_any_way(vertex_normals(bind, faces)).astype(np.float32)),
-        "JOINTS_0": buffer.add(bones.astype(np.uint16)),
-        "WEIGHTS_0": buffer.add(shares.astype(np.float32)),
+        "JOINTS_0": buffer.add(binding.bones.astype(np.uint16)),
+        "WEIGHTS_0": buffer.add(binding.shares.astype(np.float32)),
     }
     indices = buffer.add(faces.astype(np.uint32).reshape(-1), target=_INDICES)
     # glTF's matrices are stored column by column.
-    matrices = buffer.add(inverse_bind.transpose(0, 2, 1).astype(np.float32))
-    material = {"baseColorFactor": [0.6, 0.42, 0.34, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    matrices = buffer.add(from_rest(rest).transpose(0, 2, 1).astype(np.float32))
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
     body = len(nodes) - 2
     animation = {"animations": [_animation(buffer, poses)]} if len(poses.rotations) > 1 else {}
@@ -128,7 +128,7 @@ def glb(registered: Registered, poses: Poses | None = None) -> bytes:
             "scene": 0,
             "scenes": [{"nodes": [body, body + 1]}],
             "nodes": nodes,
-            "materials": [{"name": "skin", "pbrMetallicRoughness": material}],
+            "materials": [{"name": "skin", "pbrMetallicRoughness": SKIN_LOOK}],
             "meshes": [{"name": model.name, "primitives": [primitive]}],
             "skins": [{"joints": list(range(body)), "inverseBindMatrices": matrices, "skeleton": body}],
             **animation,
@@ -145,7 +145,7 @@ def _animation(buffer: _Buffer, poses: Poses) -> dict[str, Any]:
     values = {(0, "translation"): translation}
     for joint in range(rotations.shape[1]):
         if np.ptp(rotations[:, joint], axis=0).max() > _STILL:
-            values[joint, "rotation"] = _quaternions(rotations[:, joint])
+            values[joint, "rotation"] = to_quaternions(rotations[:, joint])
     for (joint, path), track in values.items():
         channels.append({"sampler": len(samplers), "target": {"node": joint, "path": path}})
         samplers.append({"input": times, "output": buffer.add(track.astype(np.float32)), "interpolation": "LINEAR"})
@@ -155,7 +155,7 @@ def _animation(buffer: _Buffer, poses: Poses) -> dict[str, Any]:
 def bvh(registered: Registered, poses: Poses | None = None) -> str:
     """The first body's skeleton and its pose, or several, as BVH, centimetres and degrees."""
     model, poses = registered.model, poses or Poses.first(registered)
-    rest, (rotations, translation) = 100 * _first(registered.rest().joints), poses.numbers()
+    rest, (rotations, translation) = 100 * numbers_of(registered.rest().joints), poses.numbers()
     rotations[:, 0] = GLTF_FROM_CAMERA @ rotations[:, 0]
     columns = [100 * (translation @ GLTF_FROM_CAMERA.T - [0.0, poses.lowest, 0.0])]
     lines = ["HIERARCHY"]
@@ -216,27 +216,14 @@ class _Buffer:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _first(tensor: torch.Tensor) -> np.ndarray:
-    return tensor[0].detach().cpu().double().numpy()
-
-
 def _children(model: DetailedModel, joint: int) -> list[int]:
     return [child for child, above in enumerate(model.parents) if above == joint]
 
 
 def _upright(registered: Registered) -> tuple[np.ndarray, float]:
     """Posed vertices with y up [m], shape (V, 3), and the lowest y."""
-    vertices = _first(registered.detailed.vertices) @ GLTF_FROM_CAMERA.T
+    vertices = numbers_of(registered.detailed.vertices) @ GLTF_FROM_CAMERA.T
     return vertices, vertices[:, 1].min()
-
-
-def _quaternions(rotations: np.ndarray) -> np.ndarray:
-    """(x, y, z, w) of rotation matrices (T, 3, 3), each on the side of the one before, shape (T, 4)."""
-    from trimesh.transformations import quaternion_from_matrix
-
-    found = np.stack([quaternion_from_matrix(rotation) for rotation in rotations])
-    turned = (found[1:] * found[:-1]).sum(1) < 0
-    return (np.where(np.cumsum([False, *turned]) % 2, -1.0, 1.0)[:, None] * found)[:, [1, 2, 3, 0]]
 
 
 def _euler_zyx(rotations: np.ndarray) -> np.ndarray:

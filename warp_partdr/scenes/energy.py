@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..body.lens import lens_camera, through_lens
-from ..body.parameters import crop_camera
+from ..body.lens import lens_camera, placed_at
 from ..clothing.capsules import Capsules
 from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
+from ..fit.landmark_costs import LandmarkAims, landmark_costs
 from ..fit.mesh_energy import CLOTHES_RATE, SHAPE_RATE, MeshEnergy, Unknowns
 from ..fit.steps import Tensors
 from ..inputs.observation import REFERENCE_SIZE
@@ -98,16 +98,17 @@ class SceneEnergy:
         posed = one.pose(people, numbers)
         pelvises = self.pelvises(people, unknowns)[:, None]
         points = one.landmarks(posed) + pelvises
-        seen = self._seen(people, points)
-        lenses = people.lenses.flatten(0, 1)
-        marks = seen.flatten(0, 1).gather(1, people.places.flatten(0, 1)[..., None].expand(-1, -1, 3))
-        pixels = lens_camera(lenses, REFERENCE_SIZE).project(marks)[..., :2].view_as(people.points)
-        apart = pixels - (people.points + 1) * (REFERENCE_SIZE / 2)
-        moved = one.depths(seen) - people.depths
+        aims = (people.places, people.points, people.votes, people.depths, people.depth_weights)
+        places, marked, votes, depths, weights = (each.flatten(0, 1) for each in aims)
+        seen, deep = landmark_costs(
+            self._seen(people, points).flatten(0, 1),
+            lens_camera(people.lenses.flatten(0, 1), REFERENCE_SIZE),
+            LandmarkAims(places, marked, votes, one.ends, depths, weights),
+        )
         spread = people.turn_spreads.square()
         terms = {
-            "proj": options.proj * (apart.abs().sum(-1) * people.votes).sum(),
-            "depth": options.depth * (moved.square() * people.depth_weights).sum(),
+            "proj": options.proj * seen.sum(),
+            "depth": options.depth * deep.sum(),
             "turns": options.turns * (unknowns.turns.square().sum(-1) / spread).sum(),
             "shape": options.shape / 2 * (unknowns.shape - people.shape).square().sum(),
         }
@@ -208,6 +209,4 @@ def pelvises_in_world(
     translations: torch.Tensor,
 ) -> torch.Tensor:
     """Pelvises in the world [m], shape (N, 3), of bodies in crops of cameras that stand so, (N, 3, 3) and (N, 3)."""
-    _, there = through_lens(crop_camera(log_scale, shift, REFERENCE_SIZE), lens, REFERENCE_SIZE)
-    assert there is not None
-    return ((there - translations)[:, None] @ rotations)[:, 0]
+    return ((placed_at(log_scale, shift, lens) - translations)[:, None] @ rotations)[:, 0]

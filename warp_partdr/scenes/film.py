@@ -6,8 +6,9 @@ a film may be of any length.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -21,12 +22,15 @@ from ..detection.film_people import FilmPeople
 from ..errors import InputError, check_each
 from ..fit.fitting import Progress
 from ..fit.photo import person_place
+from ..interop.ahead import made_ahead
+from .film_looks import FilmLooks
 from .film_pieces import FilmPieces
 from .fitting import SceneFit, fit_scene
 from .options import SceneOptions
 from .same_people import Track, match_people
-from .scene import PersonShape, Scene, View
+from .scene import PersonShape, Scene, Sight, View
 from .seen_film import SeenFilm
+from .start import Looked
 
 _RATES = 0.01  # share by which rates of films may differ
 
@@ -123,30 +127,40 @@ def fit_film(
         everyone = {person: everyone[person_place(person, len(everyone))]}
     film = _Films(tuple(films), everyone)
     tell = progress or (lambda name, done, total: None)
-
-    def kept(name: str, scene: Scene, chosen: SceneOptions) -> _Bodies:
-        def fit() -> dict[str, np.ndarray]:
-            return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device)))
-
-        names = [field.name for field in fields(_Bodies)]
-        return _Bodies(**(fit() if pieces is None else pieces.piece(name, names, fit)))
-
+    looks = FilmLooks(film.views, film.sights, device)
     parts = list(film.windows(options))
+
+    def kept(name: str, scene: Scene, chosen: SceneOptions, look: Callable[[], Sequence[Looked]]) -> _Bodies:
+        def fit() -> dict[str, np.ndarray]:
+            return vars(_Bodies.of(fit_scene(scene, options=chosen, model=model, device=device, looks=look())))
+
+        return _Bodies(**(fit() if pieces is None else pieces.piece(name, _BODIES, fit)))
+
+    def scenes() -> Iterator[tuple[list[int], Scene, list[Looked]]]:
+        for place, part in enumerate(parts):
+            numbers, scene = film.scene(part, shapes)
+            looks.forget(part.start)
+            done = pieces is not None and pieces.known(f"window{place}", _BODIES) is not None
+            yield numbers, scene, [] if done else looks.of(scene, numbers, part)
+
     shapes: dict[int, PersonShape] = {}
     if len(parts) > 1:
         apart = replace(options, smoothing=0.0)  # frames that are far from one another
         for place, number in enumerate(everyone):
             tell("shapes", place, len(everyone))
-            scene = film.surest(number, options.shape_frames)
-            shapes[number] = kept(f"shape{number}", scene, apart).shapes[0]
+            frames, scene = film.surest(number, options.shape_frames)
+            look = partial(looks.of, scene, [number], frames)
+            shapes[number] = kept(f"shape{number}", scene, apart, look).shapes[0]
     found = {number: _Blend() for number in everyone}
-    for place, part in enumerate(parts):
-        tell("motions", place, len(parts))
-        numbers, scene = film.scene(part, shapes)
-        window = kept(f"window{place}", scene, options)
+    # On the CPU the network looks at the next window's frames while this one's bodies are refined; a device has its own
+    # order of work, and graphs are captured there alone.
+    ahead = made_ahead(scenes()) if torch.device(device).type == "cpu" else scenes()
+    tell("motions", 0, len(parts))
+    for place, (part, (numbers, scene, seen)) in enumerate(zip(parts, ahead, strict=True)):
+        window = kept(f"window{place}", scene, options, partial(list, seen))
         for row, number in enumerate(numbers):
             found[number].add(part, window, row)
-    tell("motions", len(parts), len(parts))
+        tell("motions", place + 1, len(parts))
     motions = {number: found[number].motion(model, film.span(number)) for number in everyone}
     return FilmFit(film.films, everyone, motions)
 
@@ -203,10 +217,16 @@ class _Films:
             for view, rows in seen
             for sight in self.films[view].sights(rows, people.index(person), view)
         ]
-        return people, Scene(self._views(), sights, self.films[0].people.rate, known)
+        return people, Scene(self.views, sights, self.films[0].people.rate, known)
 
-    def surest(self, person: int, count: int) -> Scene:
-        """A person in so many frames, spread over the films, those where the keypoints are surest."""
+    def sights(self, person: int, view: int, frames: range) -> list[Sight]:
+        """Sights of a person in a view."""
+        rows = _rows_of(self.films, self.tracks[person], view)
+        inside = rows[(rows["frames"] >= frames.start) & (rows["frames"] < frames.stop)]
+        return list(self.films[view].sights(inside, person, view))
+
+    def surest(self, person: int, count: int) -> tuple[list[int], Scene]:
+        """A person in so many frames, spread over the films, those where the keypoints are surest; and these frames."""
         span = self.span(person)
         sure = np.zeros(len(span))
         for _, rows in self._rows(person):
@@ -218,14 +238,16 @@ class _Films:
             for view, rows in self._rows(person)
             for sight in self.films[view].sights(rows[np.isin(rows["frames"], best)], 0, view)
         ]
-        return Scene(self._views(), sights)
+        return best, Scene(self.views, sights)
 
     def _rows(self, person: int) -> Iterator[tuple[int, np.ndarray]]:
         """Views that see a person, and the rows there."""
         for view in sorted({view for view, _ in self.tracks[person]}):
             yield view, _rows_of(self.films, self.tracks[person], view)
 
-    def _views(self) -> list[View]:
+    @property
+    def views(self) -> list[View]:
+        """Cameras."""
         return [film.small_view for film in self.films]
 
 
@@ -260,6 +282,9 @@ class _Bodies:
         """Of the people."""
         pairs = zip(self.values, self.clothes, strict=True)
         return [PersonShape(torch.from_numpy(values), torch.from_numpy(clothes)) for values, clothes in pairs]
+
+
+_BODIES = tuple(field.name for field in fields(_Bodies))
 
 
 class _Blend:
@@ -298,8 +323,10 @@ class _Blend:
 
 
 def windows(start: int, stop: int, length: int, overlap: int) -> list[range]:
-    """Windows of so many frames, each sharing at least ``overlap`` with the one before; the last ends at ``stop``."""
+    """Windows of one length, ``length`` frames at most, that share at least ``overlap`` with the one before."""
     if stop - start <= length:
         return [range(start, stop)]
-    firsts = [*range(start, stop - length, length - overlap), stop - length]
+    count = -(-(stop - start - overlap) // (length - overlap))
+    length = -(-(stop - start + (count - 1) * overlap) // count)
+    firsts = [start + round(place * (stop - start - length) / (count - 1)) for place in range(count)]
     return [range(first, first + length) for first in firsts]

@@ -42,16 +42,22 @@ class FilmPieces:
         self, name: str, arrays: Sequence[str], make: Callable[[], dict[str, np.ndarray]]
     ) -> dict[str, np.ndarray]:
         """Arrays of a piece by their names, which are made unless they are there."""
-        path = self.folder / f"{name}.npz"
-        if path.is_file():
-            with suppress(InputError):  # the disk was full, for example
-                return read_npz(path, arrays, expected="a piece of an unfinished run")
-        made = make()
+        if (known := self.known(name, arrays)) is not None:
+            return known
+        made, path = make(), self._path(name)
         self.folder.mkdir(exist_ok=True)
         unfinished = path.with_suffix(".part.npz")
         np.savez(unfinished, **made)  # type: ignore[arg-type]
         os.replace(unfinished, path)
         return made
+
+    def known(self, name: str, arrays: Sequence[str]) -> dict[str, np.ndarray] | None:
+        """Arrays of a piece, if it is there."""
+        path = self._path(name)
+        if path.is_file():
+            with suppress(InputError):  # the disk was full, for example
+                return read_npz(path, arrays, expected="a piece of an unfinished run")
+        return None
 
     def people(self, film: int, find: Callable[[], FilmPeople]) -> FilmPeople:
         """People of a film, who are looked for unless they were found."""
@@ -72,6 +78,9 @@ class FilmPieces:
     def remove(self) -> None:
         """Remove them all, when the result is written."""
         shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.npz"
 
 
 def _people(data: Mapping[str, np.ndarray]) -> FilmPeople:

@@ -64,8 +64,9 @@ class SeenFilm:
         rows["keypoints"] = _without_distortion(rows["keypoints"], camera)
         packed = [pack_owners(small.undistort_picture(people.owners(frame))) for frame in range(len(people.times))]
         if given is not None:
-            seen = [given.groups(row) for row in range(len(given.packed))]
-            flat = [None if each is None else small.undistort_picture(each, fill=IGNORE) for each in seen]
+            # One at a time: all of a long film's together take gigabytes.
+            seen = (given.groups(row) for row in range(len(given.packed)))
+            flat = (None if each is None else small.undistort_picture(each, fill=IGNORE) for each in seen)
             points = _without_distortion(given.keypoints, camera)
             given = replace(given, keypoints=points, packed=tuple(map(pack_groups, flat)))
         return cls(replace(people, rows=rows, packed=tuple(packed)), View.of(camera), camera, given)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -22,14 +23,17 @@ from ..fit.mesh_energy import gather_keypoints, gather_spreads
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.observation import REFERENCE_SIZE, Observation, crop_evidence, crop_lens, resize_nearest
 from ..interop.checks import FLOATS, check_tensor
+from ..interop.torch_threads import one_torch_thread
+from ..kernels.launch import get_num_threads, run_slices
 from ..network.checkpoint import packaged_network
+from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
 from ..network.predicted import Predicted
 from ..network.uncertainty import Uncertainty
 from .energy import SceneEnergy, SceneStarts, pelvises_in_world
 from .scene import Scene, Sight, View
 
-_TOGETHER = 64  # sights that the network looks at at a time
+_TOGETHER = {"cpu": 8, "cuda": 64}  # sights that the network looks at at a time; on the CPU, on each thread
 _SLOPES = 0.1  # of smooth moves: weight of their squares, in standard deviations of the Gaussian
 _UNSEEN_SPREAD = 1.0  # [rad], of turns where nobody sees a person
 _NEAREST = 0.1  # [m], of a pelvis before its camera
@@ -59,23 +63,52 @@ class Looked:
 
 def look_at(scene: Scene, device: torch.device | str) -> list[Looked]:
     """Bodies that the network sees in each sight, in the order of people, frames and views."""
-    network = packaged_network(str(device))
     sights = sorted(scene.sights, key=lambda sight: (sight.person, sight.frame, sight.view))
-    found: list[Looked] = []
-    for start in range(0, len(sights), _TOGETHER):
-        some = sights[start : start + _TOGETHER]
-        evidence = [_weighed(sight) for sight in some]
-        pairs = [
-            crop_evidence(each, device=device, camera=scene.views[sight.view].camera)
-            for each, sight in zip(evidence, some, strict=True)
-        ]
-        said: Predicted = ask_network([seen for seen, _ in pairs], network)
-        lenses = torch.stack([seen.lens for seen, _ in pairs if seen.lens is not None])
-        bodies = turn_to_rays(said.parameters(), lenses)
-        for place, (sight, each, (seen, crop)) in enumerate(zip(some, evidence, pairs, strict=True)):
-            own = slice(place, place + 1)
-            unsure = None if said.uncertainty is None else said.uncertainty.select(own)
-            found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
+    together = looked_at_together(device)
+    batches = [sights[start : start + together] for start in range(0, len(sights), together)]
+    return list(chain.from_iterable(look_in_batches(scene.views, batches, device)))
+
+
+def looked_at_together(device: torch.device | str) -> int:
+    """Number of sights that the network is to look at at a time."""
+    return _TOGETHER[torch.device(device).type]
+
+
+def look_in_batches(
+    views: Sequence[View], batches: Sequence[Sequence[Sight]], device: torch.device | str
+) -> list[list[Looked]]:
+    """Bodies that the network sees in each sight, of one batch after another; on the CPU, threads share them."""
+    network, on_cpu = packaged_network(str(device)), torch.device(device).type == "cpu"
+    found: list[list[Looked]] = [[] for _ in batches]
+
+    @one_torch_thread()
+    @torch.no_grad()
+    def look(some: slice) -> None:
+        for place in range(len(batches))[some]:
+            found[place] = _look(views, batches[place], network, device)
+
+    threads = max(min(get_num_threads(), len(batches)), 1) if on_cpu else 1
+    run_slices(look, [slice(first, None, threads) for first in range(threads)])
+    return found
+
+
+def _look(
+    views: Sequence[View], sights: Sequence[Sight], network: LabelNetwork, device: torch.device | str
+) -> list[Looked]:
+    """Of sights in one batch."""
+    evidence = [_weighed(sight) for sight in sights]
+    pairs = [
+        crop_evidence(each, device=device, camera=views[sight.view].camera)
+        for each, sight in zip(evidence, sights, strict=True)
+    ]
+    said: Predicted = ask_network([seen for seen, _ in pairs], network)
+    lenses = torch.stack([seen.lens for seen, _ in pairs if seen.lens is not None])
+    bodies = turn_to_rays(said.parameters(), lenses)
+    found = []
+    for place, (sight, each, (seen, crop)) in enumerate(zip(sights, evidence, pairs, strict=True)):
+        own = slice(place, place + 1)
+        unsure = None if said.uncertainty is None else said.uncertainty.select(own)
+        found.append(Looked(sight, each, seen, crop, bodies.select(own), unsure))
     return found
 
 

@@ -158,7 +158,7 @@ def _peer_jobs(plan: KernelPlan, remarks: list[str]) -> _Jobs:
         if not peer.is_installed:
             remarks.append(f"{name}: not timed, {peer.package} is not installed")
             continue
-        for batch in plan.batches:
+        for batch in (batch for batch in plan.batches if batch <= peer.most_bodies):
             yield f"{name}, B = {batch}", partial(_time_peer, plan, remarks, name, batch)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +20,8 @@ from ...render.mesh import draw_mesh, mesh_label_loss
 from ...render.part_mesh import PartMesh
 
 _FRONT = 10.0  # [m] added to depths, which peers want in front of the camera
+_LLVM = 17  # for Mitsuba: 15 lacks an instruction on x86-64 and ends the process, 22 runs; between them is not tried
+_PICTURE_COLOURS = 3  # of one of Mitsuba's pictures
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,103 @@ def embree(view: MeshView) -> tuple[_Draw, None]:
     return draw, None
 
 
+class _MitsubaBody:
+    """One body in Mitsuba: its faces shine, and nothing else."""
+
+    def __init__(self, view: MeshView, points: torch.Tensor) -> None:
+        self._mi, self._dr, mi = import_module("mitsuba"), import_module("drjit"), import_module("mitsuba")
+        (height, width), faces = view.image_size, view.mesh.faces
+        lamp, shade = mi.Properties(), {"type": "mesh_attribute", "name": "face_color"}
+        lamp["emitter"] = mi.load_dict({"type": "area", "radiance": shade})
+        mesh = mi.Mesh("body", len(points), len(faces), props=lamp)
+        mesh.add_attribute("face_color", _PICTURE_COLOURS, mi.Float(torch.zeros(_PICTURE_COLOURS * len(faces))))
+        shape = mi.traverse(mesh)
+        shape["faces"] = mi.UInt32(faces.int().flatten())
+        shape["vertex_positions"] = mi.Float(points.flatten())
+        shape.update()
+        film = {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgb", "sample_border": True}
+        sensor = {"type": "perspective", "fov": 90.0, "fov_axis": "x", "film": {**film, "rfilter": {"type": "box"}}}
+        # A sample of outlines a pixel of the picture, of which they pass through few; no light but what faces emit.
+        rule = {"type": "prb_projective", "max_depth": 1, "sppc": 0, "sppp": 1, "sppi": 0}
+        self._scene = mi.load_dict({"type": "scene", "body": mesh, "sensor": sensor, "integrator": rule})
+        self._values = mi.traverse(self._scene)
+        v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+        centres = mi.Point2f(mi.Float(u.flatten() / width), mi.Float(v.flatten() / height))
+        self._rays, _ = self._scene.sensors()[0].sample_ray(0.0, 0.0, centres, mi.Point2f(0.5, 0.5))
+
+    def move(self, points: torch.Tensor) -> None:
+        """Set vertices (V, 3); a tree is built anew."""
+        self._values["body.vertex_positions"] = self._mi.Float(points.flatten())
+        self._values.update()
+
+    def faces(self) -> torch.Tensor:
+        """The face seen at each pixel, -1 for none, shape (H * W,)."""
+        hits = self._scene.ray_intersect_preliminary(self._rays, coherent=True)
+        faces = self._dr.select(hits.is_valid(), self._mi.Int32(hits.prim_index), -1).torch()
+        self._dr.sync_thread()
+        return faces
+
+    def pull(self, colours: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
+        """Gradient by vertices (V, 3), of that by maps (H, W, 3 N), for colours of faces (F, 3 N)."""
+        leaf = self._values["body.vertex_positions"]
+        self._dr.enable_grad(leaf)
+        for seed in range(colours.shape[1] // _PICTURE_COLOURS):
+            some = slice(_PICTURE_COLOURS * seed, _PICTURE_COLOURS * (seed + 1))
+            self._values["body.face_color"] = self._mi.Float(colours[:, some].flatten())
+            self._values.update()
+            wanted = self._mi.TensorXf(forces[..., some].contiguous())
+            self._scene.integrator().render_backward(self._scene, self._values, wanted, seed=seed)
+        found = self._dr.grad(leaf).torch().reshape(-1, 3).clone()
+        self._dr.disable_grad(leaf)
+        self._dr.sync_thread()
+        return found
+
+
+class _MitsubaMaps(torch.autograd.Function):
+    """Maps of what is seen at pixels' centres, whose gradient is that of outlines."""
+
+    @staticmethod
+    def forward(ctx: Any, points: torch.Tensor, view: MeshView, bodies: list[_MitsubaBody]) -> torch.Tensor:
+        ctx.view, ctx.bodies = view, bodies
+        for body, own in zip(bodies, points, strict=True):
+            body.move(own)
+        return view.maps_of(_mitsuba_labels(view, bodies))
+
+    @staticmethod
+    def backward(ctx: Any, forces: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        spare = (0, -forces.shape[-1] % _PICTURE_COLOURS)
+        colours = torch.nn.functional.pad(ctx.view.maps_of(ctx.view.mesh.face_labels), spare)
+        forces = torch.nn.functional.pad(forces, spare)
+        found = [body.pull(colours, own) for body, own in zip(ctx.bodies, forces, strict=True)]
+        return torch.stack(found), None, None
+
+
+def _mitsuba_labels(view: MeshView, bodies: list[_MitsubaBody]) -> torch.Tensor:
+    return view.labels_of(torch.stack([body.faces() for body in bodies]).view(-1, *view.image_size))
+
+
+def mitsuba(view: MeshView) -> tuple[_Draw, _Loss]:
+    """Mitsuba 3 on Dr.Jit: rays for labels, projective sampling of outlines for gradients, three labels a picture.
+
+    Its gradients of outlines need a centre of projection, so bodies are bent to look the same from one: 1 / z grows
+    evenly over the picture wherever z did before, and planes stay planes. Its x points left and its y up.
+    """
+    is_cpu = view.vertices.device.type == "cpu"
+    import_module("mitsuba").set_variant("llvm_ad_rgb" if is_cpu else "cuda_ad_rgb")
+    if is_cpu and import_module("drjit").detail.llvm_version()[0] < _LLVM:
+        raise RuntimeError(f"it needs LLVM {_LLVM} or newer; the variable DRJIT_LIBLLVM_PATH says where it is")
+    height, width = view.image_size
+
+    def bend(vertices: torch.Tensor) -> torch.Tensor:
+        flat = view.normalised(vertices)
+        plane = torch.cat([-flat[..., :1], -flat[..., 1:2] * height / width, torch.ones_like(flat[..., :1])], dim=-1)
+        return plane / (1 - 0.5 * flat[..., 2:])
+
+    bodies = [_MitsubaBody(view, points) for points in bend(view.vertices.detach())]
+    loss = lambda vertices: view.loss_of(_MitsubaMaps.apply(bend(vertices), view, bodies))  # noqa: E731
+    return lambda: _mitsuba_labels(view, bodies), loss
+
+
 @dataclass(frozen=True)
 class Peer:
     """Another rasterizer."""
@@ -151,6 +251,7 @@ class Peer:
     devices: tuple[str, ...]  # where it runs, of "cpu" and "cuda"
     adapt: Callable[[MeshView], tuple[_Draw, _Loss | None]]  # in time that is not counted
     differentiates: bool = True
+    most_bodies: int = 1024  # that are timed at once: more would take minutes
 
     @property
     def is_installed(self) -> bool:
@@ -164,5 +265,6 @@ PEERS = {
     "DRTK": Peer("drtk", ("cuda",), drtk),
     "nvdiffrast": Peer("nvdiffrast", ("cuda",), nvdiffrast),
     "PyTorch3D": Peer("pytorch3d", ("cuda", "cpu"), pytorch3d),
+    "Mitsuba": Peer("mitsuba", ("cuda", "cpu"), mitsuba, most_bodies=1),
     "Embree": Peer("embreex", ("cpu",), embree, differentiates=False),
 }
