@@ -87,6 +87,8 @@ def test_both_networks_see_a_film(run: Run, film: Path, networks: Path) -> None:
     assert keypoints.startswith(f"keypoints from {networks}/vitpose: ")
     assert person.startswith("person0: frames 0 to 3")
     assert "overlay.mp4" in last
+    view = json.loads(Path("out", "people.json").read_text())["views"][0]
+    assert (view["parts"], view["keypoints"]) == (f"{networks}/segformer", f"{networks}/vitpose")
     assert not list(Path().glob(".partdr-*"))
     # Knees and ankles seen 60 px too high: they end there.
     truth = read_keypoints(EXAMPLE / "keypoints.json")[0]

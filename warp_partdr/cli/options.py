@@ -129,9 +129,7 @@ class PersonFiles:
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
 
 
-PartsFromOption = Annotated[
-    str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")
-]
+PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]
 KeypointsFromOption = Annotated[
     str | None, Option(help="ViTPose for keypoints, likewise (docs/inputs.md).", metavar="NAME")
 ]
