@@ -47,7 +47,7 @@ def chain_body(
             if above >= 0:
                 t = transforms[b, above]
                 turn = turn_of(t, turn) * turn
-                place = turn_of(t, turn) * place + place_of(t, place)
+                place = turn_of(t, turn) * place + last_column(t, place)
             transforms[b, k] = transforms.dtype(
                 turn[0, 0], turn[0, 1], turn[0, 2], place[0],
                 turn[1, 0], turn[1, 1], turn[1, 2], place[1],
@@ -68,7 +68,7 @@ def turn_of(transform: Any, like: Any):
 
 
 @wp.func
-def place_of(transform: Any, like: Any):
+def last_column(transform: Any, like: Any):
     """Upper right column of a 4 x 4, of the type of ``like``."""
     return type(like)(transform[0, 3], transform[1, 3], transform[2, 3])
 
@@ -95,7 +95,7 @@ def chain_body_adjoint(
         for i in range(tree.levels[level] + lane, tree.levels[level + 1], wp.block_dim()):
             k = tree.joints[i]
             turn = turn_of(adj_transforms[b, k], rotations[b, k])
-            place = place_of(adj_transforms[b, k], bones[b, k])
+            place = last_column(adj_transforms[b, k], bones[b, k])
             for c in range(tree.first_child[k], tree.first_child[k + 1]):
                 child = tree.children[c]
                 pull = place_sums[b, child]

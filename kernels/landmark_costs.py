@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class LandmarkAims:
+class AimArrays:
     """Places where landmarks of M views of bodies should be."""
 
     places: wp.array2d[wp.int64]  # (M, K) landmark of each keypoint
@@ -25,7 +25,7 @@ class LandmarkAims:
 
 
 @wp.func
-def divisor(point: wp.vec3, aims: LandmarkAims):
+def divisor(point: wp.vec3, aims: AimArrays):
     """Depth that a point's place is divided by."""
     if aims.perspective == 0:
         return 1.0
@@ -45,7 +45,7 @@ def miss(ray: wp.vec2, camera: wp.vec4, aim: wp.vec2, half_size: float):
 def weigh_landmarks(
     landmarks: wp.array2d[wp.vec3],  # (M, L) before the cameras [m]
     cameras: wp.array[wp.vec4],  # (M,) f_x, f_y, c_x, c_y [px]
-    aims: LandmarkAims,
+    aims: AimArrays,
     costs: wp.array2d[wp.vec2],  # (M, L) of keypoints [px], of depths  OUTPUT
 ):
     """One thread a landmark of a view."""
@@ -69,7 +69,7 @@ def weigh_landmarks(
 def weigh_landmarks_adjoint(
     landmarks: wp.array2d[wp.vec3],
     cameras: wp.array[wp.vec4],
-    aims: LandmarkAims,
+    aims: AimArrays,
     adjoints: wp.array[wp.vec2],  # (M,) of both costs
     by_landmark: wp.array2d[wp.vec3],  # (M, L)  OUTPUT
     by_camera: wp.array2d[wp.vec4],  # (M, L) shares of the cameras' gradients  OUTPUT
@@ -115,7 +115,7 @@ def slope_of(value: float):
 
 def make_aims(arrays: Sequence[wp.array], half_size: float, perspective: bool) -> Any:
     """Aims of arrays in their order."""
-    aims = LandmarkAims()
+    aims = AimArrays()
     names = "places", "points", "votes", "ends", "depths", "depth_weights"
     for name, array in zip(names, arrays, strict=True):
         setattr(aims, name, array)

@@ -29,7 +29,7 @@ from ..inputs.person import check_inside
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
-from .rows import Row, describe_bodies, finite
+from .rows import Row, describe_bodies
 from .sources import KnownPerson, SourcePicture
 
 BulkQuality = Literal["network", "fast", "mesh"]
@@ -201,8 +201,6 @@ class _Taken:
             for key, body in zip(keys, work.result(), strict=True):
                 if isinstance(body, Exception):
                     self.rows[key]["error"] = one_line(body)
-                elif not finite(body):
-                    self.rows[key]["error"] = "the body holds NaN or infinity; expected finite numbers"
                 else:
                     self.rows[key] |= body
 

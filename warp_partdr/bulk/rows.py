@@ -51,12 +51,14 @@ from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
 from ..body.skeletons import skeleton
 from ..body.template import BODY_SHAPES, JOINT_NAMES, LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
+from ..cameras import Crop
 from ..clothing.clothes import CLOTHED
 from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..fit.mesh_stage import MeshFit
 from ..fit.result import FitResult
-from ..inputs.keypoints import person_height
+from ..fit.together import BatchFits
+from ..inputs.keypoints import Keypoints2D, confident, person_heights
 from ..inputs.observation import REFERENCE_SIZE
 
 if TYPE_CHECKING:
@@ -127,23 +129,23 @@ def columns(form: str, model: DetailedModel | None = None) -> tuple[Column, ...]
 
 @torch.no_grad()
 def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
-    """Bodies of people, alike in keypoints' format and camera's kind, as far as a fit knows them."""
-    meshes = [each for each in fits if isinstance(each, MeshFit)]
-    results = [each.ellipbody if isinstance(each, MeshFit) else each for each in fits]
-    bodies = BodyParameters.joined([each.parameters for each in results])
+    """Bodies of people, alike in keypoints' format and camera's kind, as far as a fit knows them.
+
+    A body with a number that is NaN or infinite is an ``error`` instead.
+    """
+    meshes = [] if isinstance(fits, BatchFits) else [each for each in fits if isinstance(each, MeshFit)]
+    known = _known_of(fits)
+    bodies, lenses = known.bodies, known.lenses
     device = bodies.shift.device
-    known = [lens for each in results if (lens := each.observation.lens) is not None]
-    lenses = torch.stack(known) if known else None
     posed, camera = place_bodies(bodies, bodies.posed(), lenses, REFERENCE_SIZE)
-    zooms = torch.tensor([each.crop.zoom for each in results], device=device)[:, None]
-    corners = torch.tensor([[each.crop.left, each.crop.top] for each in results], device=device)
+    zooms = torch.tensor([each.zoom for each in known.crops], device=device)[:, None]
+    corners = torch.tensor([[each.left, each.top] for each in known.crops], device=device)
     intrinsics = camera.intrinsics
-    gather = LandmarkGather(results[0].evidence.keypoints.format.marks, device)
+    gather = LandmarkGather(known.keypoints[0].format.marks, device)
     seen = camera.project(gather(posed))[..., :2] / zooms[:, None] + corners[:, None]
-    said = [each.uncertainty for each in results]
     arrays = {
         "global_orient": bodies.global_orient(),
-        "translation": posed.joints[:, 0] if lenses is not None else torch.zeros(len(results), 3),
+        "translation": posed.joints[:, 0] if lenses is not None else torch.zeros(len(fits), 3),
         "rotations": rotation_from_axis_angle(bodies.free_rotations()),
         "lengths": bodies.lengths,
         "thicknesses": bodies.thicknesses,
@@ -151,7 +153,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
         "camera_translation": intrinsics[:, 2:] / zooms + corners,
         "joints": posed.joints,
         "joints_2d": camera.project(posed.joints)[..., :2] / zooms[:, None] + corners[:, None],
-        "joint_spreads": torch.cat([each.depths for each in said if each is not None]),
+        "joint_spreads": known.joint_spreads,
     }
     if meshes:
         arrays |= {
@@ -162,20 +164,55 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
             "clothes": torch.cat([each.clothes for each in meshes]),
         }
     numbers = {name: values.cpu().numpy() for name, values in arrays.items()}
-    rows: list[Row] = []
-    for index, (result, points) in enumerate(zip(results, seen.cpu().numpy(), strict=True)):
-        row: Row = {name: values[index] for name, values in numbers.items()}
-        row["camera_perspective"] = lenses is not None
-        row["keypoint_error"] = _keypoint_error(result, points)
-        row["energy"] = sum(result.energy.values()) if result.energy else None
-        row["warnings"] = list(result.warnings)
-        rows.append(row)
+    fine = np.all([np.isfinite(each.reshape(len(fits), -1)).all(axis=1) for each in numbers.values()], axis=0)
+    others = {
+        "camera_perspective": [lenses is not None] * len(fits),
+        "keypoint_error": _keypoint_errors(known.keypoints, seen.cpu().numpy()),
+        "energy": known.energies,
+        "warnings": known.warnings,
+    }
+    names, columns = (*numbers, *others), (*numbers.values(), *others.values())
+    rows: list[Row] = [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+    for index in np.flatnonzero(~fine):
+        rows[index] = {"error": "the body holds NaN or infinity; expected finite numbers"}
     return rows
 
 
-def finite(row: Row) -> bool:
-    """True if no number of a body is NaN or infinite."""
-    return all(np.isfinite(value).all() for value in row.values() if isinstance(value, np.ndarray))
+@dataclass(frozen=True)
+class _Known:
+    """Facts of N fits that rows are made of."""
+
+    bodies: BodyParameters
+    lenses: torch.Tensor | None
+    joint_spreads: torch.Tensor
+    crops: list[Crop]
+    keypoints: list[Keypoints2D]
+    energies: Sequence[float | None]
+    warnings: list[list[str]]
+
+
+def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
+    if isinstance(fits, BatchFits):
+        return _Known(
+            fits.parameters,
+            fits.lenses,
+            fits.uncertainty.depths,
+            [each.crop for each in fits.people],
+            [each.evidence.keypoints for each in fits.people],
+            fits.losses() or [None] * len(fits),
+            [list(fits.warnings(row)) for row in range(len(fits))],
+        )
+    results = [each.ellipbody if isinstance(each, MeshFit) else each for each in fits]
+    lenses = [lens for each in results if (lens := each.observation.lens) is not None]
+    return _Known(
+        BodyParameters.joined([each.parameters for each in results]),
+        torch.stack(lenses) if lenses else None,
+        torch.cat([each.uncertainty.depths for each in results if each.uncertainty is not None]),
+        [each.crop for each in results],
+        [each.evidence.keypoints for each in results],
+        [sum(each.energy.values()) if each.energy else None for each in results],
+        [list(each.warnings) for each in results],
+    )
 
 
 def people_table(rows: Sequence[Row], form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
@@ -206,15 +243,17 @@ def _array(column: Column, values: Sequence[Any]) -> pa.Array:
     size = math.prod(column.shape)
     missing = np.array([value is None for value in values], dtype=bool)
     numbers = np.zeros((len(values), size), dtype=column.kind)
-    for index, value in enumerate(values):
-        if value is not None:
-            numbers[index] = np.asarray(value).reshape(size)
+    if not missing.all():
+        numbers[~missing] = np.stack([value for value in values if value is not None]).reshape(-1, size)
     return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), size, mask=pa.array(missing))
 
 
-def _keypoint_error(result: FitResult, points: np.ndarray) -> float | None:
-    """Mean distance of the body's points (J, 2) [px] from sure keypoints, as a share of the person's height."""
-    keypoints = result.evidence.keypoints
-    sure, height = keypoints.confident, person_height(keypoints)
-    distance = np.linalg.norm(points[sure] - keypoints.points[sure], axis=1).mean()
-    return float(distance / height) if height > 0 else None
+def _keypoint_errors(given: Sequence[Keypoints2D], points: np.ndarray) -> list[float | None]:
+    """Mean distance of each body's points (N, J, 2) [px] from sure keypoints, as a share of the person's height."""
+    places, confidence = np.stack([each.points for each in given]), np.stack([each.confidence for each in given])
+    sure, heights = confident(confidence), person_heights(given[0].skeleton, places, confidence)
+    distances = np.linalg.norm(points - places, axis=2).astype(np.float64)
+    means = np.where(sure, distances, 0.0).sum(axis=1) / sure.sum(axis=1)
+    return [
+        mean / height if height > 0 else None for mean, height in zip(means.tolist(), heights.tolist(), strict=True)
+    ]

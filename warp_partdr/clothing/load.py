@@ -1,4 +1,4 @@
-"""Body models from files that users bring: SMPL, SMPL-H and SMPL-X as ``.npz`` or ``.safetensors``, and MHR's folder.
+"""Body models from files that users bring: SMPL's three as ``.npz`` or ``.safetensors``, and folders of MHR and SOMA.
 
 A file is not trusted. Only the arrays that are needed are read, nothing is unpickled, and an archive's sizes are
 checked against limits first. ``scripts/convert_smpl_pickle.py`` makes an ``.npz`` of a legacy pickle.
@@ -17,9 +17,10 @@ from .anny import anny
 from .mhr import mhr_model
 from .model import DetailedModel
 from .smpl import ARRAYS, smpl_model
+from .soma import soma_model
 
 _EXPECTED = "a file of SMPL, SMPL-H or SMPL-X"
-_MHR = "mhr:"  # before the folder of MHR's files
+_MHR, _SOMA = "mhr:", "soma:"  # before the folder of their files
 
 
 def load_model(
@@ -32,10 +33,10 @@ def load_model(
     """Load a body model by name or from a file.
 
     Args:
-        source: "anny", which comes with the package; "mhr:FOLDER" of MHR's files (extra ``bodies``); or an ``.npz`` or
-            ``.safetensors`` file of SMPL, SMPL-H or SMPL-X, with the arrays v_template, shapedirs, posedirs,
-            J_regressor, weights, kintree_table and f.
-        num_shapes: Number of a file's first shape values to use; by default 10. Anny always has all its 20.
+        source: "anny", which comes with the package; "mhr:FOLDER" or "soma:FOLDER" of their files (extra ``bodies``);
+            or an ``.npz`` or ``.safetensors`` file of SMPL, SMPL-H or SMPL-X, with the arrays v_template, shapedirs,
+            posedirs, J_regressor, weights, kintree_table and f.
+        num_shapes: Number of a file's first shape values to use; by default 10. Anny has all its 20, MHR its 63.
         device: Of the model.
         dtype: Of the model, float32 or float64.
 
@@ -51,6 +52,9 @@ def load_model(
         if num_shapes is not None:
             raise ValueError(f"num_shapes: {num_shapes}; expected None for MHR, whose shape values are 63")
         return mhr_model(str(source).removeprefix(_MHR), device=device, dtype=dtype)
+    if str(source).startswith(_SOMA):
+        folder = str(source).removeprefix(_SOMA)
+        return soma_model(folder, num_shapes=num_shapes, device=device, dtype=dtype)
     path = Path(source)
     if path.suffix in (".pkl", ".pickle"):
         raise ValueError(f"{path}: pickles can run code; make an .npz of it with scripts/convert_smpl_pickle.py")

@@ -19,6 +19,7 @@ from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
 from .joint_chain import chain_joints, homogeneous
+from .skinning import blend_skin
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
@@ -136,7 +137,7 @@ class DetailedModel(Movable):
             placed = torch.cat([joints[:, :1], bones], dim=1)
             stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
             carrying = list(self.part_joints)
-            vertices = _blend(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            vertices = blend_skin(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
             joints = stretched
         return Detailed(vertices, joints, homogeneous(turns, joints))
 
@@ -176,7 +177,7 @@ class DetailedModel(Movable):
         )
         transforms = chain_joints(self.parents, rotations, bones)
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
-        return Detailed(_blend(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
+        return Detailed(blend_skin(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
 
     def landmarks(self, detailed: Detailed, names: Sequence[str]) -> torch.Tensor:
         """Positions of landmarks, shape (B, L, 3) [m].
@@ -226,20 +227,6 @@ class DetailedModel(Movable):
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
         check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
-
-
-def _blend(
-    weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
-) -> torch.Tensor:
-    """Linear blend skinning: vertices (B, V, 3) follow maps (B, N, 3, 3) of ``rest`` to ``places``; weights (V, N)."""
-    moves = places - (maps * rest[..., None, :]).sum(-1)
-    # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
-    *columns, skinned = (
-        (torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT @ weights.T).unflatten(1, (3, 4)).unbind(2)
-    )
-    for column, coordinate in zip(columns, vertices.mT.unsqueeze(2).unbind(1), strict=True):
-        skinned = torch.addcmul(skinned, column, coordinate)
-    return skinned.mT.contiguous()
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find

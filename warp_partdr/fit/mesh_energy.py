@@ -231,7 +231,8 @@ class MeshEnergy:
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
-        return self.weights @ torch.cat([posed.vertices[:, self.first :], posed.joints], dim=1)
+        marked = torch.cat([posed.vertices[:, self.first :], posed.joints], dim=1)
+        return torch.nn.functional.linear(marked.mT.contiguous(), self.weights).mT.contiguous()  # one product for all
 
     def depths(self, points: torch.Tensor) -> torch.Tensor:
         """Of ``JOINT_NAMES`` but the pelvis, relative to it [m], shape (..., 20)."""

@@ -6,8 +6,9 @@ body ends far from what was seen, which is told in the warnings instead.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -29,7 +30,7 @@ from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
 from .depth_flips import DepthOrder, repair_depth_orders
 from .options import FitOptions
-from .plausibility import describe_misfit, person_pixels
+from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
 from .result import FitResult
 from .stages import OUTLINE, Stage
 
@@ -51,8 +52,81 @@ class CutPerson:
     crop: Crop
 
 
+@dataclass(frozen=True, eq=False)
+class BatchFits(Sequence[FitResult]):
+    """Fits of N people as arrays of all; a person's ``FitResult`` is made when it is asked for.
+
+    Attributes:
+        people: Who was fitted.
+        stages: Stages of the fits.
+        parameters: Bodies and their cameras in the crops, B = N.
+        lenses: Of the cameras, where these are known, shape (N, 3).
+        hints: Expected sizes and depths, by their names in ``Observation``: tensors of N rows each.
+        energy: Weighted terms of the energy at the end by name, shape (N,).
+        history: Energy before each iteration, shape (N, iterations), of each stage.
+        told: Warnings of bodies by their rows; most have none.
+        depth_orders: Limbs that were tried mirrored in depth.
+        uncertainty: How sure the network was, B = N.
+        before_outline: Bodies where the outline stage began, B = N; None without that stage.
+    """
+
+    people: Sequence[CutPerson]
+    stages: tuple[Stage, ...]
+    parameters: BodyParameters
+    lenses: torch.Tensor | None
+    hints: Mapping[str, Any]
+    energy: Mapping[str, np.ndarray]
+    history: Sequence[np.ndarray]
+    told: Mapping[int, list[str]]
+    depth_orders: Sequence[DepthOrder | None]
+    uncertainty: Uncertainty
+    before_outline: BodyParameters | None
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.people)
+
+    @overload
+    def __getitem__(self, index: int) -> FitResult: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[FitResult]: ...
+    def __getitem__(self, index: int | slice) -> FitResult | list[FitResult]:
+        """The fit of one person, or of some."""
+        if isinstance(index, slice):
+            return [self[row] for row in range(*index.indices(len(self)))]
+        row = range(len(self))[index]
+        own, person = slice(row, row + 1), self.people[row]
+        return FitResult(
+            parameters=self.parameters.select(own),
+            crop=person.crop,
+            observation=replace(person.observation, **{name: values[row] for name, values in self.hints.items()}),
+            stages=self.stages,
+            energy={name: float(values[row]) for name, values in self.energy.items()},
+            history=[each[row] for each in self.history],
+            stage_seconds={},
+            hypotheses=1,
+            finalists=[],
+            start="network",
+            evidence=person.evidence,
+            warnings=self.warnings(row),
+            depth_order=self.depth_orders[row],
+            uncertainty=self.uncertainty.select(own),
+            before_outline=None if self.before_outline is None else self.before_outline.select(own),
+        )
+
+    def warnings(self, row: int) -> tuple[str, ...]:
+        """Faults of one person's input or body, a sentence each."""
+        return (*self.people[row].evidence.warnings, *self.told.get(row, ()))
+
+    def losses(self) -> list[float] | None:
+        """Energies at the end, the sums of their terms; None without stages."""
+        if not self.energy:
+            return None
+        return sum(values.astype(np.float64) for values in self.energy.values()).tolist()  # type: ignore[union-attr]
+
+
 @one_torch_thread()
-def fit_together(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> list[FitResult]:
+def fit_together(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> Sequence[FitResult]:
     """Fit EllipBody to many people side by side.
 
     Args:
@@ -62,7 +136,8 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
         network: In evaluation mode; ``options.network`` is not looked at.
 
     Returns:
-        A fit of each. Seconds of stages are not measured, and nothing is compared: ``finalists`` are empty.
+        A fit of each. Seconds of stages are not measured, and nothing is compared: ``finalists`` are empty. Of people
+        who are alike, these are ``BatchFits``.
 
     Raises:
         TypeError: If an argument is of another type.
@@ -82,13 +157,15 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
         if places is None:
             alike.append((kind, places := []))
         places.append(place)
+    if len(alike) == 1:
+        return _fit_alike(people, options, network)
     found: dict[int, FitResult] = {}
     for _, places in alike:
         found |= zip(places, _fit_alike([people[place] for place in places], options, network), strict=True)
     return [found[place] for place in range(len(people))]
 
 
-def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> list[FitResult]:
+def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> BatchFits:
     """Fit people with labels of one set, or all without; and with cameras, or all without."""
     first = people[0].observation
     device = first.points.device
@@ -125,37 +202,20 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
         refined = refine_captured(bodies, energy, rule, people=everyone.drawn_at(stage.size or 1))
         bodies, terms = refined.parameters, refined.terms
         history.append(refined.history.T.cpu().numpy())
-    numbers = {name: term.tolist() for name, term in terms.items()}
     told = _complaints(bodies, everyone.drawn_at(_JUDGED), Energy(first, _JUDGED, prior=prior))
-    sizes = lengths.unbind(), thicknesses.unbind(), depths.unbind(), spreads.unbind()
-    seen = [
-        replace(each, lengths=length, thicknesses=thickness, depths=depth, depth_spreads=spread)
-        for each, length, thickness, depth, spread in zip(given, *sizes, strict=True)
-    ]
-    sure = [Uncertainty(*row) for row in zip(*(each.split(1) for each in vars(said).values()), strict=True)]
-    before = [None] * len(people) if before_outline is None else before_outline.apart()
-    results: list[FitResult] = []
-    for row, (person, own) in enumerate(zip(people, bodies.apart(), strict=True)):
-        results.append(
-            FitResult(
-                parameters=own,
-                crop=person.crop,
-                observation=seen[row],
-                stages=stages,
-                energy={name: values[row] for name, values in numbers.items()},
-                history=[each[row] for each in history],
-                stage_seconds={},
-                hypotheses=1,
-                finalists=[],
-                start="network",
-                evidence=person.evidence,
-                warnings=(*person.evidence.warnings, *told[row]),
-                depth_order=orders[row],
-                uncertainty=sure[row],
-                before_outline=before[row],
-            )
-        )
-    return results
+    return BatchFits(
+        people=people,
+        stages=stages,
+        parameters=bodies,
+        lenses=None if first.lens is None else everyone.lenses,
+        hints={"lengths": lengths, "thicknesses": thicknesses, "depths": depths, "depth_spreads": spreads},
+        energy={name: term.cpu().numpy() for name, term in terms.items()},
+        history=history,
+        told=told,
+        depth_orders=orders,
+        uncertainty=said,
+        before_outline=before_outline,
+    )
 
 
 def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:
@@ -165,11 +225,15 @@ def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePri
     return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
 
-def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> list[list[str]]:
-    """Warnings of what each body is too far from, as ``complaints`` of one, at once and of a smaller picture."""
+def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> dict[int, list[str]]:
+    """Warnings of what bodies are too far from, as ``complaints`` of one, at once and of a smaller picture, by row."""
     terms = refine_captured(bodies, energy, {"iterations": 0}, people=people).terms
-    offs = (terms["proj"] / energy.weights.proj / people.votes.sum(1)).tolist()
-    if people.targets is None:
-        return [describe_misfit(off, None) for off in offs]
-    wrongs = (terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(people.targets))).tolist()
-    return [describe_misfit(off, wrong) for off, wrong in zip(offs, wrongs, strict=True)]
+    offs = terms["proj"] / energy.weights.proj / people.votes.sum(1)
+    bad, wrongs = ~(offs < MOST_OFF), None
+    if people.targets is not None:
+        wrongs = terms[SEG.name] / energy.weight(SEG) / (2 * person_pixels(people.targets))
+        bad |= ~(wrongs < MOST_WRONG)
+    rows = bad.nonzero()[:, 0]
+    shares = [None] * len(rows) if wrongs is None else wrongs[rows].tolist()
+    named = zip(rows.tolist(), offs[rows].tolist(), shares, strict=True)
+    return {row: describe_misfit(off, wrong) for row, off, wrong in named}

@@ -129,7 +129,9 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
             if not segments:
                 return None
             found += segments
-    return found
+    # Parts share segments, those of the trunk and head most of all: each is measured once.
+    once = {(*start.tolist(), *end.tolist(), radius): (start, end, radius) for start, end, radius in found}
+    return list(once.values())
 
 
 def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:

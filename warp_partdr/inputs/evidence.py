@@ -70,7 +70,9 @@ class Evidence:
         target[target != BACKGROUND] = IGNORE
         rows, from_rows = self._under_window(0, size[0], box[1], box[3])
         columns, from_columns = self._under_window(1, size[1], box[0], box[2])
-        target[np.ix_(rows, columns)] = self.groups[np.ix_(from_rows, from_columns)]
+        if rows.size and columns.size:  # each without gaps
+            place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
         return target
 
     def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:

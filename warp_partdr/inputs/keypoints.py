@@ -74,10 +74,10 @@ def person_height(keypoints: Keypoints2D) -> float:
     A bone seen at an angle looks shorter than it is, so the upper quartile of the bones' estimates counts, and a bent
     or cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
     """
-    return float(_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
+    return float(person_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
 
 
-def _heights(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def person_heights(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """``person_height`` of N people with one skeleton: points (N, J, 2) and confidence (N, J), shape (N,)."""
     sure = confident(confidence)
     low, high = (np.where(sure[..., None], points, end) for end in (np.inf, -np.inf))
@@ -150,7 +150,7 @@ def choose_person(
         rows = [row for row, keypoints in enumerate(people) if keypoints.skeleton == form]
         points = np.stack([people[row].points for row in rows])
         confidence = np.stack([people[row].confidence for row in rows])
-        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * _heights(form, points, confidence)
+        scores[rows] = _weights(points, confidence, groups).mean(axis=1) * person_heights(form, points, confidence)
     return people[int(scores.argmax())]
 
 

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import torch
 
-from ..body.lens import lens_camera
+from ..cameras import ScreenCamera
 from ..clothing.model import DetailedModel
 from ..fit.mesh_energy import Unknowns
 from ..render.mesh import mesh_label_loss
@@ -69,8 +69,11 @@ def _tells_order(energy: SceneEnergy, people: SceneStarts) -> bool:
 
 
 def _drawn(energy: SceneEnergy, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
-    """Vertices of the people in each picture, in its camera's frame, shape (T, P, n, 3)."""
-    return energy.pictured(people, energy.vertices(people, unknowns)).unflatten(1, (len(people.shape), -1))
+    """Vertices of the people in each picture of the one view, u [px], v [px], z [m], shape (T, P, n, 3)."""
+    assert people.target is not None
+    assert people.target_lens is not None
+    drawn = energy.pictured(people, unknowns, people.target_lens, people.target.shape[-1])
+    return drawn.unflatten(1, (len(people.shape), -1))
 
 
 def _exchanged(looks: Sequence[Looked], factors: Mapping[int, Mapping[int, float]]) -> list[Looked]:
@@ -84,13 +87,10 @@ def _best_exchange(
     """Factors by which two people of a frame grow as they are exchanged, by person; None if no exchange helps."""
     assert energy.mesh is not None
     assert people.target is not None
-    assert people.target_lens is not None
     bodies = drawn[frame]
     shown = people.shown.unflatten(0, (len(bodies), -1))[:, frame, 0].tolist()
     distances = bodies[..., 2].mean(1).tolist()
-    camera = lens_camera(people.target_lens[frame : frame + 1], 2)
-    seen = [camera.project(body[None])[0, :, :2] for body in bodies]
-    boxes = [(points.amin(0), points.amax(0)) for points in seen]
+    boxes = [(points.amin(0), points.amax(0)) for points in bodies[..., :2]]
     tries: list[dict[int, float]] = [{}]
     for one, other in combinations(range(len(bodies)), 2):
         (low, high), (from_, to) = boxes[one], boxes[other]
@@ -101,11 +101,10 @@ def _best_exchange(
     if len(tries) == 1:
         return None
     factors = bodies.new_tensor([[each.get(person, 1.0) for person in range(len(bodies))] for each in tries])
-    tried = bodies * factors[..., None, None]
-    target = people.target[frame : frame + 1]
-    loss, _ = mesh_label_loss(
-        tried.flatten(1, 2), energy.mesh, lens_camera(people.target_lens[frame : frame + 1], target.shape[-1]), target
-    )
+    # About the camera: only depths change.
+    places, depths = bodies[..., :2].expand(len(tries), -1, -1, -1), bodies[..., 2:] * factors[..., None, None]
+    tried, target = torch.cat([places, depths], dim=-1), people.target[frame : frame + 1]
+    loss, _ = mesh_label_loss(tried.flatten(1, 2), energy.mesh, ScreenCamera(perspective=True), target)
     best = 1 + int(loss[1:].argmin())
     return tries[best] if float(loss[best]) < (1 - least_gain) * float(loss[0]) else None
 

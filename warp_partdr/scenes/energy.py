@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..body.lens import lens_camera, placed_at
+from ..cameras import ScreenCamera
 from ..clothing.capsules import Capsules
 from ..clothing.clothes import CLOTHED, SPREAD
 from ..clothing.model import DetailedModel
@@ -20,6 +21,7 @@ from ..inputs.observation import REFERENCE_SIZE
 from ..render.mesh import mesh_label_loss
 from ..render.part_mesh import PartMesh
 from .options import SceneOptions
+from .pictures import PictureViews, place_people
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,11 @@ class SceneEnergy:
             placed = self.capsules.of(posed, numbers.shape, by=pelvises)
             terms["apart"] = weight * self.capsules.overlap(placed, people=len(people.shape)).sum()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
+            views = self._views(people, people.target_lens)
             loss, _ = mesh_label_loss(
-                self.pictured(people, posed.vertices + pelvises),
+                place_people(posed.vertices, pelvises[:, 0], views, people.target.shape[-1]),
                 self.mesh,
-                lens_camera(people.target_lens, people.target.shape[-1]),
+                ScreenCamera(perspective=True),
                 people.target,
                 gradient=options.gradient,
                 max_distance=options.max_distance,
@@ -132,10 +135,11 @@ class SceneEnergy:
             terms["seg"] = options.seg * (REFERENCE_SIZE / people.target.shape[-1]) ** 2 * loss.sum()
         return terms
 
-    def vertices(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
-        """Vertices of the bodies that are drawn, in the world [m], shape (N, n, 3)."""
+    def pictured(self, people: SceneStarts, unknowns: Unknowns, lenses: torch.Tensor, size: int) -> torch.Tensor:
+        """Vertices of all people in each picture, as of ``place_people``, by the pictures' lenses, (T V, 3)."""
         posed = self.one.pose(people, self._of_frames(people, unknowns))
-        return posed.vertices + self.pelvises(people, unknowns)[:, None]
+        views = self._views(people, lenses)
+        return place_people(posed.vertices, self.pelvises(people, unknowns), views, size)
 
     def at_rest(self, people: SceneStarts) -> Unknowns:
         """Numbers where the fit starts."""
@@ -192,13 +196,9 @@ class SceneEnergy:
         """Points (N, L, 3) in each camera's frame, shape (N, V, L, 3)."""
         return points[:, None] @ people.view_rotations.mT + people.view_translations[:, None]
 
-    def pictured(self, people: SceneStarts, vertices: torch.Tensor) -> torch.Tensor:
-        """Vertices of all people in each picture, in its camera's frame, shape (T V, P n, 3)."""
-        seen = self._seen(people, vertices)
-        # Who is not seen is behind the camera, where nothing is drawn.
-        seen = torch.where(people.shown[..., None, None], seen, -1.0)
-        each = seen.unflatten(0, (len(people.shape), -1))  # (P, T, V, n, 3)
-        return each.permute(1, 2, 0, 3, 4).flatten(2, 3).flatten(0, 1)
+    @staticmethod
+    def _views(people: SceneStarts, lenses: torch.Tensor) -> PictureViews:
+        return PictureViews(people.view_rotations, people.view_translations, lenses, people.shown)
 
 
 def pelvises_in_world(

@@ -1,0 +1,102 @@
+"""Vertices of a scene's bodies in each of its pictures, where people who are not seen are behind the camera.
+
+Body ``p T + t`` is person p in frame t, picture ``t V + v`` that of view v, and holds the people one after another.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from .mesh.screen import project_depth
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class SceneViews:
+    """V views of N bodies."""
+
+    rotations: wp.array[wp.mat33]  # (V,) world to camera
+    translations: wp.array[wp.vec3]  # (V,) the same [m]
+    lenses: wp.array[wp.vec3]  # (T V,) focal length and principal point of the pictures' crops, in half-sides
+    shown: wp.array2d[wp.bool]  # (N, V)
+    half_size: float  # of the pictures [px]
+
+
+@wp.func
+def camera_of(lens: wp.vec3, half_size: float):
+    """Focal length and principal point [px]."""
+    return half_size * wp.vec3(lens[0], lens[1] + 1.0, lens[2] + 1.0)
+
+
+@wp.kernel
+def place_scene(
+    vertices: wp.array2d[wp.vec3],  # (N, n) about the pelvis [m]
+    pelvises: wp.array[wp.vec3],  # (N,) in the world [m]
+    views: SceneViews,
+    screen: wp.array2d[wp.vec3],  # (T V, P n) u [px], v [px], z [m]  OUTPUT
+):
+    """One thread a vertex of a picture."""
+    picture, column = wp.tid()
+    count, num_views = vertices.shape[1], views.rotations.shape[0]
+    frame, person = picture // num_views, column // count
+    view = picture - frame * num_views
+    body = person * (screen.shape[0] // num_views) + frame
+    if not views.shown[body, view]:
+        screen[picture, column] = wp.vec3(0.0, 0.0, -1.0)
+        return
+    world = vertices[body, column - person * count] + pelvises[body]
+    seen = views.rotations[view] * world + views.translations[view]
+    camera, depth = camera_of(views.lenses[picture], views.half_size), project_depth(seen[2])
+    screen[picture, column] = wp.vec3(
+        camera[0] * seen[0] / depth + camera[1], camera[0] * seen[1] / depth + camera[2], seen[2]
+    )
+
+
+@wp.kernel
+def place_scene_adjoint(
+    vertices: wp.array2d[wp.vec3],
+    pelvises: wp.array[wp.vec3],
+    views: SceneViews,
+    adj_screen: wp.array2d[wp.vec3],  # (T V, P n)
+    gradient: wp.array2d[wp.vec3],  # (N, n) of the vertices, whose sums are the pelvises'  OUTPUT
+):
+    """One thread a vertex of a body, which adds its pictures in their order."""
+    body, i = wp.tid()
+    count, num_views = vertices.shape[1], views.rotations.shape[0]
+    frames = adj_screen.shape[0] // num_views
+    person = body // frames
+    frame = body - person * frames
+    world = vertices[body, i] + pelvises[body]
+    pull = wp.vec3()
+    for view in range(num_views):
+        if views.shown[body, view]:
+            picture = frame * num_views + view
+            adjoint = adj_screen[picture, person * count + i]
+            seen = views.rotations[view] * world + views.translations[view]
+            focal, depth = camera_of(views.lenses[picture], views.half_size)[0], project_depth(seen[2])
+            along = wp.vec3(adjoint[0] * focal / depth, adjoint[1] * focal / depth, adjoint[2])
+            if depth == seen[2]:
+                along[2] -= (along[0] * seen[0] + along[1] * seen[1]) / depth
+            pull += wp.transpose(views.rotations[view]) * along
+    gradient[body, i] = pull
+
+
+def gather_views(arrays: Sequence[wp.array], half_size: float) -> Any:
+    """Views of arrays in their order."""
+    views = SceneViews()
+    for name, array in zip(("rotations", "translations", "lenses", "shown"), arrays, strict=True):
+        setattr(views, name, array)
+    views.half_size = half_size
+    return views
+
+
+def launch_place(inputs: Sequence[Any], screen: wp.array) -> None:
+    """Fill ``screen`` from vertices, pelvises and views."""
+    wp.launch(place_scene, screen.shape, [*inputs, screen], device=screen.device)
+
+
+def launch_place_adjoint(inputs: Sequence[Any], adjoint: wp.array, gradient: wp.array) -> None:
+    """Fill the ``gradient`` with respect to vertices from the ``adjoint`` of what ``launch_place`` filled."""
+    wp.launch(place_scene_adjoint, gradient.shape, [*inputs, adjoint, gradient], device=gradient.device)

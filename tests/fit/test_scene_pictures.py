@@ -1,0 +1,75 @@
+"""Vertices of a scene's people in its pictures: kernels in float32 against torch in float64, body by body."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from scenes.bodies import random_turns
+
+from warp_partdr.body.lens import lens_camera
+from warp_partdr.scenes.pictures import PictureViews, place_people
+
+PEOPLE, FRAMES, VERTICES, SIZE = 2, 3, 7, 96
+
+
+def case(num_views: int) -> tuple[torch.Tensor, torch.Tensor, PictureViews]:
+    """Vertices, pelvises and views, in which one of the people is not seen."""
+    random = torch.Generator().manual_seed(num_views)
+    bodies = PEOPLE * FRAMES
+    shown = torch.ones(bodies, num_views, dtype=torch.bool)
+    shown[1, 0] = False
+    views = PictureViews(
+        rotations=random_turns(1, num_views, 0.2)[0].float(),
+        translations=torch.tensor([0.0, 0.0, 4.0]) + 0.3 * torch.randn(num_views, 3, generator=random),
+        lenses=torch.tensor([2.0, 0.0, 0.0]) + 0.3 * torch.randn(FRAMES * num_views, 3, generator=random),
+        shown=shown,
+    )
+    vertices, pelvises = (torch.randn(bodies, *shape, 3, generator=random) for shape in ((VERTICES,), ()))
+    return vertices, pelvises, views
+
+
+def slow_pictures(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureViews) -> torch.Tensor:
+    rows = []
+    for frame in range(FRAMES):
+        for view, (turn, move) in enumerate(zip(views.rotations.double(), views.translations.double(), strict=True)):
+            camera = lens_camera(views.lenses[frame * len(views.rotations) + view][None].double(), SIZE)
+            drawn = []
+            for person in range(PEOPLE):
+                body = person * FRAMES + frame
+                seen = camera.project(((vertices[body] + pelvises[body]) @ turn.T + move)[None])[0]
+                hidden = seen.new_tensor([0.0, 0.0, -1.0]).expand_as(seen)
+                drawn.append(seen if views.shown[body, view] else hidden)
+            rows.append(torch.cat(drawn))
+    return torch.stack(rows)
+
+
+@pytest.mark.parametrize("num_views", [1, 3])
+def test_people_are_where_their_cameras_see_them(num_views, device):
+    vertices, pelvises, views = case(num_views)
+    slow = [each.double().requires_grad_() for each in (vertices, pelvises)]
+    wanted = slow_pictures(*slow, views)
+    fast = [each.to(device).requires_grad_() for each in (vertices, pelvises)]
+    found = place_people(*fast, PictureViews(*(each.to(device) for each in vars(views).values())), SIZE)
+    torch.testing.assert_close(found.cpu().double(), wanted, atol=1e-3, rtol=1e-4)
+    pull = torch.randn(wanted.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    slopes = torch.autograd.grad((found * pull.to(found)).sum(), fast)
+    for one, other in zip(slopes, torch.autograd.grad((wanted * pull).sum(), slow), strict=True):
+        torch.testing.assert_close(one.cpu().double(), other, atol=1e-2, rtol=1e-3)
+
+
+def test_points_in_the_camera_have_finite_places(device):
+    vertices, pelvises, views = (case(1)[0] * 0, case(1)[1] * 0, case(1)[2])
+    views = PictureViews(views.rotations, 0 * views.translations, views.lenses, views.shown)
+    moving = vertices.to(device).requires_grad_()
+    found = place_people(moving, pelvises.to(device), PictureViews(*(v.to(device) for v in vars(views).values())), SIZE)
+    (slope,) = torch.autograd.grad(found.sum(), moving)
+    assert bool(torch.isfinite(found).all())
+    assert bool(torch.isfinite(slope).all())
+
+
+def test_the_gradient_has_no_derivative():
+    vertices, pelvises, views = case(1)
+    moving = vertices.requires_grad_()
+    (slope,) = torch.autograd.grad(place_people(moving, pelvises, views, SIZE).sum(), moving, create_graph=True)
+    with pytest.raises(NotImplementedError, match="place_people"):
+        slope.sum().backward()

@@ -1,0 +1,57 @@
+"""Linear blend skinning, by kernels or, to be differentiated again, by torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from ..interop.arrays import contiguous, warp_array
+from ..interop.derivatives import differentiate_again, is_transformed
+from ..interop.streams import on_torch_stream
+from ..kernels import skinning as kernels
+
+
+def blend_skin(
+    weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
+) -> torch.Tensor:
+    """Vertices (B, V, 3) that follow maps (B, N, 3, 3) of ``rest`` to ``places``, (B, N, 3), by weights (V, N)."""
+    moves = places - (maps * rest[..., None, :]).sum(-1)
+    # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
+    rows = torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+    own = torch.nn.functional.linear(rows, weights)  # one product for all bodies
+    if torch.compiler.is_compiling() or is_transformed(own, vertices):
+        return _carry(own, vertices)
+    carried: torch.Tensor = _Carried.apply(own, vertices)
+    return carried
+
+
+def _carry(maps: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
+    *columns, carried = maps.unflatten(1, (3, 4)).unbind(2)
+    for column, coordinate in zip(columns, vertices.mT.unsqueeze(2).unbind(1), strict=True):
+        carried = torch.addcmul(carried, column, coordinate)
+    return carried.mT.contiguous()
+
+
+class _Carried(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, maps: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
+        own = contiguous(maps), contiguous(vertices)
+        carried = torch.empty_like(own[1])
+        if carried.numel():
+            with on_torch_stream(carried.device):
+                kernels.launch_carry(*map(warp_array, (*own, carried)))
+        ctx.save_for_backward(maps, vertices)
+        return carried
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        maps, vertices = ctx.saved_tensors
+        if torch.is_grad_enabled():
+            return differentiate_again(_carry, (maps, vertices), adjoints[0])
+        own = contiguous(maps), contiguous(vertices), contiguous(adjoints[0])
+        found = [torch.empty_like(each) for each in own[:2]]
+        if found[1].numel():
+            with on_torch_stream(maps.device):
+                kernels.launch_carry_adjoint(*(warp_array(each) for each in (*own, *found)))
+        return tuple(found)

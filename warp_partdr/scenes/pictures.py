@@ -1,0 +1,79 @@
+"""Vertices of a scene's people in its pictures, by kernels, with gradients for torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from warp import mat33, vec3
+
+from ..interop.arrays import contiguous, warp_array
+from ..interop.derivatives import once
+from ..interop.streams import on_torch_stream
+from ..kernels import scene_pictures as kernels
+
+
+@dataclass(frozen=True)
+class PictureViews:
+    """V views of T frames with P people.
+
+    Attributes:
+        rotations: World to camera, shape (V, 3, 3).
+        translations: The same [m], shape (V, 3).
+        lenses: Of the pictures' crops, shape (T V, 3).
+        shown: Who is seen in each view, shape (P T, V), bool.
+    """
+
+    rotations: torch.Tensor
+    translations: torch.Tensor
+    lenses: torch.Tensor
+    shown: torch.Tensor
+
+
+def place_people(vertices: torch.Tensor, pelvises: torch.Tensor, views: PictureViews, size: int) -> torch.Tensor:
+    """Vertices of all people in each picture, u [px], v [px], z [m], shape (T V, P n, 3).
+
+    Who is not seen is behind the camera, where nothing is drawn.
+
+    Args:
+        vertices: About the pelvis, in the world's axes [m], shape (P T, n, 3), float32; frames of a person in a row.
+        pelvises: In the world [m], shape (P T, 3).
+        views: Of them.
+        size: Of the pictures [px].
+    """
+    found: torch.Tensor = _Placed.apply(vertices, pelvises, size, *vars(views).values())
+    return found
+
+
+class _Placed(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, vertices: torch.Tensor, pelvises: torch.Tensor, size: int, *views: torch.Tensor
+    ) -> torch.Tensor:
+        own, pictures = [contiguous(each) for each in (vertices, pelvises, *views)], len(views[2])
+        people = len(vertices) * len(views[0]) // pictures if pictures else 0
+        screen = vertices.new_empty(pictures, people * vertices.shape[1], 3)
+        if screen.numel():
+            with on_torch_stream(screen.device):
+                kernels.launch_place(_inputs(own, size), warp_array(screen, vec3))
+        ctx.size = size
+        ctx.save_for_backward(vertices, pelvises, *own)
+        return screen
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        vertices, pelvises, *own = ctx.saved_tensors
+        gradient = torch.empty_like(own[0])
+        if gradient.numel():
+            adjoint = warp_array(contiguous(adjoints[0]), vec3)
+            with on_torch_stream(gradient.device):
+                kernels.launch_place_adjoint(_inputs(own, ctx.size), adjoint, warp_array(gradient, vec3))
+        found = once("place_people", (gradient, gradient.sum(1)), *adjoints, vertices, pelvises)
+        return *found, *[None] * (1 + len(own) - 2)
+
+
+def _inputs(own: list[torch.Tensor], size: int) -> list[Any]:
+    kinds = vec3, vec3, mat33, vec3, vec3, None
+    vertices, pelvises, *views = (warp_array(each, kind) for each, kind in zip(own, kinds, strict=True))
+    return [vertices, pelvises, kernels.gather_views(views, size / 2)]
