@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -34,14 +35,17 @@ def film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_film_s_people_become_motions(run: Run, film: Path) -> None:
-    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK}")
+    usd = find_spec("pxr") is not None  # an extra
+    code, said, complaint = run(f"fit stand.mp4 --out out {QUICK} {'--set also=usdz' if usd else ''}")
     assert (code, complaint) == (0, "")
     first, last = said.splitlines()
     assert first.startswith("person0: frames 0 to 5, seen in 6; about ")
     assert Path("out", "person0.glb").as_posix() in last
     assert not list(Path().glob(".partdr-*"))
     report = json.loads(Path("out", "people.json").read_text())
-    assert report["files"].keys() == {"overlay.mp4", "person0.npz", "person0.glb", "person0.bvh"}
+    assert report["files"].keys() == {"overlay.mp4", "person0.npz", "person0.glb", "person0.bvh"} | (
+        {"person0.usdz"} if usd else set()
+    )
     assert (report["rate"], report["frames"]) == (10, 6)
     bodies = load_film_bodies("out/person0.npz")
     assert bodies.rows["frames"].tolist() == list(range(6))

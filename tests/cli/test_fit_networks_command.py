@@ -8,16 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from scenes import commands
 from scenes.checkpoints import class_names, knowing_vitpose, tiny_segformer
 from scenes.commands import EVERY_FILE, Run
 from scenes.files import EXAMPLE
+from scenes.films import write_film
 
+from warp_partdr.body.template import JOINT_NAMES
 from warp_partdr.detection.people import find_people
 from warp_partdr.fit.photo import PACKAGED
+from warp_partdr.inputs.films import read_frames
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.predictors.networks import upright_crop
+from warp_partdr.results.predictions import load_film_bodies
+
+ANKLES = [JOINT_NAMES.index(name) for name in ("left_ankle", "right_ankle")]
 
 pytest.importorskip("transformers", reason="needs the extra photo")
 
@@ -56,6 +63,77 @@ def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> No
     truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
     seen = np.array(told["keypoints"])
     assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide
+
+
+FILM = "--device cpu --set mesh.iterations=3"
+
+
+@pytest.fixture
+def film(files: Path) -> Path:
+    """The example's person, who stands still for four frames."""
+    photo = read_photo(EXAMPLE / "photo.png")
+    height, width = (side - side % 2 for side in photo.shape[:2])
+    return write_film(Path("stand.mp4"), [photo[:height, :width]] * 4)
+
+
+def test_both_networks_see_a_film(run: Run, film: Path, networks: Path) -> None:
+    """Labels and keypoints of a network are what is fitted, not the packaged one's."""
+    given = f"--parts-from {networks}/segformer --keypoints-from {networks}/vitpose"
+    code, said, complaint = run(f"fit stand.mp4 {given} --out out {FILM}")
+    assert code == 0
+    assert not [line for line in complaint.splitlines() if "labels of the given network" not in line]
+    parts, keypoints, person, last = said.splitlines()
+    assert parts.startswith(f"parts from {networks}/segformer: ")
+    assert keypoints.startswith(f"keypoints from {networks}/vitpose: ")
+    assert person.startswith("person0: frames 0 to 3")
+    assert "overlay.mp4" in last
+    view = json.loads(Path("out", "people.json").read_text())["views"][0]
+    assert (view["parts"], view["keypoints"]) == (f"{networks}/segformer", f"{networks}/vitpose")
+    assert not list(Path().glob(".partdr-*"))
+    # Knees and ankles seen 60 px too high: they end there.
+    truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
+    person_found = find_people(read_photo(EXAMPLE / "photo.png"))[0]
+    raised = truth.points[None].astype(float)
+    raised[0, 13:] -= [0, 60]
+    places = upright_crop(person_found, (256, 192)).from_picture(raised)[0]
+    cells = np.floor(places * [12, 16]).astype(int).clip(1, [10, 14])
+    knowing_vitpose(Path("higher"), [(row, column) for column, row in cells.tolist()])
+    assert run(f"fit stand.mp4 --keypoints-from higher --out higher_out {FILM}0")[0] == 0
+    assert run(f"fit stand.mp4 --keypoints-from {networks}/vitpose --out same_out {FILM}0")[0] == 0
+    feet = {}
+    for name in ("higher_out", "same_out"):
+        bodies = load_film_bodies(f"{name}/person0.npz")
+        joints = torch.from_numpy(bodies.joints()[:1])
+        feet[name] = float(bodies.body(0).camera().project(joints)[0, ANKLES, 1].mean())
+    assert feet["same_out"] - feet["higher_out"] > 20
+
+
+def test_films_of_cameras_are_seen_by_networks(run: Run, film: Path, networks: Path) -> None:
+    shutil.copy("stand.mp4", "right.mp4")
+    facts = next(iter(read_frames("stand.mp4"))).picture.shape
+    camera = {"size": [facts[1], facts[0]], "focal": [900, 900], "principal": [facts[1] / 2, facts[0] / 2]}
+    camera |= {"rotation": [0, 0, 0], "distortion": [-0.05]}
+    rig = {name: camera | {"translation": [away, 0, 0]} for name, away in (("stand", 0), ("right", -0.001))}
+    Path("rig.json").write_text(json.dumps({"cameras": rig}))
+    given = f"--parts-from {networks}/segformer --keypoints-from {networks}/vitpose"
+    code, said, _ = run(f"scene stand.mp4 right.mp4 --cameras rig.json {given} --person 0 --out out {FILM}")
+    assert code == 0
+    assert said.count("from ") == 2
+    assert Path("out", "person0.npz").is_file()
+
+
+def test_a_network_s_fault_in_a_film_is_none_of_the_film(run: Run, film: Path, networks: Path) -> None:
+    for line, words in (
+        ("fit stand.mp4 --labels lip20", "--labels: lip20, without --parts-from; expected both"),
+        ("fit stand.mp4 --format coco17", "--format: coco17, without --keypoints-from"),
+        ("fit stand.mp4 --parts-from nowhere/net", "nowhere/net: no such folder"),
+        (f"fit stand.mp4 --parts-from {networks}/segformer --labels lip20", "lip20, of 20 classes"),
+        ("scene stand.mp4 --cameras rig.json --labels lip20", "--labels: lip20, without --parts-from"),
+    ):
+        code, said, complaint = run(f"{line} --out out --device cpu")
+        assert (code, said) == (2, ""), line
+        assert words in complaint
+        assert not Path("out").exists()
 
 
 @pytest.mark.parametrize(

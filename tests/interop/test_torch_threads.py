@@ -10,7 +10,7 @@ import torch
 
 from warp_partdr.clothing.registration import register
 from warp_partdr.fit.fitting import fit_body
-from warp_partdr.interop.torch_threads import one_torch_thread
+from warp_partdr.interop.torch_threads import all_torch_threads, one_torch_thread
 from warp_partdr.network.predict import predict_bodies
 
 COUNT = 3
@@ -32,6 +32,22 @@ def test_nested_and_after_an_error() -> None:
     assert torch.get_num_threads() == COUNT
     with pytest.raises(KeyError), one_torch_thread():
         raise KeyError
+    assert torch.get_num_threads() == COUNT
+
+
+def test_all_threads_within_one() -> None:
+    with one_torch_thread():
+        with all_torch_threads():
+            assert torch.get_num_threads() == COUNT
+            with one_torch_thread():
+                assert torch.get_num_threads() == 1
+            assert torch.get_num_threads() == COUNT
+        assert torch.get_num_threads() == 1
+        with pytest.raises(KeyError), all_torch_threads():
+            raise KeyError
+        assert torch.get_num_threads() == 1
+    with all_torch_threads():
+        assert torch.get_num_threads() == COUNT
     assert torch.get_num_threads() == COUNT
 
 

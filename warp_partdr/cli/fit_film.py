@@ -12,7 +12,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import film_facts
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import CameraOptions, PhotoFiles, take_formats, take_whole
+from .options import CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
 
 
@@ -29,7 +29,7 @@ def fit_motions(
     """Fit motions to everyone in a film, or to one of them.
 
     Args:
-        files: Of which only ``person`` may be given.
+        files: Of which only ``person`` and networks may be given.
         film: The film.
         out: Folder for the results.
         device: As the option says.
@@ -38,9 +38,10 @@ def fit_motions(
         values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
         min_score: Least confidence that there is a person.
     """
-    for name, given in vars(files).items():
-        if given is not None and name != "person":
-            raise InputError(f"--{name.replace('_', '-')}: {given}, with a film; expected a film alone")
+    for name, given in (("keypoints", files.keypoints), ("parts", files.parts)):
+        if given is not None:
+            raise InputError(f"--{name}: {given}, with a film; expected a film alone")
+    files.networks.check()
     if model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
     if view.focal == "exif":
@@ -48,7 +49,7 @@ def fit_motions(
     view.check()
     film_facts(film)  # faults of the file are told before anything is loaded
 
-    fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, view))
+    fit_films(FilmRun((film,), out, device, model, files.person, min_score, values, files.networks, view))
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class FilmRun:
         person: Whom alone.
         min_score: Least confidence that there is a person.
         values: Settings: ``threads``, ``also``, and fields of ``SceneOptions``.
+        networks: Of others.
         view: The one camera.
         cameras: Or the file of calibrated ones.
     """
@@ -74,6 +76,7 @@ class FilmRun:
     person: int | None
     min_score: float
     values: dict[str, Any]
+    networks: NetworkOptions = field(default_factory=NetworkOptions)
     view: CameraOptions = field(default_factory=CameraOptions)
     cameras: Path | None = None
 
@@ -85,6 +88,7 @@ def fit_films(run: FilmRun) -> None:
     from ..inputs.camera_files import cameras_of_films
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
+    from ..predictors.film_sights import GivenNetworks, find_film_sights
     from ..results.result_sets import check_folder, check_inputs
     from ..results.save_film import overlay_name, save_film_fit
     from ..scenes.film import fit_film
@@ -100,26 +104,35 @@ def fit_films(run: FilmRun) -> None:
     check_folder(run.out)
     check_inputs(run.out, films, [overlay_name(place) for place in range(len(films))])
     rig = None if run.cameras is None else cameras_of_films(run.cameras, films)
+    networks = GivenNetworks(**run.networks.load(where))
     detailed = read_model(run.model, where)
     with FitProgress() as progress:
         load_mesh_kernels(where)
-        given = films if run.cameras is None or run.cameras.is_dir() else (*films, run.cameras)
-        pieces = FilmPieces(run.out, given, rig, run.view, options, run.person, run.model, run.min_score)
+        others = [] if run.cameras is None or run.cameras.is_dir() else [run.cameras]
+        given = (*films, *others, *run.networks.files)
+        how = rig, run.view, run.networks, options, run.person, run.model, run.min_score
+        pieces = FilmPieces(run.out, given, *how)
         seen: list[SeenFilm] = []
         for place, film in enumerate(films):
             told = partial(progress, "people" if len(films) == 1 else f"people of {film.name}")
-            find = partial(find_film_people, film, min_score=run.min_score, device=where, progress=told)
-            people = pieces.people(place, find)
-            if rig is None:
-                seen.append(SeenFilm.of(people, run.view.read(people.image_size, None)))
+            look: dict[str, Any] = {"min_score": run.min_score, "device": where, "progress": told}
+            if run.networks.given:
+                people, sights = pieces.sights(place, networks, partial(find_film_sights, film, networks, **look))
             else:
-                seen.append(SeenFilm.calibrated(people, rig[place]))
-        how: dict[str, Any] = {"options": options, "model": detailed, "device": where}
-        fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **how)
+                people, sights = pieces.people(place, partial(find_film_people, film, **look)), None
+            if rig is None:
+                seen.append(SeenFilm.of(people, run.view.read(people.image_size, None), given=sights))
+            else:
+                seen.append(SeenFilm.calibrated(people, rig[place], given=sights))
+        kind: dict[str, Any] = {"options": options, "model": detailed, "device": where}
+        fit = fit_film(seen, person=run.person, progress=progress, pieces=pieces, **kind)
         report = save_film_fit(fit, run.out, films=films, formats=formats, progress=progress)
         pieces.remove()
     for warning in report["warnings"]:
         typer.echo(f"partdr: warning: {warning}; frames before were fitted", err=True)
+    for film, each in zip(films, seen, strict=True):
+        for gap in each.given.gaps if each.given is not None else ():
+            typer.echo(f"partdr: warning: {film}: {gap}", err=True)
     about = "about " if rig is None and not run.view.given else ""
     for person in report["people"]:
         frames = f"frames {person['first_frame']} to {person['last_frame']}, seen in {person['frames_seen']}"

@@ -39,7 +39,9 @@ def fit_everyone(
     """
     if photo is None:
         raise InputError("PHOTO: missing; expected a photo, or --keypoints FILE.json of a person")
-    _check_files(files)
+    if files.parts is not None:
+        raise InputError(f"--parts: {files.parts}, without --keypoints; expected them with it")
+    files.networks.check("--keypoints")
     picture = read_photo(photo)
 
     from ..fit.photo import fit_photo
@@ -55,7 +57,7 @@ def fit_everyone(
     set_num_threads(threads)
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
-    networks = _networks(files, where)
+    networks = files.networks.load(where)
     camera = view.read((picture.shape[0], picture.shape[1]), photo)
     detailed = read_model(model, where)
     with FitProgress() as progress:
@@ -73,29 +75,3 @@ def fit_everyone(
         about = "" if camera is not None else "about "
         typer.echo(f"{person['folder']}: score {person['score']:.2f}, {about}{person['distance_m']:.1f} m away{hidden}")
     typer.echo(f"{out / 'overlay.png'} shows all bodies, {out / 'people.json'} has their measurements")
-
-
-def _check_files(files: PhotoFiles) -> None:
-    """Raise InputError if there is something of the keypoints' person, or that no network needs."""
-    needs = "without --keypoints; expected them with it"
-    if files.parts is not None:
-        raise InputError(f"--parts: {files.parts}, {needs}")
-    for name, given, other, network in (
-        ("--format", files.keypoint_format, "--keypoints-from", files.keypoints_from),
-        ("--labels", files.labels, "--parts-from", files.parts_from),
-    ):
-        if given is not None and network is None:
-            raise InputError(f"{name}: {given}, without --keypoints or {other}; expected one of them with it")
-
-
-def _networks(files: PhotoFiles, device: str) -> dict[str, Any]:
-    """Networks that were asked for, as arguments of ``fit_photo``."""
-    from ..predictors.checkpoints import load_keypoint_network, load_part_network
-
-    found: dict[str, Any] = {}
-    if files.parts_from is not None:
-        found["parts_from"] = load_part_network(files.parts_from, files.labels, device=device, say=typer.echo)
-    if files.keypoints_from is not None:
-        form = files.keypoint_format
-        found["keypoints_from"] = load_keypoint_network(files.keypoints_from, form, device=device, say=typer.echo)
-    return found

@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-from typer import Option
+from typer import Option, echo
 
 from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
@@ -129,16 +129,70 @@ class PersonFiles:
         return PersonInputs(chosen, tuple(other for other in people if other is not chosen), parts, picture)
 
 
+PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]
+KeypointsFromOption = Annotated[
+    str | None, Option(help="ViTPose for keypoints, likewise (docs/inputs.md).", metavar="NAME")
+]
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Options for networks of others, and what their results mean."""
+
+    parts_from: PartsFromOption = None
+    keypoints_from: KeypointsFromOption = None
+    labels: Annotated[
+        str | None, Option(help="Label set of the part network, where its classes do not tell.", metavar="NAME")
+    ] = None
+    keypoint_format: Annotated[
+        str | None, Option("--format", help="Of the other's keypoints, likewise.", metavar="NAME")
+    ] = None
+
+    @property
+    def given(self) -> bool:
+        """True if there is a network."""
+        return (self.parts_from, self.keypoints_from) != (None, None)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files in the user's own folders of networks, by whose times it is seen that they are the same."""
+        folders = [Path(name).expanduser() for name in (self.parts_from, self.keypoints_from) if name is not None]
+        return [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.*")) if path.is_file()]
+
+    def check(self, instead: str = "") -> None:
+        """Raise an InputError if something was said of a network that is not there; ``instead`` would also take it."""
+        for name, given, other, network in (
+            ("--format", self.keypoint_format, "--keypoints-from", self.keypoints_from),
+            ("--labels", self.labels, "--parts-from", self.parts_from),
+        ):
+            if given is not None and network is None:
+                wanted = f"{instead} or {other}; expected one of them with it" if instead else f"{other}; expected both"
+                raise InputError(f"{name}: {given}, without {wanted}")
+
+    def load(self, device: str) -> dict[str, Any]:
+        """Networks that were asked for, as arguments of ``fit_photo`` and ``GivenNetworks``."""
+        from ..predictors.checkpoints import load_keypoint_network, load_part_network
+
+        found: dict[str, Any] = {}
+        if self.parts_from is not None:
+            found["parts_from"] = load_part_network(self.parts_from, self.labels, device=device, say=echo)
+        if self.keypoints_from is not None:
+            form = self.keypoint_format
+            found["keypoints_from"] = load_keypoint_network(self.keypoints_from, form, device=device, say=echo)
+        return found
+
+
 @dataclass(frozen=True)
 class PhotoFiles(PersonFiles):
     """The same, or networks that see the people of a photo."""
 
-    parts_from: Annotated[
-        str | None, Option(help="Network for a photo's part labels: folder or hf:ORG/NAME.", metavar="NAME")
-    ] = None
-    keypoints_from: Annotated[
-        str | None, Option(help="ViTPose for its keypoints, likewise (docs/inputs.md).", metavar="NAME")
-    ] = None
+    parts_from: PartsFromOption = None
+    keypoints_from: KeypointsFromOption = None
+
+    @property
+    def networks(self) -> NetworkOptions:
+        """The networks alone."""
+        return NetworkOptions(self.parts_from, self.keypoints_from, self.labels, self.keypoint_format)
 
     def read(self, photo: Path | None) -> PersonInputs:
         """The person of the files, of whom no network is asked."""

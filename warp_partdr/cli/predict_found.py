@@ -183,7 +183,7 @@ class _Run:
         size, count = (0, 0), 0
         how: dict[str, Any] = {"min_score": self.choice.min_score, "device": self.device}
         try:
-            for frame, found in follow_people(source.path, film_facts(source.path).rate, **how):
+            for frame, _, found in follow_people(source.path, film_facts(source.path).rate, **how):
                 size, count = frame.picture.shape[:2], count + 1
                 self._add(source, frame.picture, found, set(found), frame.index, frame.time)
                 self.passed["frame"] += 1

@@ -11,7 +11,7 @@ from ..detection import MIN_SCORE
 from ..errors import InputError
 from ..inputs.films import film_facts
 from .fit_film import FilmRun, fit_films
-from .options import DeviceOption, OutOption, SettingOptions, check_score
+from .options import DeviceOption, NetworkOptions, OutOption, SettingOptions, check_score
 
 SCENE_HELP = """Fit motions to everyone in films of several cameras: with a second view, depth is no guess.
 
@@ -39,12 +39,14 @@ def scene(
     min_score: Annotated[float, Option(help="Least confidence that there is a person.", metavar="SHARE")] = MIN_SCORE,
     device: DeviceOption = "auto",
     *,
+    networks: NetworkOptions,
     settings: SettingOptions,
 ) -> None:
     """Fit motions; see ``SCENE_HELP``."""
     values, score = settings.read(), check_score("--min-score", min_score)
     if len({film.resolve() for film in films}) < len(films):
         raise InputError("FILM: the same one twice; expected films of different cameras")
+    networks.check()
     for film in films:
         film_facts(film)  # faults of the files are told before anything is loaded
-    fit_films(FilmRun(tuple(films), out, device, model, person, score, values, cameras=cameras))
+    fit_films(FilmRun(tuple(films), out, device, model, person, score, values, networks, cameras=cameras))

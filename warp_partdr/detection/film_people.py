@@ -91,6 +91,7 @@ def find_film_people(
     min_score: float = MIN_SCORE,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
+    watch: Callable[[Frame, Pyramid, Sequence[FoundPerson]], None] | None = None,
 ) -> FilmPeople:
     """Find and follow the people of a film, frame by frame.
 
@@ -99,6 +100,7 @@ def find_film_people(
         min_score: Least confidence that there is a person.
         device: Device to run on.
         progress: Told frames done and in all.
+        watch: Given each frame, its picture to cut crops from, and its people, in the order of ``places``.
 
     Raises:
         InputError: If the file can't be read as a film, or nobody is found in it; in one that breaks off, before that.
@@ -109,12 +111,14 @@ def find_film_people(
     times: list[float] = []
     size, fault = (0, 0), ""
     try:
-        for frame, found in follow_people(path, facts.rate, min_score=min_score, device=device):
+        for frame, pyramid, found in follow_people(path, facts.rate, min_score=min_score, device=device):
             size = (frame.picture.shape[0], frame.picture.shape[1])
             packed.append(_pack(list(found.values()), size))
             times.append(frame.time)
             for place, (number, person) in enumerate(found.items()):
                 rows.append(np.array([(*seen_values(person, frame.index, frame.time), number, place)], _ROW))
+            if watch is not None:
+                watch(frame, pyramid, list(found.values()))
             if progress is not None:
                 progress(len(times), max(facts.frames, len(times)))
     except InputError as error:
@@ -129,15 +133,15 @@ def find_film_people(
 
 def follow_people(
     path: str | Path, rate: float, *, min_score: float, device: torch.device | str
-) -> Iterator[tuple[Frame, dict[int, FoundPerson]]]:
-    """Frames of a film, so many a second, and their people by numbers that stay.
+) -> Iterator[tuple[Frame, Pyramid, dict[int, FoundPerson]]]:
+    """Frames of a film, so many a second, pictures to cut crops from, and their people by numbers that stay.
 
     Raises:
         InputError: As of ``read_frames``.
     """
     tracker = PeopleTracker(device=device, min_score=min_score, every=max(round(rate / _LOOKS), 1))
     for frame, pyramid in made_ahead(_with_pyramids(path, device)):
-        yield frame, tracker.find(pyramid)
+        yield frame, pyramid, tracker.find(pyramid)
 
 
 def _with_pyramids(path: str | Path, device: torch.device | str) -> Iterator[tuple[Frame, Pyramid]]:

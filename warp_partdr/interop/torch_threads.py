@@ -45,3 +45,20 @@ def one_torch_thread() -> Iterator[None]:
         with _lock:
             _users -= 1
             torch.set_num_threads(count)
+
+
+@contextmanager
+def all_torch_threads() -> Iterator[None]:
+    """Let torch take as many threads as before, inside of ``one_torch_thread``: for large networks of others."""
+    if not getattr(_own, "within", False):
+        yield
+        return
+    _own.within = False
+    with _lock:
+        torch.set_num_threads(_before)
+    try:
+        yield
+    finally:
+        _own.within = True
+        with _lock:
+            torch.set_num_threads(1)

@@ -10,7 +10,7 @@ import torch
 
 from ..body.labels import LabelSet
 from ..body.skeletons import Skeleton, skeleton
-from ..detection.crops import TurnedCrops
+from ..detection.crops import Pyramid, TurnedCrops, cut_crops
 from ..detection.person import FoundPerson
 from ..errors import check_type
 from ..interop.checks import check_image_size
@@ -93,3 +93,8 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     height = max(height, width / (aspect * stretch))
     centre = person.crop.to_picture(((low + high) / 2)[None, None])[0]
     return TurnedCrops(centre, np.array([height]), person.crop.angles, np.zeros(1, np.int64), float(width / height))
+
+
+def cut_upright(picture: Pyramid, person: FoundPerson, size: tuple[int, int], *, stretch: float = 1.0) -> torch.Tensor:
+    """Picture (1, 3, H, W) of a person, from 0 to 1, as a network takes it: of ``upright_crop``."""
+    return cut_crops([picture], upright_crop(person, size, stretch=stretch), size)

@@ -15,9 +15,11 @@ from ..clothing.measuring import measure_ellipbody
 from ..detection.film_people import SEEN
 from ..errors import check_type
 from ..fit.fitting import Progress
+from ..fit.photo import PACKAGED
 from ..inputs.films import read_frames
 from ..interop.ahead import made_ahead
 from ..interop.torch_threads import one_torch_thread
+from ..predictors.film_sights import GivenNetworks
 from ..scenes.film import FilmFit, Motion
 from ..scenes.seen_film import SeenFilm
 from .film_file import write_film
@@ -49,7 +51,8 @@ def save_film_fit(
     EllipBodies are measured from these. All is in the world, of one film its camera's frame; keypoints and camera are
     the first film's. GLB and BVH hold the motion at the film's rate. Further films have overlay1.mp4 and so on.
     ``people.json`` has the cameras under ``views``: X_camera = rotation X_world + translation, in pixels without
-    distortion, and ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...).
+    distortion, ``lens``, the distortion that was taken away (k1, k2, p1, p2, k3, ...), and the names of the networks
+    that saw ``keypoints`` and ``parts``.
 
     Args:
         fit: Of ``fit_film``.
@@ -107,10 +110,13 @@ def draw_film(fit: FilmFit, film: str | Path, place: int = 0) -> Iterator[np.nda
 
 def _view(name: str, seen: SeenFilm) -> dict[str, Any]:
     camera, lens = seen.view.camera, {}
+    networks = GivenNetworks() if seen.given is None else seen.given.networks
+    sources = {"keypoints": networks.keypoints_from, "parts": networks.parts_from}
     if seen.lens is not None:
         lens = {"lens": {"focal": list(seen.lens.focal), "distortion": list(seen.lens.distortion)}}
     return {
         "film": name,
+        **{kind: PACKAGED if network is None else network.name for kind, network in sources.items()},
         "size": list(seen.people.image_size[::-1]),
         "focal": float(camera.focal[0, 0]),
         "principal": camera.centre[0].tolist(),

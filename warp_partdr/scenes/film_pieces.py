@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +17,7 @@ from .. import __version__
 from ..detection.film_people import FilmPeople
 from ..errors import InputError
 from ..files.array_files import read_npz
+from ..predictors.film_sights import SIGHT_ARRAYS, FilmSights, GivenNetworks
 
 _PEOPLE = "image_size", "rate", "times", "rows", "packed", "sizes", "fault"
 _FOLDER = ".partdr-film-"  # of ``result_sets``' own kind: what nobody goes on with is removed after a day
@@ -60,12 +61,19 @@ class FilmPieces:
 
     def people(self, film: int, find: Callable[[], FilmPeople]) -> FilmPeople:
         """People of a film, who are looked for unless they were found."""
-        data = self.piece(f"people{film}", _PEOPLE, lambda: _people_arrays(find()))
-        starts = np.cumsum([0, *data["sizes"]])
-        height, width = data["image_size"].tolist()
-        whole = data["packed"].tobytes()
-        packed = tuple(whole[start:stop] for start, stop in pairwise(starts))
-        return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, str(data["fault"]))
+        return _people(self.piece(f"people{film}", _PEOPLE, lambda: _people_arrays(find())))
+
+    def sights(
+        self, film: int, networks: GivenNetworks, find: Callable[[], tuple[FilmPeople, FilmSights]]
+    ) -> tuple[FilmPeople, FilmSights]:
+        """The same with what networks of others see of them."""
+
+        def make() -> dict[str, np.ndarray]:
+            people, sights = find()
+            return _people_arrays(people) | sights.arrays()
+
+        data = self.piece(f"sights{film}", (*_PEOPLE, *SIGHT_ARRAYS), make)
+        return _people(data), FilmSights.of_arrays(data, networks)
 
     def remove(self) -> None:
         """Remove them all, when the result is written."""
@@ -73,6 +81,14 @@ class FilmPieces:
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.npz"
+
+
+def _people(data: Mapping[str, np.ndarray]) -> FilmPeople:
+    starts = np.cumsum([0, *data["sizes"]])
+    height, width = data["image_size"].tolist()
+    whole = data["packed"].tobytes()
+    packed = tuple(whole[start:stop] for start, stop in pairwise(starts))
+    return FilmPeople((height, width), float(data["rate"]), data["times"], data["rows"], packed, str(data["fault"]))
 
 
 def _people_arrays(people: FilmPeople) -> dict[str, Any]:

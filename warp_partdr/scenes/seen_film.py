@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..body.labels import IGNORE
 from ..cameras import Perspective, zoomed
 from ..detection.film_people import FilmPeople, kept_size, pack_owners, row_keypoints
 from ..errors import check_type
 from ..fit.photo import mask_labels
 from ..inputs.calibrated_camera import CalibratedCamera
+from ..predictors.film_sights import FilmSights, pack_groups
 from .scene import Sight, View
 
 
@@ -24,14 +26,17 @@ class SeenFilm:
         people: Of the film, in pixels without distortion.
         view: The camera, of the film's pixels, and its place.
         lens: The camera whose distortion was taken away; None: there is none.
+        given: What networks of others see of the people, in the same pixels; None: the packaged ones' masks and
+            keypoints serve.
     """
 
     people: FilmPeople
     view: View
     lens: CalibratedCamera | None = None
+    given: FilmSights | None = None
 
     @classmethod
-    def of(cls, people: FilmPeople, camera: Perspective | None = None) -> SeenFilm:
+    def of(cls, people: FilmPeople, camera: Perspective | None = None, *, given: FilmSights | None = None) -> SeenFilm:
         """Film whose camera's frame is the world; default: a focal length as long as the picture's diagonal.
 
         Raises:
@@ -39,11 +44,12 @@ class SeenFilm:
         """
         check_type("people", people, FilmPeople, "of find_film_people")
         check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
+        check_type("given", given, FilmSights | None, "of find_film_sights")
         size = people.image_size
-        return cls(people, View(camera or Perspective.of_picture(size, focal=math.hypot(*size))))
+        return cls(people, View(camera or Perspective.of_picture(size, focal=math.hypot(*size))), given=given)
 
     @classmethod
-    def calibrated(cls, people: FilmPeople, camera: CalibratedCamera) -> SeenFilm:
+    def calibrated(cls, people: FilmPeople, camera: CalibratedCamera, *, given: FilmSights | None = None) -> SeenFilm:
         """Film of a calibrated camera, whose distortion is taken away.
 
         Raises:
@@ -53,14 +59,17 @@ class SeenFilm:
         camera.check_size(size)
         camera = replace(camera, size=size)
         if not camera.distorts:
-            return cls(people, View.of(camera))
+            return cls(people, View.of(camera), given=given)
         rows, small = people.rows.copy(), camera.resized(kept_size(size))
-        seen = rows["keypoints"]
-        points = camera.undistort_points(seen[..., :2])
-        there = np.isfinite(points).all(-1, keepdims=True) & (seen[..., 2:] > 0)
-        rows["keypoints"] = np.where(there, np.concatenate([points, seen[..., 2:]], axis=-1), 0.0)
+        rows["keypoints"] = _without_distortion(rows["keypoints"], camera)
         packed = [pack_owners(small.undistort_picture(people.owners(frame))) for frame in range(len(people.times))]
-        return cls(replace(people, rows=rows, packed=tuple(packed)), View.of(camera), camera)
+        if given is not None:
+            # One at a time: all of a long film's together take gigabytes.
+            seen = (given.groups(row) for row in range(len(given.packed)))
+            flat = (None if each is None else small.undistort_picture(each, fill=IGNORE) for each in seen)
+            points = _without_distortion(given.keypoints, camera)
+            given = replace(given, keypoints=points, packed=tuple(map(pack_groups, flat)))
+        return cls(replace(people, rows=rows, packed=tuple(packed)), View.of(camera), camera, given)
 
     @property
     def small_view(self) -> View:
@@ -72,11 +81,24 @@ class SeenFilm:
     def sights(self, rows: np.ndarray, person: int, view: int) -> Iterator[Sight]:
         """Sights of a person's rows, frames as they are there, in pixels of ``small_view``."""
         for row in rows:
-            full, frame = row_keypoints(row), int(row["frames"])
+            frame, place = int(row["frames"]), int(row["places"])
+            full = None if self.given is None else self.given.keypoints_of(frame, place)
+            if full is None:
+                full = row_keypoints(row)
             keypoints = replace(full, points=full.points * np.float32(self._zoom))
-            parts = mask_labels(self.people.owners(frame).astype(np.int32), int(row["places"]))
+            if self.given is None or self.given.networks.parts_from is None:
+                parts = mask_labels(self.people.owners(frame).astype(np.int32), place)
+            else:  # a mask is of another label set than the others' labels
+                parts = self.given.parts_of(frame, place)
             yield Sight(keypoints, parts, person, frame, view)
 
     @property
     def _zoom(self) -> float:
         return kept_size(self.people.image_size)[1] / self.people.image_size[1]
+
+
+def _without_distortion(keypoints: np.ndarray, camera: CalibratedCamera) -> np.ndarray:
+    """Keypoints (N, K, 3) of the picture as taken; those that the lens can't show are 0."""
+    points = camera.undistort_points(keypoints[..., :2])
+    there = np.isfinite(points).all(-1, keepdims=True) & (keypoints[..., 2:] > 0)
+    return np.where(there, np.concatenate([points, keypoints[..., 2:]], axis=-1), 0.0).astype(keypoints.dtype)
