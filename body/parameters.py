@@ -108,14 +108,6 @@ class BodyParameters(Movable):
         """Select some of the bodies."""
         return BodyParameters(**{name: tensor[index] for name, tensor in self.tensors().items()})
 
-    def apart(self) -> list[BodyParameters]:
-        """Each body alone, unchecked: for a thousand of them checks would take longer than a refinement."""
-        columns = [tensor.split(1) for tensor in self.tensors().values()]
-        alone = [BodyParameters.__new__(BodyParameters) for _ in range(self.batch_size)]
-        for body, row in zip(alone, zip(*columns, strict=True), strict=True):
-            vars(body).update(zip(ROW, row, strict=True))
-        return alone
-
     @classmethod
     def joined(cls, those: Sequence[BodyParameters]) -> BodyParameters:
         """The bodies of several batches in one."""

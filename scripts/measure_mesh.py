@@ -2,25 +2,31 @@
 
     python scripts/measure_mesh.py [PEOPLE ...]
 
-PartBench's people from 200 on, fitted by the fast quality, on CUDA where there is some. Steps alone are what 60 of them
-take beyond none: without starts, measuring and the whole mesh.
+PartBench's people from 200 on, fitted by the fast quality, on CUDA where there is some. Steps alone are without starts,
+measuring and the whole mesh.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from statistics import median
 
+import torch
 import warp as wp
 
 from warp_partdr import FitOptions, fit_body
+from warp_partdr.clothing.anny import anny
 from warp_partdr.evaluation.partbench.samples import make_sample
+from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.mesh_stage import refine_meshes
 from warp_partdr.fit.result import FitResult
+from warp_partdr.fit.steps import find_steps
 from warp_partdr.interop.devices import choose_device
+from warp_partdr.interop.torch_threads import one_torch_thread
 
 _DIFFERENT = 16  # people; more are these again
 _REPEATS = 5
@@ -33,26 +39,43 @@ def fitted(index: int, device: str) -> FitResult:
     return fit_body(sample.keypoints, sample.parts, others=sample.others, options=fast, device=device)
 
 
-def seconds(results: list[FitResult], options: MeshOptions) -> float:
+def median_seconds(call: Callable[[], object], device: str) -> float:
     """Median of some calls, after the first one."""
     found: list[float] = []
     for _ in range(1 + _REPEATS):
         started = time.perf_counter()
-        refine_meshes(results, options=options)
+        call()
+        if device == "cuda":
+            torch.cuda.synchronize()
         found.append(time.perf_counter() - started)
     return median(found[1:])
 
 
+def all_steps(results: list[FitResult], options: MeshOptions, device: str) -> Callable[[], None]:
+    """The stage's steps, without anything before or after them."""
+    model = anny(device)
+    energy = mesh_energy(model, options, results[0].observation.label_set)
+    with torch.no_grad():
+        people = gather_starts(energy, model, results)
+    steps = find_steps(energy, people, options)
+
+    def run() -> None:
+        for _ in range(options.iterations):
+            steps.step(0.5)
+
+    return run
+
+
 def main(*counts: int) -> None:
     wp.config.log_level = wp.LOG_WARNING
-    device = choose_device("auto")
+    device, options = choose_device("auto"), MeshOptions()
     several = [fitted(200 + index, device) for index in range(min(max(counts), _DIFFERENT))]
-    options = MeshOptions()
     for count in counts:
         results = [several[place % len(several)] for place in range(count)]
-        whole, none = (seconds(results, each) for each in (options, replace(options, iterations=0)))
-        steps = 1000 * (whole - none)
-        print(f"{device}, {count} people: {1000 * whole:.0f} ms, {options.iterations} steps alone {steps:.0f} ms")
+        with one_torch_thread():
+            steps = 1000 * median_seconds(all_steps(results, options, device), device)
+        whole = 1000 * median_seconds(partial(refine_meshes, results, options=options), device)
+        print(f"{device}, {count} people: {whole:.0f} ms, {options.iterations} steps alone {steps:.0f} ms")
 
 
 if __name__ == "__main__":
