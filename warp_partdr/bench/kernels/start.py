@@ -15,6 +15,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+_TIMES = 3  # that a command runs, of which the fastest counts
+
 
 def time_starts(device: str) -> dict[str, float]:
     """Durations by name [s]: of imports, and of the first call after them, a body's label loss and its gradient.
@@ -43,10 +45,10 @@ def time_commands(device: str) -> dict[str, float]:
     return found
 
 
-def _fastest(words: Sequence[str], times: int = 3) -> float:
+def _fastest(words: Sequence[str]) -> float:
     """Least of some durations [s]: what else runs on the machine adds to the others, a first one reads from disk."""
     durations = []
-    for _ in range(times):
+    for _ in range(_TIMES):
         begin = time.perf_counter()
         _run([sys.executable, "-m", __name__.partition(".")[0], *words], os.environ)
         durations.append(time.perf_counter() - begin)
