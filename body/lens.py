@@ -70,7 +70,12 @@ def seen_at(pelvises: torch.Tensor, lens: torch.Tensor) -> tuple[torch.Tensor, t
 
 def placed_at(log_scale: torch.Tensor, shift: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
     """Pelvises before the camera, (B, 3) [m]: the inverse of ``seen_at``."""
-    return torch.cat([shift - lens[:, 1:], lens[:, :1]], dim=1) / log_scale.exp()[:, None]
+    return _rays(shift, lens) / log_scale.exp()[:, None]
+
+
+def _rays(shift: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
+    """Rays from the camera to where the pelvises are seen, in half-sides of the crop, shape (B, 3)."""
+    return torch.cat([shift - lens[:, 1:], lens[:, :1]], dim=1)
 
 
 def turn_to_rays(parameters: BodyParameters, lens: torch.Tensor) -> BodyParameters:
@@ -85,7 +90,7 @@ def ray_rotations(parameters: BodyParameters, lens: torch.Tensor) -> torch.Tenso
     ``lens`` may be one a body, (B, 3).
     """
     lens = lens.to(parameters.shift).expand(parameters.batch_size, 3)
-    return rotations_to(torch.cat([parameters.shift - lens[:, 1:], lens[:, :1]], dim=1))
+    return rotations_to(_rays(parameters.shift, lens))
 
 
 def rotations_to(rays: torch.Tensor) -> torch.Tensor:

@@ -124,21 +124,8 @@ class DetailedModel(Movable):
                 A part moves with its parent's stretch and does not inherit it.
         """
         self._check("shape", shape, None, self.num_shapes)
-        vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
-        if offsets is not None:
-            self._check("offsets", offsets, shape.shape[0], self.num_vertices, 3)
-            vertices = vertices + offsets
-        joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
+        vertices, joints = self._at_rest(shape, offsets, stretches)
         turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
-        if stretches is not None:
-            self._check("stretches", stretches, shape.shape[0], NUM_PARTS, 3, 3)
-            bones = joints[:, 1:] - joints[:, self._parents[1:]]
-            bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
-            placed = torch.cat([joints[:, :1], bones], dim=1)
-            stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
-            carrying = list(self.part_joints)
-            vertices = blend_skin(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
-            joints = stretched
         return Detailed(vertices, joints, homogeneous(turns, joints))
 
     def pose(
@@ -167,17 +154,35 @@ class DetailedModel(Movable):
         batch = shape.shape[0]
         self._check("rotations", rotations, batch, self.num_joints, 3, 3)
         self._check("translation", translation, batch, 3)
-        rest = self.rest(shape, offsets, stretches=stretches)
-        vertices = rest.vertices
+        vertices, rest = self._at_rest(shape, offsets, stretches)
         if self.pose_directions is not None:
             bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
             vertices = vertices + (bend.flatten(1) @ self.pose_directions).unflatten(1, (-1, 3))
-        bones = torch.cat(
-            [translation[:, None], rest.joints[:, 1:] - rest.joints.index_select(1, self._parents[1:])], dim=1
-        )
+        bones = torch.cat([translation[:, None], rest[:, 1:] - rest.index_select(1, self._parents[1:])], dim=1)
         transforms = chain_joints(self.parents, rotations, bones)
         turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
-        return Detailed(blend_skin(self.skin_weights, turns, joints, rest.joints, vertices), joints, transforms)
+        return Detailed(blend_skin(self.skin_weights, turns, joints, rest, vertices), joints, transforms)
+
+    def _at_rest(
+        self, shape: torch.Tensor, offsets: torch.Tensor | None, stretches: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Vertices and joints of ``rest``, without the joints' frames."""
+        vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
+        if offsets is not None:
+            self._check("offsets", offsets, shape.shape[0], self.num_vertices, 3)
+            vertices = vertices + offsets
+        joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
+        if stretches is not None:
+            self._check("stretches", stretches, shape.shape[0], NUM_PARTS, 3, 3)
+            bones = joints[:, 1:] - joints[:, self._parents[1:]]
+            bones = (stretches[:, self._joint_parts[self._parents[1:]]] @ bones[..., None])[..., 0]
+            turns = torch.eye(3, dtype=joints.dtype, device=joints.device).expand(*joints.shape, 3)
+            placed = torch.cat([joints[:, :1], bones], dim=1)
+            stretched = chain_joints(self.parents, turns, placed)[..., :3, 3]
+            carrying = list(self.part_joints)
+            vertices = blend_skin(self.spread_weights, stretches, stretched[:, carrying], joints[:, carrying], vertices)
+            joints = stretched
+        return vertices, joints
 
     def landmarks(self, detailed: Detailed, names: Sequence[str]) -> torch.Tensor:
         """Positions of landmarks, shape (B, L, 3) [m].

@@ -17,7 +17,7 @@ import torch
 from ..body.template import PART_NAMES
 from ..errors import InputError, cause
 from .model import DetailedModel
-from .smpl import joint_landmarks, parts_of_faces
+from .smpl import joint_landmarks, parts_of_faces, parts_of_vertices
 
 _STEP = 1e-2
 _CARRIES = {"neck": "neck", "head": "head", "collar": "shoulder", "shoulder": "upper_arm", "elbow": "forearm"}
@@ -105,10 +105,7 @@ def rig_model(
     names = _smpl_names([names_of_smpl.get(name, name) for name in own], parents)
     parts, part_joints = _parts(names, parents)
     faces = np.asarray(rig.own.faces)
-    vertex_parts = parts[weights.argmax(1)]
-    left, right = (PART_NAMES.index(f"{side}_hip") for side in ("left", "right"))
-    of_pelvis = vertex_parts < 0
-    vertex_parts[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
+    vertex_parts = parts_of_vertices(parts, weights, vertices)
     landmarks = joint_landmarks(names, vertices, joints, vertex_parts)
 
     def numbers(values: np.ndarray) -> torch.Tensor:

@@ -150,10 +150,7 @@ def smpl_model(
     directions = np.moveaxis(arrays["shapedirs"][..., :num_shapes].astype(np.float64), 2, 0)
     joints = regressor @ vertices
     parts = np.array([_part_of(joint) for joint in names])
-    vertex_parts = parts[weights.argmax(1)]
-    of_pelvis = vertex_parts < 0
-    left, right = (PART_NAMES.index(hip) for hip in _HIPS)
-    vertex_parts[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
+    vertex_parts = parts_of_vertices(parts, weights, vertices)
     face_parts = parts_of_faces(arrays["f"], vertex_parts)
     landmarks = joint_landmarks(names, vertices, joints, vertex_parts)
 
@@ -191,6 +188,15 @@ def _part_of(joint: str) -> int:
         if (f"*{name}" if name else joint).startswith(beginning):
             return PART_NAMES.index(part.replace("*", f"{side}_"))
     raise AssertionError(joint)
+
+
+def parts_of_vertices(parts: np.ndarray, weights: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Part of each vertex, that of the joint it follows most; where this is the pelvis, -1, the hip of its side."""
+    found = parts[weights.argmax(1)]
+    of_pelvis = found < 0
+    left, right = (PART_NAMES.index(hip) for hip in _HIPS)
+    found[of_pelvis] = np.where(vertices[of_pelvis, 0] > 0, left, right)
+    return found
 
 
 def parts_of_faces(faces: np.ndarray, vertex_parts: np.ndarray) -> np.ndarray:

@@ -98,8 +98,8 @@ class SceneEnergy:
         options, one = self.options.mesh, self.one
         numbers = self._of_frames(people, unknowns)
         posed = one.pose(people, numbers)
-        pelvises = self.pelvises(people, unknowns)[:, None]
-        points = one.landmarks(posed) + pelvises
+        pelvises = self.pelvises(people, unknowns)
+        points = one.landmarks(posed) + pelvises[:, None]
         aims = (people.places, people.points, people.votes, people.depths, people.depth_weights)
         places, marked, votes, depths, weights = (each.flatten(0, 1) for each in aims)
         seen, deep = landmark_costs(
@@ -118,12 +118,12 @@ class SceneEnergy:
             terms["clothes"] = options.clothes / 2 * (unknowns.clothes / SPREAD).square().sum()
         if self.capsules is not None:
             weight = self.options.apart if len(people.shape) > 1 else options.apart
-            placed = self.capsules.of(posed, numbers.shape, by=pelvises)
+            placed = self.capsules.of(posed, numbers.shape, by=pelvises[:, None])
             terms["apart"] = weight * self.capsules.overlap(placed, people=len(people.shape)).sum()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
             views = self._views(people, people.target_lens)
             loss, _ = mesh_label_loss(
-                place_people(posed.vertices, pelvises[:, 0], views, people.target.shape[-1]),
+                place_people(posed.vertices, pelvises, views, people.target.shape[-1]),
                 self.mesh,
                 ScreenCamera(perspective=True),
                 people.target,

@@ -1,4 +1,4 @@
-"""What the label network sees in films: it looks at each sight once, though windows of frames overlap."""
+"""Looks of the label network at films: it sees each sight once, though windows of frames overlap."""
 
 from __future__ import annotations
 
