@@ -106,7 +106,7 @@ def ask_network(
     shares = shares.contiguous(memory_format=torch.channels_last)
     with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
         features = network.features(shares, keypoints, rays)
-    predicted = network.bodies(features.float(), keypoints)
+    predicted = network.bodies(features.float())
     if not mirror:
         return predicted
     count = len(observations)
