@@ -1,9 +1,9 @@
 """Measure and print what a known camera is worth to fits, on PartBench's people whom a perspective camera sees.
 
-    python scripts/measure_camera.py [--near] [FIRST LAST]
+    python scripts/measure_camera.py [--near | --far] [FIRST LAST]
 
-``--near``: all are 1.5 to 3 m before the camera, up to 20 degrees beside its axis. Each is fitted twice at the level
-"realistic", without the camera and with it. Intervals are of 95 %, over people.
+``--near``: all are 1.5 to 3 m before the camera, ``--far``: 9 to 40 m, up to 20 degrees beside its axis. Each is fitted
+twice at the level "realistic", without the camera and with it. Intervals are of 95 %, over people.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 import warp as wp
 
 from warp_partdr import FitOptions, fit_body, metrics
-from warp_partdr.evaluation.partbench.samples import NEAR, make_sample
+from warp_partdr.evaluation.partbench.samples import FAR, NEAR, make_sample
 from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.inputs.sample import Sample
 
 
-def main(first: int = 200, last: int = 299, *, near: bool = False) -> None:
+def main(first: int = 200, last: int = 299, *, level: str = "realistic") -> None:
     wp.config.log_level = wp.LOG_WARNING
     for name, options in (("default", FitOptions()), ("fast", FitOptions.at("fast"))):
         rows = []
         for index in range(first, last + 1):
-            sample = make_sample(index, NEAR if near else "realistic")
+            sample = make_sample(index, level)
             if sample.camera is not None:
                 rows.append(compare(sample, options))
         table = np.array(rows)
@@ -58,4 +58,6 @@ def interval(differences: np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    main(*[int(each) for each in sys.argv[1:] if each != "--near"], near="--near" in sys.argv)
+    levels = {"--near": NEAR, "--far": FAR}
+    asked = [levels[each] for each in sys.argv[1:] if each in levels]
+    main(*[int(each) for each in sys.argv[1:] if each not in levels], level=(asked or ["realistic"])[0])

@@ -17,7 +17,15 @@ from warp_partdr.evaluation.evaluate import Report
 from warp_partdr.evaluation.partbench.anny_fit import fit_anny
 from warp_partdr.evaluation.partbench.methods import KNOWN_CAMERA, METHODS, registered_vertices
 from warp_partdr.evaluation.partbench.report import compare_methods, worst, write_report
-from warp_partdr.evaluation.partbench.samples import CLOTHED, LABELS, NEAR, make_sample, partbench_samples, source_name
+from warp_partdr.evaluation.partbench.samples import (
+    CLOTHED,
+    FAR,
+    LABELS,
+    NEAR,
+    make_sample,
+    partbench_samples,
+    source_name,
+)
 from warp_partdr.evaluation.scoring import Pixels, Score, score_fit
 from warp_partdr.synthetic.noise import LEVELS
 from warp_partdr.synthetic.partbench_people import NUM_PEOPLE, make_person
@@ -50,6 +58,18 @@ def test_near_people_come_with_their_camera() -> None:
     assert not weak.camera.perspective
     errors = [score_fit(near, "", result, 0.0).mpjpe for result in (known, weak)]
     assert errors[0] < errors[1]
+
+
+def test_far_people_have_their_size_and_place() -> None:
+    off = []
+    for index in range(4):
+        far = make_sample(index, FAR)
+        hips = [far.joint_names.index(f"{side}_hip") for side in ("left", "right")]
+        found = METHODS[KNOWN_CAMERA].fit_sample(far, "cpu").landmarks(far.joint_names)[hips].mean(0)
+        true = far.joints[hips].mean(0)
+        assert true[2] > 8.0
+        off.append(np.linalg.norm(found - true) / np.linalg.norm(true))
+    assert np.mean(off) < 0.12  # as far as a person's height is uncertain
 
 
 def test_clothed_people_are_the_realistic_ones_with_other_labels() -> None:

@@ -183,13 +183,21 @@ def test_of_a_mirror_image_the_mirrored_body_is_said():
 def test_a_camera_is_seen_by_its_rays_and_only_where_it_is_known(network):
     lenses = torch.tensor([[2.0, 0.5, -1.0], [2.0, 0.5, -1.0], [1e9, 0.0, 0.0]])
     rays = lens_rays(lenses, torch.tensor([True, False, True]))
-    assert torch.allclose(rays, torch.tensor([[1.0, 0.5, 0.25, -0.5], [0.0] * 4, [1.0, 0.0, 0.0, 0.0]]))
+    assert torch.allclose(rays, torch.tensor([[1.0, 0.5, 0.25, -0.5], [0.0] * 4, [1.0, 0.125, 0.0, 0.0]]))
     keypoints, parts = seen_by(walker())
     seen, _ = observe(keypoints, parts)
     known = replace(seen, lens=lenses[0])
     assert torch.equal(network_inputs([known], 64)[2], rays[:1])
     bodies = predict_bodies([seen, known], network)
     assert not torch.allclose(bodies.rotations[0], bodies.rotations[1], atol=1e-5)
+
+
+def test_the_packaged_network_knows_that_who_is_far_away_is_no_smaller():
+    seen, _ = observe(*seen_by(walker()))
+    lenses = [torch.tensor([focal, 0.1 * focal, 0.0]) for focal in (7.0, 30.0, 1000.0)]
+    bodies = predict_bodies([replace(seen, lens=lens) for lens in lenses], load_label_network())
+    sizes = bodies.lengths.sum(1)
+    assert torch.allclose(sizes, sizes[:1].expand(3), rtol=0.03)
 
 
 def test_uncertainties_are_positive_and_go_with_their_bodies(network):

@@ -10,7 +10,7 @@ from warp_partdr.body.pose_prior import PosePrior
 from warp_partdr.body.skeletons import MPJPE_JOINTS
 from warp_partdr.body.template import PART_NAMES
 from warp_partdr.cameras import Perspective
-from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, make_person, pose_kind
+from warp_partdr.synthetic.partbench_people import COCO, NUM_PEOPLE, Setting, make_person, pose_kind
 from warp_partdr.synthetic.people import draw_anny
 from warp_partdr.synthetic.pose_recipes import POSES, TILTED_POSES, draw_pose
 
@@ -55,15 +55,16 @@ def test_poses_of_the_prior_keep_to_the_joint_limits() -> None:
         np.testing.assert_allclose(np.linalg.norm(pose.up), 1.0)
 
 
-def test_near_people_are_the_same_before_another_camera() -> None:
+@pytest.mark.parametrize(("setting", "least", "most"), [("near", 1.5, 3.0), ("far", 9.0, 40.0)])
+def test_near_and_far_people_are_the_same_before_another_camera(setting: Setting, least: float, most: float) -> None:
     aside = []
     for index in range(4):
-        person, far = make_person(index, "near"), make_person(index)
+        person, usual = make_person(index, setting), make_person(index)
         assert isinstance(person.camera, Perspective)
         middle = person.vertices.mean(0)
-        assert 1.5 <= middle[2] <= 3.0
+        assert least <= middle[2] <= most
         aside.append(np.degrees(np.arctan2(np.abs(middle[:2]), middle[2])))
-        same = person.joints - person.joints[0], far.joints - far.joints[0]
+        same = person.joints - person.joints[0], usual.joints - usual.joints[0]
         np.testing.assert_allclose(*same, atol=1e-5)
     assert 9.0 < np.max(aside) < 25.0
 

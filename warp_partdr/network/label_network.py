@@ -25,6 +25,9 @@ NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
 _UNKNOWN = NUM_CHANNELS - 1
 _HEATMAP_STRIDE = 4  # of the labels' pixels
 _RAYS = 4  # numbers of ``lens_rays``
+# [half-sides of the crop], focal lengths from which on cameras look alike, about 7 m away. Those that networks learn from
+# end at 9 m: told of a farther one, they shrank the body.
+_FARTHEST = 8.0
 _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being 2
 
 
@@ -90,10 +93,11 @@ def lens_rays(lenses: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
         known: False for those that the network isn't to know, shape (B,), bool.
 
     Returns:
-        1; of the crop's half side; of its middle, negative, across and down; all 0 where unknown, shape (B, 4).
+        1; of the crop's half side, as from ``_FARTHEST`` at most; of its middle, negative, across and down; all 0 where
+        unknown, shape (B, 4).
     """
     focal = lenses[:, :1]
-    rays = torch.cat([torch.ones_like(focal), 1 / focal, lenses[:, 1:] / focal], dim=1)
+    rays = torch.cat([torch.ones_like(focal), 1 / focal.clamp_max(_FARTHEST), lenses[:, 1:] / focal], dim=1)
     return torch.where(known[:, None], rays, 0.0)
 
 

@@ -31,8 +31,8 @@ SHORT_SIDE, LONG_SIDE = 320, 400  # [px], of the picture
 _SAMPLES = 2  # a side of a pixel, whose majority it takes
 _FILL = (0.72, 0.9)  # share of the picture's height that the person takes, or of its width
 _DISTANCE = (2.5, 6.0)  # [m], of perspective cameras
-_NEAR = (1.5, 3.0)  # [m], of near ones
-_ASIDE = (20.0, 10.0)  # [degrees], how far a near person is beside the camera's axis, across and up or down, at most
+_BESIDE = {"near": (1.5, 3.0), "far": (9.0, 40.0)}  # [m], of perspective cameras that look beside people
+_ASIDE = (20.0, 10.0)  # [degrees], how far these are beside the camera's axis, across and up or down, at most
 _WEAK = 0.5  # share of weak-perspective cameras
 _PITCH = (-10.0, 25.0)  # [degrees], how far the camera looks down
 _TILT = (45.0, 20.0)  # [degrees], how far a tilted camera looks up or down, and is turned about its axis, at most
@@ -42,7 +42,7 @@ _CUT_SHARE = (0.05, 0.2)  # of their height or width
 _CLOTHES = 18  # of the seed of a person's clothes, whose draws leave all others as they are
 
 COCO = skeleton("coco17")
-Setting = Literal["usual", "near", "tilted", "clothed"]
+Setting = Literal["usual", "near", "far", "tilted", "clothed"]
 _PRIOR_EVERY = (0, 2, 4)  # of five people, these have poses from the prior
 
 
@@ -82,11 +82,12 @@ def draw_phenotypes(index: int) -> tuple[np.ndarray, np.random.Generator]:
 def make_person(index: int, setting: Setting = "usual") -> Person:
     """Person 0 to 199; each has a seed of its own.
 
-    "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture;
+    "near": the same before a perspective camera that is near and looks beside, as in a crop of a wide picture; "far":
+    the same before one that is far away;
     "tilted": the same bodies upright, lying, reclining and seated, before a camera that looks up, down and askew;
     "clothed": as "usual" but for the labels, which show clothes. All else is of the body beneath.
     """
-    near, tilted = setting == "near", setting == "tilted"
+    beside, tilted = _BESIDE.get(setting), setting == "tilted"
     phenotypes, rng = draw_phenotypes(index)
     shape = anny_shape(torch.from_numpy(phenotypes)[None].float())
     kind = pose_kind(index, setting)
@@ -100,12 +101,12 @@ def make_person(index: int, setting: Setting = "usual") -> Person:
     body, stature = people.pose_anny(model, shape, posed), float(statures(model, shape))
 
     vertices = body.vertices[0].numpy()
-    weak = rng.random() < _WEAK and not near
+    weak = rng.random() < _WEAK and beside is None
     offset = np.zeros(3, dtype=np.float32)
     if not weak:
-        distance = rng.uniform(*(_NEAR if near else _DISTANCE))
+        distance = rng.uniform(*(beside or _DISTANCE))
         offset[2] = distance - vertices[:, 2].mean()
-        if near:
+        if beside is not None:
             aside = np.radians(_ASIDE)
             offset[:2] = distance * np.tan(rng.uniform(-aside, aside))
     camera, size = _place_camera(vertices + offset, weak, rng)

@@ -19,7 +19,7 @@ from . import VERSION
 
 LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
-NEAR, TILTED, CLOTHED = SETTINGS = ("near", "tilted", "clothed")
+NEAR, FAR, TILTED, CLOTHED = SETTINGS = ("near", "far", "tilted", "clothed")
 CROSSED = "crossed"  # level of ``crossed_samples``
 PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
