@@ -52,7 +52,8 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "principal point alone": (GOOD + " --principal 3,4", ["--principal", "--focal"]),
     "principal point": (GOOD + " --focal 100 --principal 3", ["--principal: '3'", "U,V"]),
     "focal length": (GOOD + " --focal -100", ["--focal: -100", "positive"]),
-    "no focal length": (GOOD + " --focal long", ["--focal: 'long'", "pixels, or exif"]),
+    "no focal length": (GOOD + " --focal long", ["--focal: 'long'", "pixels, exif or none"]),
+    "no focal length, but an angle": (GOOD + " --focal none --fov 50", ["--focal: none, with --fov", "alone"]),
     "no focal length in the photo": (GOOD + " --focal exif", ["photo.png", "no focal length", "EXIF"]),
     "focal length of no photo": (
         GOOD.replace("photo.png ", "") + " --focal exif",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -10,8 +11,11 @@ import pytest
 from PIL import Image
 from scenes import commands
 from scenes.commands import EVERY_FILE, Run
-from scenes.files import EXAMPLE
+from scenes.files import EXAMPLE, save_with_focal
 
+from warp_partdr import FitOptions
+from warp_partdr.fit.mesh_options import MeshOptions
+from warp_partdr.fit.photo import fit_photo
 from warp_partdr.results.save_photo import PHOTO_FILES
 
 files, run = commands.files, commands.run  # fixtures
@@ -34,6 +38,22 @@ def test_a_photo_is_enough(run: Run, files: Path) -> None:
     assert "about" not in said
     (known,) = json.loads(Path("known", "people.json").read_text())["people"]
     assert known["camera"]["focal_px"] == 900
+
+
+def test_a_photo_s_own_focal_length_is_taken_unless_none_is_wanted(run: Run, files: Path) -> None:
+    with Image.open(EXAMPLE / "photo.png") as photo:
+        save_with_focal(photo, Path("own.jpg"), focal=35, was=photo.size)
+        focal = 35 / math.hypot(36, 24) * math.hypot(*photo.size)
+    common = "fit own.jpg --device cpu --set mesh.iterations=1"
+    for options, known in (("", True), ("--focal none", False)):
+        code, _, complaint = run(f"{common} --out out {options}")
+        assert code == 0
+        assert complaint.startswith(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data") == known
+        (person,) = json.loads(Path("out", "people.json").read_text())["people"]
+        assert person["camera"].get("focal_px") == (pytest.approx(focal) if known else None)
+    everyone = fit_photo("own.jpg", options=FitOptions(stages=(), mesh=MeshOptions(iterations=1)))
+    assert everyone.fits[0].camera.perspective
+    assert float(everyone.fits[0].camera.focal[0, 0]) == pytest.approx(focal)
 
 
 @pytest.mark.parametrize(

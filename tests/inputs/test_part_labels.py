@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HANG
-from PIL import ExifTags, Image
+from PIL import Image
+from scenes.files import save_with_focal
 
 from warp_partdr.body.labels import IGNORE, label_set
 from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
-from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_focal, read_parts, read_photo
+from warp_partdr.inputs.part_labels import PartLabels, check_sizes, read_focal, read_parts, read_photo, told_focal
 
 CDCL = label_set("cdcl14")
 PALETTE = [value for k in range(256) for value in (k, 255 - k, (7 * k) % 256)]
@@ -240,9 +241,10 @@ def test_photos_of_any_mode_are_the_same_picture(tmp_path):
 @pytest.mark.parametrize("size", [(400, 300), (300, 400), (200, 150)])
 def test_the_focal_length_of_a_photo(tmp_path, size):
     """Also of one that was turned or made smaller since."""
-    save_photo(tmp_path / "photo.jpg", size, focal=28, was=(400, 300))
+    save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal=28, was=(400, 300))
     diagonal = np.hypot(*size)
     assert read_focal(tmp_path / "photo.jpg") == pytest.approx(28 / np.hypot(36, 24) * diagonal)
+    assert told_focal(tmp_path / "photo.jpg") == read_focal(tmp_path / "photo.jpg")
 
 
 @pytest.mark.parametrize(
@@ -254,17 +256,10 @@ def test_the_focal_length_of_a_photo(tmp_path, size):
     ],
 )
 def test_a_photo_without_its_focal_length(tmp_path, size, focal, says):
-    save_photo(tmp_path / "photo.jpg", size, focal, was=(400, 300))
+    save_with_focal(Image.new("RGB", size), tmp_path / "photo.jpg", focal, was=(400, 300))
     with pytest.raises(InputError, match=says):
         read_focal(tmp_path / "photo.jpg")
-
-
-def save_photo(path, size, focal, was) -> None:
-    exif = Image.Exif()
-    said = exif.get_ifd(ExifTags.IFD.Exif)
-    said[ExifTags.Base.FocalLengthIn35mmFilm] = focal
-    said[ExifTags.Base.ExifImageWidth], said[ExifTags.Base.ExifImageHeight] = was
-    Image.new("RGB", size).save(path, exif=exif)
+    assert told_focal(tmp_path / "photo.jpg") is None
 
 
 def test_importing_inputs_loads_no_picture_library() -> None:

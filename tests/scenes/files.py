@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 from warp_partdr.body.template import NUM_PARTS, template
 from warp_partdr.results.body_file import BodyFile
@@ -94,3 +95,12 @@ def tree(folder: Path) -> dict[str, bytes | None]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
+
+
+def save_with_focal(image: Image.Image, path: Path, focal: object, was: tuple[int, int]) -> None:
+    """Save a picture whose EXIF data tell a focal length on 35 mm film, and the (W, H) that it had."""
+    exif = Image.Exif()
+    said = exif.get_ifd(ExifTags.IFD.Exif)
+    said[ExifTags.Base.FocalLengthIn35mmFilm] = focal
+    said[ExifTags.Base.ExifImageWidth], said[ExifTags.Base.ExifImageHeight] = was
+    image.save(path, exif=exif)

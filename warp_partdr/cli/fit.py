@@ -134,7 +134,7 @@ def fit(
     given = (photo, files.keypoint_file(photo), files.parts, settings.config, *(Path(name) for name in named if name))
     check_inputs(out, given, (*RESULT_FILES, *DETAILED_FILES, SMPLX_FILE))
     size = image_size(person.keypoints, person.parts, person.photo)
-    camera = view.read(size, photo)
+    camera = view.of_photo(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
     if MESH in values and (detailed_model is None or person.parts is None):
         raise InputError(f"{MESH}: settings of a stage that needs part labels and a detailed model; expected both")

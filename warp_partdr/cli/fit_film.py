@@ -12,7 +12,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import film_facts
 from .loading import NO_MODEL, load_mesh_kernels
-from .options import CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
+from .options import EXIF, CameraOptions, NetworkOptions, PhotoFiles, take_formats, take_whole
 from .register import read_model
 
 
@@ -44,7 +44,7 @@ def fit_motions(
     files.networks.check()
     if model == NO_MODEL:
         raise InputError("--model: none, with a film; expected a detailed model")
-    if view.focal == "exif":
+    if view.focal == EXIF:
         raise InputError("--focal: exif, with a film; expected pixels, or --fov")
     view.check()
     film_facts(film)  # faults of the file are told before anything is loaded

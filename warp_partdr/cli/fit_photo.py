@@ -58,7 +58,7 @@ def fit_everyone(
     check_folder(out)
     check_inputs(out, (photo,), PHOTO_FILES)
     networks = files.networks.load(where)
-    camera = view.read((picture.shape[0], picture.shape[1]), photo)
+    camera = view.of_photo((picture.shape[0], picture.shape[1]), photo)
     detailed = read_model(model, where)
     with FitProgress() as progress:
         load_kernels(where, options, with_labels=True)

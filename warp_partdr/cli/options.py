@@ -15,11 +15,13 @@ from ..errors import InputError, shown
 from ..files.sections import read_toml, set_value
 from ..inputs.keypoint_files import keypoint_file, read_keypoints
 from ..inputs.keypoints import choose_person
-from ..inputs.part_labels import PhotoFile, check_sizes, read_focal, read_labelled_parts, read_photo
+from ..inputs.part_labels import PhotoFile, check_sizes, read_focal, read_labelled_parts, read_photo, told_focal
 from ..inputs.person import PersonInputs, check_inside
 
 if TYPE_CHECKING:
     from ..cameras import Perspective
+
+EXIF, NO_CAMERA = "exif", "none"  # values of --focal beside numbers
 
 DeviceOption = Annotated[str, Option("--device", help="cpu or cuda; auto: CUDA where there is some.", metavar="NAME")]
 OutOption = Annotated[Path, Option("--out", help="Folder for the results.", metavar="FOLDER")]
@@ -206,7 +208,9 @@ class PhotoFiles(PersonFiles):
 class CameraOptions:
     """Options for the picture's camera."""
 
-    focal: Annotated[str | None, Option(help="Focal length of the camera; or exif, the photo's.", metavar="PX")] = None
+    focal: Annotated[
+        str | None, Option(help="Focal length of the camera; or exif, the photo's; or none.", metavar="PX")
+    ] = None
     fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
     principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
         None
@@ -219,7 +223,7 @@ class CameraOptions:
 
     def check(self) -> None:
         """Raise an InputError for what is at fault whatever the picture's size, before any picture is read."""
-        if self.given and self.focal != "exif":
+        if self.given and self.focal not in (EXIF, NO_CAMERA):
             alone = self.focal is None and self.fov is None
             replace(self, principal=self.principal if alone else None).read((480, 640), None)
 
@@ -228,6 +232,10 @@ class CameraOptions:
         if self.focal is None and self.fov is None:
             if self.principal is not None:
                 raise InputError("--principal: alone; expected --focal or --fov, too")
+            return None
+        if self.focal == NO_CAMERA:
+            if (self.fov, self.principal) != (None, None):
+                raise InputError("--focal: none, with --fov or --principal; expected it alone")
             return None
         from ..cameras import Perspective  # loads torch
 
@@ -243,18 +251,25 @@ class CameraOptions:
         except ValueError as error:
             raise InputError(f"--{error}") from None
 
+    def of_photo(self, size: tuple[int, int], photo: PhotoFile | None) -> Perspective | None:
+        """The camera as ``read`` has it or, where nothing was said, as the photo's EXIF data tell it, which is said."""
+        if self.given or photo is None or (focal := told_focal(photo)) is None:
+            return self.read(size, photo)
+        echo(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data; --focal none to do without", err=True)
+        return replace(self, focal=str(focal)).read(size, None)
+
     def _focal(self, photo: PhotoFile | None) -> float | None:
         """The focal length [px] that was given."""
         if self.focal is None:
             return None
-        if self.focal == "exif":
+        if self.focal == EXIF:
             if photo is None:
                 raise InputError("--focal: exif, without a photo; expected one")
             return read_focal(photo)
         try:
             return float(self.focal)
         except ValueError:
-            raise InputError(f"--focal: {shown(self.focal)}; expected pixels, or exif") from None
+            raise InputError(f"--focal: {shown(self.focal)}; expected pixels, exif or none") from None
 
 
 def grouped(command: Callable[..., None], *, required: Sequence[str] = ()) -> Callable[..., None]:

@@ -15,7 +15,7 @@ import typer
 from ..errors import InputError
 from ..inputs.films import check_pyav, film_facts, is_film
 from ..inputs.part_labels import PHOTO_SUFFIXES, read_photo
-from .options import CameraOptions, check_score, people_at_a_time, say_people
+from .options import EXIF, CameraOptions, check_score, people_at_a_time, say_people
 
 if TYPE_CHECKING:
     from ..cameras import Crop
@@ -341,7 +341,7 @@ def _count(sources: Iterable[_Source]) -> int | None:
 
 def _check_view(view: CameraOptions, sources: Sequence[_Source]) -> None:
     """Find faults of the options before people are looked for."""
-    if view.focal == "exif" and (films := [source.path for source in sources if source.film]):
+    if view.focal == EXIF and (films := [source.path for source in sources if source.film]):
         raise InputError(f"--focal: exif, with {films[0]}, a film; expected pixels, or --fov")
     view.check()
 

@@ -24,7 +24,7 @@ from ..detection.person import FoundPerson
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, read_photo
+from ..inputs.part_labels import PartLabels, read_photo, told_focal
 from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
 from ..predictors.networks import KeypointNetwork, PartNetwork
@@ -94,7 +94,7 @@ def fit_photo(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
-        camera: The photo's, as of ``fit_body``.
+        camera: The photo's, as of ``fit_body``; if None, of a file, as its EXIF data tell it, if they do.
 
     Raises:
         InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
@@ -107,6 +107,8 @@ def fit_photo(
     tell("people", 0, 1)
     pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
     check_picture("photo", pixels)
+    if camera is None and pixels is not photo and (focal := told_focal(photo)) is not None:
+        camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
     with told_as("photo", "photo" if pixels is photo else photo):
         found, owners = _everyone(picture, min_score)

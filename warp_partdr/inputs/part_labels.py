@@ -160,6 +160,14 @@ def read_focal(path: PhotoFile) -> float:
     return focal / _FILM_DIAGONAL * math.hypot(*size)
 
 
+def told_focal(path: PhotoFile) -> float | None:
+    """Focal length [px] as of ``read_focal``; None where EXIF data do not tell it."""
+    try:
+        return read_focal(path)
+    except InputError:
+        return None
+
+
 def _number(value: Any) -> float:
     """A number of EXIF data, which may be anything; 0 if it is none."""
     try:

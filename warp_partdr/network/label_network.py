@@ -25,8 +25,8 @@ NUM_CHANNELS = NUM_PARTS + 2  # the parts, background, unknown
 _UNKNOWN = NUM_CHANNELS - 1
 _HEATMAP_STRIDE = 4  # of the labels' pixels
 _RAYS = 4  # numbers of ``lens_rays``
-# [half-sides of the crop], focal length from which on cameras look alike, about 7 m away. Networks learn from those that
-# end at 9 m: told of a farther one, they shrank the body.
+# [half-sides of the crop], focal length from which on cameras look alike, about 7 m away. Networks learn from those
+# that end at 9 m: told of a farther one, they shrank the body.
 _FARTHEST = 8.0
 _SPREAD = 0.06  # standard deviation of a keypoint's spot, the crop's side being 2
 
