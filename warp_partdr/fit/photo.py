@@ -107,7 +107,7 @@ def fit_photo(
     tell("people", 0, 1)
     pixels = read_photo(photo) if isinstance(photo, str | Path) else photo
     check_picture("photo", pixels)
-    if camera is None and pixels is not photo and (focal := told_focal(photo)) is not None:
+    if camera is None and isinstance(photo, str | Path) and (focal := told_focal(photo)) is not None:
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
     with told_as("photo", "photo" if pixels is photo else photo):
