@@ -22,6 +22,7 @@ from warp_partdr.evaluation.partbench.samples import (
     FAR,
     LABELS,
     NEAR,
+    TURNED,
     make_sample,
     partbench_samples,
     source_name,
@@ -70,6 +71,24 @@ def test_far_people_have_their_size_and_place() -> None:
         assert true[2] > 8.0
         off.append(np.linalg.norm(found - true) / np.linalg.norm(true))
     assert np.mean(off) < 0.12  # as far as a person's height is uncertain
+
+
+def test_turned_people_are_the_realistic_ones_in_a_turned_picture() -> None:
+    for index in (0, 1, 2):
+        turned, upright = make_sample(index, TURNED), make_sample(index, "realistic")
+        assert turned.source == source_name(TURNED)
+        back = np.rot90(turned.target, -1 - index)
+        np.testing.assert_array_equal(back, upright.target)
+        rows, columns = (turned.keypoints.points[turned.keypoints.confident].T[::-1] - 0.5).round().astype(int)
+        height, width = turned.target.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        assert (turned.target[rows[inside], columns[inside]] > 0).mean() > 0.7  # keypoints lie on the person
+    half, upright_one = make_sample(1, TURNED), make_sample(1, "realistic")
+    np.testing.assert_allclose(half.joints, upright_one.joints * [-1, -1, 1], atol=1e-6)
+    found = METHODS["network"].fit_sample(half, "cpu")
+    usual = METHODS["network"].fit_sample(upright_one, "cpu")
+    errors = [score_fit(each, "", result, 0.0).pa_mpjpe for each, result in ((half, found), (upright_one, usual))]
+    assert errors[0] < 1.3 * errors[1]
 
 
 def test_clothed_people_are_the_realistic_ones_with_other_labels() -> None:

@@ -14,6 +14,7 @@ from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table
 from .landmarks import stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
+from .upright import leans, turn_bodies, turn_inputs
 
 
 def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -95,10 +96,13 @@ def ask_network(
 ) -> Predicted:
     """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
 
-    Without ``mirror``, of the picture alone, in half the time. With ``half``, features are made in bfloat16; bodies are
-    made of them in float32 all the same, for three corrections in bfloat16 would add up their rounding.
+    Those who lean are turned upright before (``leans``). Without ``mirror``, of the picture alone, in half the time.
+    With ``half``, features are made in bfloat16; bodies are made of them in float32 all the same, for three corrections
+    in bfloat16 would add up their rounding.
     """
     inputs = network_inputs(observations, network.config.size)
+    angles = leans(inputs[1])
+    inputs = turn_inputs(*inputs, -angles)
     if mirror:
         both = zip(inputs, mirror_inputs(*inputs), strict=True)
         inputs = torch.cat(next(both)), torch.cat(next(both)), torch.cat(next(both))
@@ -107,7 +111,7 @@ def ask_network(
     with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
         features = network.features(shares, keypoints, rays)
     predicted = network.bodies(features.float())
-    if not mirror:
-        return predicted
-    count = len(observations)
-    return mean_bodies(predicted.select(slice(count)), mirror_bodies(predicted.select(slice(count, None))))
+    if mirror:
+        own, images = slice(len(observations)), slice(len(observations), None)
+        predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))
+    return turn_bodies(predicted, angles)

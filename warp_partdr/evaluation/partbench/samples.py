@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from . import VERSION
 LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, FAR, TILTED, CLOTHED = SETTINGS = ("near", "far", "tilted", "clothed")
+TURNED = "turned"  # level of "realistic" people in pictures that are turned
 CROSSED = "crossed"  # level of ``crossed_samples``
 PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
@@ -31,14 +34,14 @@ def source_name(level: str) -> str:
 
 
 def partbench_samples(count: int = NUM_PEOPLE, levels: Sequence[str] = tuple(LEVELS)) -> list[Sample]:
-    """The first ``count`` people at each level: those of noise, and ``SETTINGS``.
+    """The first ``count`` people at each level: those of noise, ``SETTINGS`` and ``TURNED``.
 
     Raises:
         InputError: If a level is unknown, or there are not so many people.
     """
     check_people(range(count))
-    if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS)]:
-        known = ", ".join((*LEVELS, *SETTINGS, CROSSED, *SCENES))
+    if unknown := [level for level in levels if level not in (*LEVELS, *SETTINGS, TURNED)]:
+        known = ", ".join((*LEVELS, *SETTINGS, TURNED, CROSSED, *SCENES))
         raise InputError(f"level: {', '.join(unknown)}; expected {known}")
     return [make_sample(index, level) for level in levels for index in range(count)]
 
@@ -53,8 +56,11 @@ def make_sample(index: int, name: str) -> Sample:
     """Person ``index`` at a level: seen with its noise, and the truth without.
 
     At "clothed", keypoints and noise are those of "realistic", so that only labels tell of clothes. The true labels
-    show clothes, as annotators' do; joints and vertices are those of the body beneath.
+    show clothes, as annotators' do; joints and vertices are those of the body beneath. At "turned", all is that of
+    "realistic", turned by one to three quarters, as photos are whose EXIF data were lost.
     """
+    if name == TURNED:
+        return _turn(make_sample(index, "realistic"), 1 + index % 3)
     setting: Setting = name if name in SETTINGS else "usual"  # type: ignore[assignment]
     person, level = make_person(index, setting), LEVELS["realistic" if name in SETTINGS else name]
     noise = "realistic" if name == CLOTHED else name
@@ -78,6 +84,37 @@ def make_sample(index: int, name: str) -> Sample:
         joints=person.joints,
         vertices=person.vertices,
         camera=person.camera if isinstance(person.camera, Perspective) else None,
+    )
+
+
+def _turn(sample: Sample, quarters: int) -> Sample:
+    """A person whose picture is turned counterclockwise by so many quarters."""
+    assert sample.parts is not None
+    height, width = sample.parts.groups.shape
+    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters).astype(np.float32)
+    size = np.array([width, height], dtype=np.float32)
+    middle, new_middle = size / 2, np.abs(turn) @ size / 2
+
+    def keypoints(those: Keypoints2D) -> Keypoints2D:
+        points = (those.points - middle) @ turn.T + new_middle
+        return replace(those, points=np.where(those.confidence[:, None] > 0, points, 0.0).astype(np.float32))
+
+    def pixels(groups: Any) -> np.ndarray:
+        return np.ascontiguousarray(np.rot90(groups, quarters))
+
+    def points(given: Any) -> np.ndarray:
+        return np.concatenate([given[:, :2] @ turn.T, given[:, 2:]], axis=1)
+
+    return replace(
+        sample,
+        source=source_name(TURNED),
+        keypoints=keypoints(sample.keypoints),
+        others=tuple(map(keypoints, sample.others)),
+        parts=replace(sample.parts, groups=pixels(sample.parts.groups)),
+        target=pixels(sample.target),
+        joints=points(sample.joints),
+        vertices=points(sample.vertices),
+        camera=None,
     )
 
 
