@@ -70,6 +70,24 @@ def test_half_a_body_of_a_real_photo(device):
     assert abs(nose[1] - 112) < 30
 
 
+def test_everyone_stands_before_the_camera_that_is_guessed_by_the_largest(monkeypatch, tmp_path):
+    asked = []
+
+    def guess(predicted, crop, size):
+        asked.append(crop)
+        return Perspective.of_picture(size, focal=700.0)
+
+    monkeypatch.setattr(fitting, "guess_camera", guess)
+    photo = two_people()
+    found = fit_photo(photo, options=replace(FAST, stages=(), search=(), mesh=MeshOptions(iterations=1)))
+    assert len(asked) == 1
+    for fit in found.fits.values():
+        assert fit.ellipbody.camera_guessed
+        torch.testing.assert_close(fit.camera.intrinsics[0, 0], torch.tensor(700.0))
+    report = save_photo_fit(found, tmp_path, photo=photo)
+    assert {person["distance"] for person in report["people"]} == {"for a focal length that was guessed"}
+
+
 def test_everyone_is_fitted_where_they_stand(everyone):
     photo, found = everyone
     assert list(found.fits) == [0, 1]

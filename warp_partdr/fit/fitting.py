@@ -21,9 +21,12 @@ from ..inputs.observation import Observation, crop_evidence
 from ..inputs.part_labels import PartLabels
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
+from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
+from ..network.predicted import Predicted
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
+from .camera_guess import guess_camera
 from .depth_flips import repair_depth_order
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
@@ -60,7 +63,8 @@ def fit_body(
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
         camera: The picture's, such as ``Perspective.of_picture(size, focal=1500)``, with square pixels: the body then
-            stands where it is seen, in metres from the camera. None: weak perspective.
+            stands where it is seen, in metres from the camera. None: weak perspective, or, of who is near, a guess
+            (``FitOptions.guess_camera``).
 
     Returns:
         The body, its camera, and how it went.
@@ -99,15 +103,16 @@ def fit_evidence(
         return _Fit(seen, crop, prior, options, stages_of(options, parts), evidence, progress, body)
 
     def glance(evidence: Evidence) -> FitResult:
-        return start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network")).from_network()
+        fit = start(evidence, replace(options, stages=STAGES["network"]["fast"], start="network"))
+        return fit.looked_at().from_network()
 
     evidence = choose_sides(readings, glance)
-    fit, from_network = start(evidence, options, progress), options.start == "network"
+    plain, from_network = start(evidence, options, progress), options.start == "network"
+    fit = plain.looked_at() if from_network else plain
     found = fit.from_network() if from_network else fit.search()
     told = fit.complaints(found)
     if told and from_network and options.search:
-        stages = drawn_or_not(options.search, parts)
-        found = fit.better(found, replace(fit, stages=stages).search())
+        fit, found = fit.better(found, replace(plain, stages=drawn_or_not(options.search, parts)))
         told = fit.complaints(found)
     return fit.warn(found, told)
 
@@ -124,6 +129,9 @@ class _Fit:
     evidence: Evidence
     progress: Progress | None
     body: BodyParameters | None
+    predicted: Predicted | None = None  # by the network, of ``looked_at``
+    camera_guessed: bool = False
+    seconds: float = 0.0  # that the network took
 
     def search(self) -> FitResult:
         """Fit from many hypotheses, lifted in the first stage."""
@@ -137,14 +145,31 @@ class _Fit:
         """Starts, which are made as if the camera looked at the person, before the camera that is known."""
         return bodies if self.seen.lens is None else turn_to_rays(bodies, self.seen.lens)
 
-    def from_network(self) -> FitResult:
-        """Fit from the network's body, whose sizes then are the expected ones."""
+    def looked_at(self) -> _Fit:
+        """The same with what the network says of the person, before a camera that is guessed of it if none is known."""
         device, path = self.seen.points.device, self.options.network
         network = packaged_network(str(device)) if path is None else load_label_network(path, device=device)
         started = time.perf_counter()
-        predicted = ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half)
+        predicted, camera, fit = self._ask(network), None, self
+        picture = self.evidence.picture
+        if self.options.guess_camera and self.seen.lens is None and self.body is None and picture is not None:
+            camera = guess_camera(predicted, self.crop, picture.groups.shape)
+        if camera is not None:
+            trust = self.options.trust_background
+            seen, crop = crop_evidence(self.evidence, trust_background=trust, device=device, camera=camera)
+            fit = replace(self, seen=seen, crop=crop, camera_guessed=True)
+            predicted = fit._ask(network)
+        return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
+
+    def _ask(self, network: LabelNetwork) -> Predicted:
+        return ask_network([self.seen], network, mirror=self.options.mirror, half=self.options.half)
+
+    def from_network(self) -> FitResult:
+        """Fit from the body of ``looked_at``, whose sizes then are the expected ones."""
+        predicted = self.predicted
+        assert predicted is not None
         body = self._turned(predicted.parameters()) if self.body is None else self.body
-        seconds = {"network": time.perf_counter() - started}
+        seconds = {"network": self.seconds}
         seen = replace(self.seen, lengths=body.lengths[0], thicknesses=body.thicknesses[0])
         order = None
         several = seen.label_set is not None and seen.label_set.num_groups > 1  # of one, nothing hides another
@@ -224,6 +249,7 @@ class _Fit:
             finalists=finalists,
             start=start,
             evidence=self.evidence,
+            camera_guessed=self.camera_guessed,
             before_outline=None if before_outline is None else before_outline.select(chosen),
         )
 
@@ -236,15 +262,18 @@ class _Fit:
         poor = poor_labels(found.parameters, self._judge())
         return replace(found, warnings=(*self.evidence.warnings, *told, *poor))
 
-    def better(self, found: FitResult, again: FitResult) -> FitResult:
-        """Result with the lower energy, with times and hypotheses of both."""
-        energy = self._judge()
-        losses = [sum(float(term) for term in energy(result.parameters).values()) for result in (found, again)]
+    def better(self, found: FitResult, other: _Fit) -> tuple[_Fit, FitResult]:
+        """The fit whose result has the lower energy, this one's or the other's search; with times of both."""
+        again = other.search()
+        losses = [
+            sum(float(term) for term in fit._judge()(result.parameters).values())
+            for fit, result in ((self, found), (other, again))
+        ]
         seconds = {
             f"{name}, {each.start}": value for each in (found, again) for name, value in each.stage_seconds.items()
         }
-        best = again if losses[1] < losses[0] else found
-        return replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
+        fit, best = (other, again) if losses[1] < losses[0] else (self, found)
+        return fit, replace(best, stage_seconds=seconds, hypotheses=found.hypotheses + again.hypotheses)
 
     def _judge(self) -> Energy:
         """Energy by which results of all starts are compared."""

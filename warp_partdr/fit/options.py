@@ -29,6 +29,8 @@ class FitOptions:
         search: Stages of the search that is tried too where the network's body ends far from keypoints or labels; the
             lower energy wins. Empty: never.
         depth_flips: Try the network's body with limbs mirrored in depth, where parts overlap (``repair_depth_order``).
+        guess_camera: Where no camera is known and the network sees that it is nearer than 5 m, take perspective of that
+            distance, the axis in the picture's middle. Needs labels, for the picture's size.
         mirror: Ask the network about the mirror image, too; without, it is asked in half the time.
         half: Ask it in bfloat16.
         mesh: Of the mesh stage, which follows in `partdr fit` and ``fit_photo``.
@@ -42,6 +44,7 @@ class FitOptions:
     network: str | None = None
     search: tuple[Stage, ...] = STAGES["search"]["balanced"]
     depth_flips: bool = True
+    guess_camera: bool = True
     mirror: bool = True
     half: bool = False
     mesh: MeshOptions = field(default_factory=MeshOptions)

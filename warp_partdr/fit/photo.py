@@ -94,7 +94,8 @@ def fit_photo(
         model: On the device, float32; default Anny.
         device: "cpu" or a CUDA device.
         progress: Called with (stage name, iterations done, iterations in all).
-        camera: The photo's, as of ``fit_body``; if None, of a file, as its EXIF data tell it, if they do.
+        camera: The photo's; if None, of a file, as its EXIF data tell it, if they do, or else, if the largest person
+            is near, a guess for all (``FitOptions.guess_camera``).
 
     Raises:
         InputError: If the file can't be read, nobody is found, or not so many people, or a network gives something else
@@ -122,7 +123,12 @@ def fit_photo(
         readings, warnings, sources[index] = evidence.of(index)
         found[index] = replace(found[index], keypoints=readings[0].keypoints)
         result = fit_evidence(readings, options, device=device, camera=camera)
-        results.append(replace(result, warnings=(*warnings, *result.warnings)))
+        if not results:  # the largest; all stand before one camera
+            guessed = result.camera_guessed
+            options = replace(options, guess_camera=False)
+            if guessed:
+                camera = result.camera  # type: ignore[assignment]  # a guess is of perspective
+        results.append(replace(result, camera_guessed=guessed, warnings=(*warnings, *result.warnings)))
     fits = refine_meshes(results, model, options=options.mesh, progress=progress)
     return PhotoFit(tuple(found), dict(zip(chosen, fits, strict=True)), owners, sources)
 

@@ -43,6 +43,7 @@ class FitResult(Movable):
         warnings: Faults of the input or the body, a sentence each.
         depth_order: Limbs that were tried mirrored in depth; None of a search, or without labels.
         uncertainty: How sure the network was of its body, before any stage; None of a search.
+        camera_guessed: True if the camera is not known, but guessed of how near the network says that it is.
         before_outline: The body where the outline stage began, nearer in 3D; None without that stage.
     """
 
@@ -60,6 +61,7 @@ class FitResult(Movable):
     warnings: tuple[str, ...] = ()
     depth_order: DepthOrder | None = None
     uncertainty: Uncertainty | None = None
+    camera_guessed: bool = False
     before_outline: BodyParameters | None = None
 
     @property

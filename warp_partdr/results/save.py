@@ -269,7 +269,10 @@ def save_description(described: Mapping[str, Any], folder: Path) -> None:
 def describe_body(result: FitResult, mesh: Registered | None = None) -> dict[str, Any]:
     """Measurements in cm and joint positions, for people and programs that don't read npz."""
     saved = body_file(result.parameters, result.camera, (1, 1))
-    return describe_posed(saved, result.posed.joints, result.camera, mesh)
+    described = describe_posed(saved, result.posed.joints, result.camera, mesh)
+    if result.camera_guessed:
+        described["camera"]["guessed"] = True
+    return described
 
 
 def describe_posed(

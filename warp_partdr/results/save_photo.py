@@ -143,7 +143,7 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "score": round(person.score, 3),
         "box": [round(float(edge), 1) for edge in person.box],
         "distance_m": round(placed[1], 2),
-        "distance": "measured" if isinstance(mesh.camera, Perspective) else "for a focal length of the diagonal",
+        "distance": _distance_by(mesh),
         "hidden_by": fit.hidden_by(place),
         "sources": fit.sources[place],
         "format": person.keypoints.format.name,
@@ -151,6 +151,13 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         **describe_body(mesh.ellipbody, mesh.body),
         "warnings": list(mesh.ellipbody.warnings),
     }
+
+
+def _distance_by(fit: MeshFit) -> str:
+    """Sentence on where a body's distance comes from."""
+    if not isinstance(fit.camera, Perspective):
+        return "for a focal length of the diagonal"
+    return "for a focal length that was guessed" if fit.ellipbody.camera_guessed else "measured"
 
 
 def _scene(vertices: dict[int, np.ndarray], fit: PhotoFit) -> trimesh.Scene:
