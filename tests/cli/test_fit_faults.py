@@ -53,7 +53,7 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "principal point": (GOOD + " --focal 100 --principal 3", ["--principal: '3'", "U,V"]),
     "focal length": (GOOD + " --focal -100", ["--focal: -100", "positive"]),
     "no focal length": (GOOD + " --focal long", ["--focal: 'long'", "pixels, or exif"]),
-    "no focal length in the photo": (GOOD + " --focal exif", ["photo.png", "no focal length", "EXIF"]),
+    "no focal length in the photo": (GOOD + " --focal exif", ["partdr: photo.png: no focal length", "EXIF"]),
     "focal length of no photo": (
         GOOD.replace("photo.png ", "") + " --focal exif",
         ["--focal: exif, without a photo; expected one"],

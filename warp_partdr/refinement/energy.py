@@ -6,6 +6,7 @@ in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
@@ -103,6 +104,12 @@ class Weights:
     prior: float = _term(3.0, 4, _prior, lambda energy: energy.prior is not None)
     limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
     depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
+
+    def __post_init__(self) -> None:
+        for term in fields(self):
+            weight = getattr(self, term.name)
+            if not 0 <= weight < math.inf:
+                raise ValueError(f"{term.name}: {weight}; expected 0 or a positive number")
 
 
 def landmark_votes(seen: Observation) -> torch.Tensor:

@@ -38,7 +38,7 @@ from .ellipbody_files import ellipbody_scene
 from .further_files import save_further
 from .palette import group_colours
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
-from .result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
+from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 
 if TYPE_CHECKING:
@@ -91,8 +91,11 @@ def save_fit(
         report |= score_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
-    # A registration that is there clothes another body.
-    with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
+    # A registration that is there clothes another body, and a photo's people have the same overlay (a film's have not).
+    outdates = (FIT_REPORT, REGISTRATION_REPORT)
+    if names_file(Path(folder, PEOPLE_REPORT), "overlay.png"):
+        outdates += (PEOPLE_REPORT,)
+    with replacing(Path(folder), FIT_REPORT, report, outdates=outdates) as temporary:
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         save_description(describe_body(result, mesh), temporary)
