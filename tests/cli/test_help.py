@@ -110,6 +110,8 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit --keypoints k.json --set labels.size=-1", "labels.size: -1; expected an integer from 0 to "),
         ("fit --keypoints k.json --set weights.prior=-1", "weights.prior: -1.0; expected 0 or a positive number"),
         ("fit --keypoints k.json --set labels.weights.seg=nan", "labels.weights.seg: nan; expected 0 or a positive"),
+        ("fit --keypoints k.json --set labels.frozen=['hips']", "labels.frozen: ['hips']; expected some of"),
+        ("fit --keypoints k.json --set labels.renderer.samples_per_pixel=0", "labels.renderer.samples_per_pixel: 0.0"),
         ("fit --keypoints k.json --set labels.weights.seg=much", "labels.weights.seg: 'much'; expected a number"),
         ("fit --keypoints k.json --set search.end.size=64", "search.end: unknown; expected one of lift, "),
         ("fit --keypoints k.json --set seed", "--set: seed; expected key=value"),

@@ -13,6 +13,7 @@ from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import Growth
 from warp_partdr.clothing.surfaces import vertex_parts
+from warp_partdr.errors import InputError
 from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
@@ -258,6 +259,8 @@ def test_wrong_arguments_are_named(first):
         refine_mesh(first, anny(dtype=torch.float64))
     with pytest.raises(ValueError, match="iterations"):
         refine_mesh(first, options=replace(QUICK, iterations=-1))
+    with pytest.raises(InputError, match=r"learning_rate: 0\.01; the mesh stage went astray .*; expected a smaller"):
+        refine_mesh(first, options=replace(QUICK, proj=1e38))
     with pytest.raises(ValueError, match="size: 0; expected"):
         MeshOptions(size=0)
     with pytest.raises(ValueError, match="seg: -1"):

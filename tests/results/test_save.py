@@ -191,7 +191,10 @@ def test_panels_tell_missing_from_too_much() -> None:
     assert swapped_red - red == blue - swapped_blue > 10_000
 
 
-@pytest.mark.parametrize("history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]]])
+@pytest.mark.parametrize(
+    "history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]], [[3.0, np.inf, np.nan]]]
+)
+@pytest.mark.filterwarnings("error")
 def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult) -> None:
     stages = tuple(Stage(f"stage {index}", 1, len(values), 0.1) for index, values in enumerate(history))
     chart = loss_chart(replace(result, history=[np.array(values) for values in history], stages=stages))

@@ -26,10 +26,10 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
 
     Args:
         options: What to begin with, such as ``FitOptions.at("fast")``.
-        values: Fields of ``FitOptions``, all but ``start``; ``weights`` changes those of every stage, too. Under a stage's
-            name, fields of that ``Stage``; under ``search``, the same for stages of the search.
-            ``triangles``, true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline`` may
-            also be false, which leaves that stage out, or "labels-first" (``FitOptions.labels_first``).
+        values: Fields of ``FitOptions``, all but ``start``; ``weights`` changes those of all stages, too. Under a
+            stage's name, fields of that ``Stage``; under ``search``, the same for stages of the search. ``triangles``,
+            true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline`` may also be false,
+            which leaves that stage out, or "labels-first" (``FitOptions.labels_first``).
 
     Raises:
         InputError: If a key is unknown, or its value is wrong or excludes another one.

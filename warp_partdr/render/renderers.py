@@ -42,6 +42,9 @@ class RendererEllipsoids(BodyLoss):
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     samples_per_pixel: float = 1.0
 
+    def __post_init__(self) -> None:
+        check_rule(**self._rule)
+
     def draw(
         self,
         posed: Posed,
@@ -106,6 +109,9 @@ class RendererMesh(BodyLoss):
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     gradient: MeshGradient = "partdr"
+
+    def __post_init__(self) -> None:
+        check_mesh_rule(**self._rule)
 
     def draw(
         self,
