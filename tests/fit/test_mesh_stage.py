@@ -275,6 +275,16 @@ def test_wrong_arguments_are_named(first):
         replace(QUICK, vertices=10)
 
 
+def test_a_caller_s_inference_mode_changes_nothing(first):
+    usual = refine_mesh(first, options=QUICK)
+    with torch.inference_mode():
+        found = refine_mesh(first, options=QUICK)
+        fit = fit_body(first.evidence.keypoints, first.evidence.picture, quality="fast")
+    torch.testing.assert_close(found.body.detailed.vertices, usual.body.detailed.vertices, rtol=0, atol=0)
+    assert not fit.posed.joints.is_inference()
+    refine_mesh(fit, options=replace(QUICK, iterations=1))
+
+
 def test_it_moves_to_another_device_as_a_whole(first, device):
     mesh = refine_mesh(first, options=replace(QUICK, iterations=1)).to(device)
     assert isinstance(mesh, MeshFit)

@@ -289,6 +289,14 @@ def test_a_fit_s_set_ends_the_older_detailed_body(
     assert {path.name for path in tmp_path.iterdir()} == {"notes", *save.RESULT_FILES} - {"parts.png"}
 
 
+@pytest.mark.parametrize("shape", [(9, 9), (9, 9, 4), (0, 9, 3)])
+def test_photos_of_another_kind_are_named(shape: tuple[int, ...], result: FitResult, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"photo: uint8 .*; expected uint8 \(H, W, 3\), as of read_photo"):
+        save.save_fit(result, tmp_path, photo=np.zeros(shape, np.uint8))
+    with pytest.raises(ValueError, match=r"photo: float32 "):
+        save.save_fit(result, tmp_path, photo=np.zeros((9, 9, 3), np.float32))
+
+
 # --- other inputs --------------------------------------------------------------------------------------------------
 
 

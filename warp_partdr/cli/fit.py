@@ -224,7 +224,7 @@ def before_mesh(options: FitOptions, quality: QualityName, values: dict[str, Any
         told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
         raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
     usual = QualityName.balanced
-    stages = [FitOptions.at(each.value, options.start).without_outline().stages for each in (quality, usual)]
+    stages = [FitOptions.at(each.value, options.start).without_outline().stages for each in (usual, quality)]  # type: ignore[arg-type]
     if quality is not usual and stages[0] == stages[1]:
         typer.echo(
             f"partdr: warning: --quality: {quality} does as {usual} before the mesh stage (--model none)", err=True

@@ -26,6 +26,7 @@ from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, check_type
 from ..inputs.observation import REFERENCE_SIZE
 from ..interop.checks import check_finite
+from ..interop.gradient_mode import with_gradients
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
@@ -99,6 +100,7 @@ def refine_mesh(
 
 
 @one_torch_thread()
+@with_gradients()
 def refine_meshes(
     results: Sequence[FitResult],
     model: DetailedModel | None = None,

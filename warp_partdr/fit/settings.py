@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from ..body.icosphere import MAX_SUBDIVISIONS
 from ..errors import InputError, shown
 from ..files.sections import check_keys, read_section
 from ..refinement.energy import Weights
@@ -81,13 +79,8 @@ def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
     """Replace all renderers by the mesh, with their own ``max_distance`` unless it is given."""
     mesh = read_section(RendererMesh, values, TRIANGLES)
     assert isinstance(values, Mapping)
-    level, tolerance = mesh.subdivisions, mesh.tolerance
-    if level != "auto" and not 0 <= level <= MAX_SUBDIVISIONS:
-        raise InputError(f"{TRIANGLES}.subdivisions: {level}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
-    if "tolerance" in values and level != "auto":
-        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected {TRIANGLES}.subdivisions=auto with it")
-    if not 0 < tolerance < math.inf:
-        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected a positive number of pixels")
+    if "tolerance" in values and mesh.subdivisions != "auto":
+        raise InputError(f"{TRIANGLES}.tolerance: {mesh.tolerance}; expected {TRIANGLES}.subdivisions=auto with it")
     if "max_distance" in values:
         return options.drawn_by(lambda old: mesh)
     return options.drawn_by(lambda old: replace(mesh, max_distance=old.max_distance))

@@ -183,13 +183,18 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
         raise InputError(f"{shown}; expected one size")
 
 
-def read_parts(path: PhotoFile, labels: LabelSet) -> PartLabels:
+def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
     """Read part labels, ids of a label set, each person's or their probabilities, from a ``.png`` or ``.npy`` file.
 
+    Args:
+        path: The file.
+        labels: What the ids mean, or what ``label_set`` takes.
+
     Raises:
-        InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
-            shows nobody, or, in a set of several groups, a single part.
+        InputError: If the label set or the file can't be read, or this is no label image, has more than 2**27 pixels or
+            ids outside the set, shows nobody, or, in a set of several groups, a single part.
     """
+    labels = label_set(labels)
     suffix = Path(str(path)).suffix.lower()
     if suffix == ".png" or isinstance(path, BytesIO):
         array = _read_png(path)

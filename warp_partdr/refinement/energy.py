@@ -20,6 +20,7 @@ from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
+from ..errors import check_type, check_whole
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..render.renderers import Renderer, RendererEllipsoids
 
@@ -168,6 +169,8 @@ class Energy:
 
     def __post_init__(self) -> None:
         seen = self.observation
+        check_type("observation", seen, Observation, "of observe")
+        self.size = check_whole("size", self.size, 1)
         device = seen.points.device
         self._gather = LandmarkGather(seen.body_points, device)
         self.votes = landmark_votes(seen)

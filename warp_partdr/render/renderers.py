@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..body.ellipbody import DEFAULT_SUBDIVISIONS
+from ..body.icosphere import MAX_SUBDIVISIONS
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
@@ -112,6 +113,11 @@ class RendererMesh(BodyLoss):
 
     def __post_init__(self) -> None:
         check_mesh_rule(**self._rule)
+        level, tolerance = self.subdivisions, self.tolerance
+        if level != "auto" and (type(level) is not int or not 0 <= level <= MAX_SUBDIVISIONS):
+            raise ValueError(f"subdivisions: {level!r}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
+        if not 0 < tolerance < math.inf:
+            raise ValueError(f"tolerance: {tolerance}; expected a positive number of pixels")
 
     def draw(
         self,

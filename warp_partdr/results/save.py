@@ -75,7 +75,7 @@ def save_fit(
         TypeError: If an argument is of another type.
     """
     check_type("result", result, FitResult, "of fit_body")
-    check_type("photo", photo, np.ndarray | None, "of read_photo")
+    check_photo(photo)
     evidence = result.evidence
     size = image_size(evidence.keypoints, evidence.picture, photo)
     report = make_report(result)
@@ -92,7 +92,7 @@ def save_fit(
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
     # A registration that is there clothes another body, and a photo's people have the same overlay (a film's have not).
-    outdates = (FIT_REPORT, REGISTRATION_REPORT)
+    outdates: tuple[str, ...] = (FIT_REPORT, REGISTRATION_REPORT)
     if names_file(Path(folder, PEOPLE_REPORT), "overlay.png"):
         outdates += (PEOPLE_REPORT,)
     with replacing(Path(folder), FIT_REPORT, report, outdates=outdates) as temporary:
@@ -105,6 +105,13 @@ def save_fit(
             comparison.save(temporary / "parts.png")
         loss_chart(result).save(temporary / "loss.png")
     return report
+
+
+def check_photo(photo: np.ndarray | None) -> None:
+    """Raise unless it is a picture, as of ``read_photo``, or none."""
+    check_type("photo", photo, np.ndarray | None, "of read_photo")
+    if photo is not None and (photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size):
+        raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3), as of read_photo")
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:

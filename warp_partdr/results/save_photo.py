@@ -24,6 +24,7 @@ from .save import (
     DETAILED_FILES,
     RESULT_FILES,
     SMPLX_FILE,
+    check_photo,
     describe_body,
     draw_detailed,
     save_fit,
@@ -60,6 +61,7 @@ def save_photo_fit(
     """
     check_type("fit", fit, PhotoFit, "of fit_photo")
     check_type("photo", photo, np.ndarray, "of read_photo")
+    check_photo(photo)
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
     placed = {place: _place(each, size) for place, each in fit.fits.items()}
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
