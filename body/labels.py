@@ -213,7 +213,8 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
 
     ``groups`` names the parts (``PART_NAMES``) that each group unites; ``ids`` gives for every number that may occur in
     the label images which group it is; several numbers may be one group. ``name`` may be missing. A list ``left_out``
-    names parts that are not drawn, such as hands and feet that nobody labelled.
+    names parts that are not drawn, such as hands and feet that nobody labelled. Ids with the class names of a known
+    set, ``{"0": "Background", "1": "Hat", ...}``, mean that set.
 
     Raises:
         InputError: If there is no such set or file, or its content does not fit.
@@ -235,6 +236,13 @@ def label_set(source: str | Path | Mapping[str, Any] | LabelSet) -> LabelSet:
 
 def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
     """Check types; ``LabelSet`` checks the meaning."""
+    if (names := _class_names(data)) is not None:
+        if len(known := label_sets_of(names)) == 1:
+            return known[0]
+        raise InputError(
+            f"{where}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups "
+            "and ids (docs/inputs.md)"
+        )
     try:
         groups, ids, left_out = data.get("groups"), data.get("ids"), data.get("left_out", ())
         if not isinstance(groups, Mapping) or not isinstance(ids, Mapping):
@@ -258,6 +266,13 @@ def _from_json(data: Mapping[str, Any], where: str) -> LabelSet:
         )
     except ValueError as error:
         raise InputError(f"{where}: {error}") from error
+
+
+def _class_names(data: Mapping[str, Any]) -> dict[int, str] | None:
+    """Class name of each id, if that is what was given; None if it is something else."""
+    if not data or not all(isinstance(name, str) and str(key).isdecimal() for key, name in data.items()):
+        return None
+    return {int(key): name for key, name in data.items()}
 
 
 def label_sets_of(names: Mapping[int, str]) -> list[LabelSet]:

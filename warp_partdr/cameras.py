@@ -154,11 +154,12 @@ class Perspective(Movable):
                 raise ValueError(f"fov: {fov:g}; expected degrees between 0 and {_MOST_FOV}")
             focal = width / 2 / math.tan(math.radians(fov) / 2)
         assert focal is not None
-        if not 0 < focal < math.inf:
-            raise ValueError(f"focal: {focal:g}; expected a positive number")
+        if not 0 < focal <= _MOST_PIXELS:
+            given = f"focal: {focal:g}" if fov is None else f"fov: {fov:g}, a focal length of {focal:g}"
+            raise ValueError(f"{given}; expected a positive number of pixels, up to {_MOST_PIXELS:g}")
         centre = (width / 2, height / 2) if principal is None else principal
-        if not all(map(math.isfinite, centre)):
-            raise ValueError(f"principal: {centre}; expected finite numbers")
+        if not all(abs(number) <= _MOST_PIXELS for number in centre):
+            raise ValueError(f"principal: {centre}; expected pixels, up to {_MOST_PIXELS:g}")
         return cls(torch.tensor([[focal, focal]], dtype=torch.float32), torch.tensor([centre], dtype=torch.float32))
 
     @property
@@ -204,6 +205,7 @@ class Perspective(Movable):
 
 _MIN_DEPTH = 1e-6  # [m]
 _MOST_FOV = 170  # [degrees]
+_MOST_PIXELS = 1e6  # [px] of focal length and principal point; beyond, float32 can't tell depths within a body
 _SQUARE = 1e-3  # share by which the focal lengths of square pixels may differ
 _ROTATION_ERROR = 1e-3  # of R^T R
 

@@ -249,6 +249,16 @@ def test_wrong_sets_of_ones_own(change: dict[str, Any], message: str, tmp_path: 
     assert "\n" not in str(raised.value)
 
 
+def test_ids_with_class_names_mean_a_known_set(tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    lip = LABEL_SETS["lip20"]
+    path.write_text(json.dumps({str(number): lip.class_names.get(number, group) for number, group in lip.ids.items()}))
+    assert label_set(path) is lip
+    path.write_text('{"1": "head"}')
+    with pytest.raises(InputError, match=r"labels\.json: the ids and names of no known label set; expected .*cdcl14"):
+        label_set(path)
+
+
 def test_no_such_set(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text("{")
     (tmp_path / "list.json").write_text("[]")

@@ -325,6 +325,7 @@ def test_a_person_at_fault_is_a_row_with_an_error(run: Run, monkeypatch: pytest.
         ("bad.json", "bad.json: no lists images and annotations; expected COCO's annotations"),
         ("lost.json", "expected the image_id of one of the images"),
         ("coco --set mirrored=false", "mirrored: unknown; expected one of"),
+        ("coco --quality mesh --set outline=labels-first", "outline: settings of a stage that no quality of a data"),
         ("coco --quality fast --set mesh.iterations=3", "mesh: settings, with --quality fast; expected --quality mesh"),
         ("coco --set network=mine", "network: a setting; expected the option --network"),
         ("coco --network none.safetensors", "none.safetensors: No such file"),

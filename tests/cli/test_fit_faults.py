@@ -54,12 +54,18 @@ BAD_LINES: dict[str, tuple[str, list[str]]] = {  # name: (arguments, what the er
     "focal length": (GOOD + " --focal -100", ["--focal: -100", "positive"]),
     "no focal length": (GOOD + " --focal long", ["--focal: 'long'", "pixels, exif or none"]),
     "no focal length, but an angle": (GOOD + " --focal none --fov 50", ["--focal: none, with --fov", "alone"]),
-    "no focal length in the photo": (GOOD + " --focal exif", ["photo.png", "no focal length", "EXIF"]),
+    "no focal length in the photo": (GOOD + " --focal exif", ["partdr: photo.png: no focal length", "EXIF"]),
     "focal length of no photo": (
         GOOD.replace("photo.png ", "") + " --focal exif",
         ["--focal: exif, without a photo; expected one"],
     ),
     "focal length and angle": (GOOD + " --focal 100 --fov 50", ["focal, fov", "one of the two"]),
+    "a stage that the mesh stage replaces": (GOOD + " --set outline=labels-first", ["outline: ", "--model none"]),
+    "the same of a photo": ("photo.png --out out --set outline=false", ["outline: ", "--model none"]),
+    "a stage of labels without labels": (
+        "photo.png --keypoints k.json --out out --set outline=false",
+        ["outline: settings of a stage that needs part labels"],
+    ),
     "angle of view": (GOOD + " --fov 180", ["--fov: 180", "170"]),
     "damaged .npy header": (GOOD.replace("p.png", "header.npy"), ["header.npy", "expected"]),
 }

@@ -20,7 +20,7 @@ from warp_partdr.body.skeletons import SKELETONS
 from warp_partdr.cli import fit
 from warp_partdr.fit import fitting
 from warp_partdr.fit.mesh_options import MeshOptions
-from warp_partdr.fit.stages import STAGES
+from warp_partdr.fit.stages import STAGES, Stage
 
 files, run = commands.files, commands.run  # fixtures
 AUTO = "triangles.subdivisions=auto"
@@ -108,6 +108,10 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(tmp_path: Path) -> No
         ("fit --keypoints k.json --set finish.size=64", "finish: unknown; expected one of stages, weights, "),
         ("fit --keypoints k.json --set labels.steps=3", "labels.steps: unknown; expected one of name, bodies, "),
         ("fit --keypoints k.json --set labels.size=-1", "labels.size: -1; expected an integer from 0 to "),
+        ("fit --keypoints k.json --set weights.prior=-1", "weights.prior: -1.0; expected 0 or a positive number"),
+        ("fit --keypoints k.json --set labels.weights.seg=nan", "labels.weights.seg: nan; expected 0 or a positive"),
+        ("fit --keypoints k.json --set labels.frozen=['hips']", "labels.frozen: ['hips']; expected some of"),
+        ("fit --keypoints k.json --set labels.renderer.samples_per_pixel=0", "labels.renderer.samples_per_pixel: 0.0"),
         ("fit --keypoints k.json --set labels.weights.seg=much", "labels.weights.seg: 'much'; expected a number"),
         ("fit --keypoints k.json --set search.end.size=64", "search.end: unknown; expected one of lift, "),
         ("fit --keypoints k.json --set seed", "--set: seed; expected key=value"),
@@ -165,6 +169,12 @@ def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None
         '["lift"]\nbodies = 4\n[search."labels, fine"]\nsize = 64\n'
     )
     usual = FitOptions.at("accurate", "search")
+
+    def weighed(stage: Stage) -> Stage:  # also those that have weights of their own
+        return stage if stage.weights is None else replace(stage, weights=replace(stage.weights, prior=5.0))
+
+    last = weighed(usual.stages[-1])
+    assert last.weights is not None
     expected = replace(
         usual,
         trust_background=True,
@@ -173,10 +183,14 @@ def test_settings_reach_the_fit(options_of: Callable[[str], FitOptions]) -> None
         stages=(
             replace(usual.stages[0], bodies=4, iterations=7),
             *usual.stages[1:-1],
-            replace(usual.stages[-1], weights=replace(usual.stages[-1].weights, seg=2.0)),
+            replace(last, weights=replace(last.weights, seg=2.0)),
         ),
-        search=tuple(replace(each, size=64) if each.name == "labels, fine" else each for each in usual.search),
+        search=tuple(weighed(replace(each, size=64) if each.name == "labels, fine" else each) for each in usual.search),
     )
+    labels_first = options_of("--set outline=labels-first --set weights.prior=5 --set labels.weights.prior=6")
+    assert [stage.weights and stage.weights.prior for stage in labels_first.stages] == [None, 6.0, 5.0]
+    labels = options_of("--set weights.prior=5 --set labels.weights.seg=2").stages[1].weights
+    assert labels == replace(usual.weights, prior=5.0, seg=2.0)
     mesh = MeshOptions(apart=0.1, clothes=None, vertices=900)
     line = "--quality accurate --start search --config own.toml --set seed=4 --set lift.iterations=7"
     assert options_of(line) == expected

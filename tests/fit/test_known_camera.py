@@ -81,7 +81,10 @@ def test_the_camera_of_a_picture():
         ({}, "focal, fov: None, None; expected one of the two"),
         ({"fov": 0.0}, "fov: 0; expected degrees between 0 and 170"),
         ({"focal": 0.0}, "focal: 0; expected a positive number"),
-        ({"focal": 5.0, "principal": (float("nan"), 1.0)}, "principal: .*; expected finite numbers"),
+        ({"focal": 1e7}, r"focal: 1e\+07; expected a positive number of pixels, up to 1e\+06"),
+        ({"fov": 1e-4}, r"fov: 0.0001, a focal length of 1.145\d*e\+08; expected .* up to 1e\+06"),
+        ({"focal": 5.0, "principal": (float("nan"), 1.0)}, r"principal: .*; expected pixels, up to 1e\+06"),
+        ({"focal": 5.0, "principal": (1.0, -1e7)}, r"principal: .*; expected pixels, up to 1e\+06"),
     ):
         with pytest.raises(ValueError, match=says):
             Perspective.of_picture((100, 200), **options)

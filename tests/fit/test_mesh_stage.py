@@ -13,6 +13,7 @@ from warp_partdr.body.template import JOINT_NAMES, PART_NAMES
 from warp_partdr.clothing.anny import anny
 from warp_partdr.clothing.growth import Growth
 from warp_partdr.clothing.surfaces import vertex_parts
+from warp_partdr.errors import InputError
 from warp_partdr.evaluation.partbench.samples import LABELS, make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.mesh_energy import gather_starts, mesh_energy
@@ -259,6 +260,8 @@ def test_wrong_arguments_are_named(first):
         refine_mesh(first, anny(dtype=torch.float64))
     with pytest.raises(ValueError, match="iterations"):
         refine_mesh(first, options=replace(QUICK, iterations=-1))
+    with pytest.raises(InputError, match=r"learning_rate: 0\.01; the mesh stage went astray .*; expected a smaller"):
+        refine_mesh(first, options=replace(QUICK, proj=1e38))
     with pytest.raises(ValueError, match="size: 0; expected"):
         MeshOptions(size=0)
     with pytest.raises(ValueError, match="seg: -1"):
@@ -271,6 +274,16 @@ def test_wrong_arguments_are_named(first):
         MeshOptions(apart=float("nan"))
     with pytest.raises(ValueError, match="vertices"):
         replace(QUICK, vertices=10)
+
+
+def test_a_caller_s_inference_mode_changes_nothing(first):
+    usual = refine_mesh(first, options=QUICK)
+    with torch.inference_mode():
+        found = refine_mesh(first, options=QUICK)
+        fit = fit_body(first.evidence.keypoints, first.evidence.picture, quality="fast")
+    torch.testing.assert_close(found.body.detailed.vertices, usual.body.detailed.vertices, rtol=0, atol=0)
+    assert not fit.posed.joints.is_inference()
+    refine_mesh(fit, options=replace(QUICK, iterations=1))
 
 
 def test_it_moves_to_another_device_as_a_whole(first, device):

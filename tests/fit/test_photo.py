@@ -21,7 +21,8 @@ from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.photo import PACKAGED, PhotoFit, fit_photo, mask_labels
 from warp_partdr.inputs.part_labels import read_photo
-from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES
+from warp_partdr.results.result_sets import check_result
+from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
@@ -172,12 +173,14 @@ def test_files_of_everyone(everyone, tmp_path):
     (old / "body.npz").write_text("of an older run")
     (tmp_path / "person8").mkdir()
     (tmp_path / "person8" / "notes.txt").write_text("mine")
+    save_fit(found.fits[0].ellipbody, tmp_path)  # of one person, in the same folder
     report = save_photo_fit(found, tmp_path, photo=photo)
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {*PHOTO_FILES, "person0", "person1", "person8"}
     for place in (0, 1):
         assert {path.name for path in (tmp_path / f"person{place}").iterdir()} == {*RESULT_FILES, *DETAILED_FILES}
     assert json.loads((tmp_path / "people.json").read_text()) == report
+    check_result(tmp_path / "overlay.png")
     first, second = report["people"]
     assert first["sources"] == second["sources"] == {"keypoints": PACKAGED, "parts": PACKAGED}
     assert json.loads((tmp_path / "person1" / "report.json").read_text())["sources"] == second["sources"]
@@ -193,6 +196,8 @@ def test_files_of_everyone(everyone, tmp_path):
     overlay = np.asarray(Image.open(tmp_path / "overlay.png"))
     assert overlay.shape == photo.shape
     assert (overlay != photo).any()
+    save_fit(found.fits[0].ellipbody, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
 
 
 def test_wrong_arguments_are_named(everyone, tmp_path):

@@ -91,6 +91,6 @@ def test_a_picture_is_made_and_compared(tmp_path, capsys):
 
 def test_a_picture_that_fails_is_left(tmp_path, capsys):
     (tmp_path / "two_triangles.png").write_bytes(b"as it was")
-    assert not pictures.make(("two_triangles.png",), ("demos/two_triangles.py", "--out", "OUT/folder"), tmp_path)
-    assert "two_triangles.png: left as it was" in capsys.readouterr().out
+    assert not pictures.make(("two_triangles.png",), ("-c", "raise SystemExit('no picture')"), tmp_path)
+    assert "two_triangles.png: left as it was; -c raise SystemExit('no picture'): no picture" in capsys.readouterr().out
     assert (tmp_path / "two_triangles.png").read_bytes() == b"as it was"

@@ -145,6 +145,17 @@ def test_frames_before_a_fault_are_given(tmp_path: Path, rng: np.random.Generato
     assert 3 < len(given) < 30
 
 
+def test_a_film_that_was_cut_off_gives_its_frames_and_says_so(tmp_path: Path, rng: np.random.Generator) -> None:
+    pictures = [rng.integers(0, 255, (32, 64, 3), dtype=np.uint8) for _ in range(40)]
+    path = write_film(tmp_path / "film.mp4", pictures, movflags="faststart")  # its table of frames comes first
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    given: list[int] = []
+    with pytest.raises(InputError, match=r"film\.mp4: (\d+) of 40 frames in it; expected a whole film"):
+        given.extend(frame.index for frame in read_frames(path))
+    assert 10 < len(given) < 30
+
+
 def test_a_film_without_frames(tmp_path: Path) -> None:
     path = write_film(tmp_path / "film.mkv", shades(3))
     data = path.read_bytes()

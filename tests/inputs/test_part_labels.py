@@ -97,6 +97,13 @@ def clear(maps: np.ndarray) -> np.ndarray:
     return found[:-1]
 
 
+def test_a_label_set_is_given_by_name_too(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[0, 1], [2, 3]], np.uint8)).save(tmp_path / "p.png")
+    assert read_parts(tmp_path / "p.png", "cdcl14").label_set is label_set("cdcl14")
+    with pytest.raises(InputError, match="labels: 'cdcl'; expected one of"):
+        read_parts(tmp_path / "p.png", "cdcl")
+
+
 def test_haze_over_all_classes_of_a_file_is_taken_as_none(tmp_path: Path) -> None:
     """As of a network that is asked itself."""
     ids = np.array([[0, 1, 2], [2, 1, 0]])

@@ -125,3 +125,36 @@ def test_one_label_has_no_z_gradient_and_none_is_looked_for(device, renderer):
     exact = isinstance(renderer, RendererEllipsoids) or device == "cpu"
     torch.testing.assert_close(*gradients, rtol=0 if exact else 1e-4, atol=0 if exact else 1e-3)
     assert energy_of(body).renderer.depth_weight == 1.0
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_it_goes_down_whatever_the_caller_s_gradient_mode(mode):
+    start = BodyParameters.mean(2)
+    with mode():
+        found = refine(start, lambda bodies: {"size": bodies.lengths.square().sum(1)}, iterations=5)
+    assert (found.history[-1] < found.history[0]).all()
+    assert not found.energy.is_inference()
+
+
+@pytest.mark.parametrize(
+    ("terms", "error", "says"),
+    [
+        (lambda bodies: None, TypeError, "energy: returned NoneType; expected terms by name"),
+        (lambda bodies: bodies.lengths.sum(1), TypeError, "energy: returned Tensor; expected terms by name"),
+        (lambda bodies: {}, TypeError, "energy: returned none; expected terms by name"),
+        (lambda bodies: {"a": bodies.lengths.sum()}, ValueError, r"energy: a: shape \(\); expected \(2\)"),
+        (lambda bodies: {"a": torch.zeros(2)}, ValueError, "energy: no term has a gradient"),
+    ],
+)
+def test_energies_that_are_none_are_refused(terms, error, says):
+    with pytest.raises(error, match=says):
+        refine(BodyParameters.mean(2), terms, iterations=2)
+
+
+def test_energies_of_something_else_are_refused():
+    seen = observation_of(walker("cpu"))
+    with pytest.raises(TypeError, match="observation: BodyParameters; expected Observation, of observe"):
+        Energy(walker("cpu"))
+    for size in (0, 64.5):
+        with pytest.raises(ValueError, match=f"size: {size}; expected an integer of 1 or more"):
+            Energy(seen, size)

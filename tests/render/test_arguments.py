@@ -27,6 +27,7 @@ from warp_partdr.cameras import Crop, Perspective, WeakPerspective
 from warp_partdr.render.ellipsoids import Ellipsoids, draw_ellipsoids, ellipsoid_label_loss
 from warp_partdr.render.mesh import draw_mesh
 from warp_partdr.render.part_mesh import PartMesh
+from warp_partdr.render.renderers import RendererEllipsoids, RendererMesh
 
 SIZE = (24, 32)
 NAN, INF = math.nan, math.inf
@@ -219,6 +220,19 @@ BAD_OPTIONS_OF_ELLIPSOIDS = {
 def test_bad_options_are_named(message):
     for renderer in ("coverage", "mesh") if message in BAD_OPTIONS else ("coverage",):
         refuse(f"^{message}", renderer, **(BAD_OPTIONS | BAD_OPTIONS_OF_ELLIPSOIDS)[message])
+
+
+def test_renderers_check_their_options_when_they_are_made():
+    for make, says in (
+        (lambda: RendererEllipsoids("x"), "gradient: 'x'; expected one of edges, coverage, partdr"),
+        (lambda: RendererEllipsoids(samples_per_pixel=0.0), "samples_per_pixel: 0.0"),
+        (lambda: RendererMesh(4), "subdivisions: 4; expected 0 to 3, or auto"),
+        (lambda: RendererMesh("fine"), "subdivisions: 'fine'; expected 0 to 3, or auto"),
+        (lambda: RendererMesh("auto", tolerance=0.0), "tolerance: 0.0; expected a positive number of pixels"),
+        (lambda: RendererMesh(depth_weight=-1.0), "depth_weight: -1.0"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            make()
 
 
 def test_other_gradients_are_refused():

@@ -191,7 +191,10 @@ def test_panels_tell_missing_from_too_much() -> None:
     assert swapped_red - red == blue - swapped_blue > 10_000
 
 
-@pytest.mark.parametrize("history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]]])
+@pytest.mark.parametrize(
+    "history", [[[5.0]], [[1e9, 3.0], [-1.0, 0.0]], [[0.0], [-2.0]], [[2.0, 2.0, 2.0]], [[3.0, np.inf, np.nan]]]
+)
+@pytest.mark.filterwarnings("error")
 def test_loss_chart_of_any_history(history: list[list[float]], result: FitResult) -> None:
     stages = tuple(Stage(f"stage {index}", 1, len(values), 0.1) for index, values in enumerate(history))
     chart = loss_chart(replace(result, history=[np.array(values) for values in history], stages=stages))
@@ -284,6 +287,14 @@ def test_a_fit_s_set_ends_the_older_detailed_body(
     report = save.save_fit(bare, tmp_path)
     assert report == json.loads((tmp_path / "report.json").read_text())
     assert {path.name for path in tmp_path.iterdir()} == {"notes", *save.RESULT_FILES} - {"parts.png"}
+
+
+@pytest.mark.parametrize("shape", [(9, 9), (9, 9, 4), (0, 9, 3)])
+def test_photos_of_another_kind_are_named(shape: tuple[int, ...], result: FitResult, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"photo: uint8 .*; expected uint8 \(H, W, 3\), as of read_photo"):
+        save.save_fit(result, tmp_path, photo=np.zeros(shape, np.uint8))
+    with pytest.raises(ValueError, match=r"photo: float32 "):
+        save.save_fit(result, tmp_path, photo=np.zeros((9, 9, 3), np.float32))
 
 
 # --- other inputs --------------------------------------------------------------------------------------------------

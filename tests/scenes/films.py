@@ -12,7 +12,13 @@ av = pytest.importorskip("av", reason="needs PyAV, the extra film")
 
 
 def write_film(
-    path: Path, pictures: Iterable[np.ndarray], *, rate: int = 10, turned: int = 0, times: Iterable[int] = ()
+    path: Path,
+    pictures: Iterable[np.ndarray],
+    *,
+    rate: int = 10,
+    turned: int = 0,
+    times: Iterable[int] = (),
+    **options: str,
 ) -> Path:
     """A film of pictures of even size.
 
@@ -22,9 +28,10 @@ def write_film(
         rate: Frames a second.
         turned: Degrees counter-clockwise by which players turn it.
         times: Of each frame, in frames of ``rate``; default: 0, 1, ...
+        options: Of libav's writer.
     """
     pictures, times = list(pictures), list(times)
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", options=options) as container:
         stream = container.add_stream("mpeg4", rate=rate)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt, stream.bit_rate = "yuv420p", 8_000_000

@@ -82,7 +82,7 @@ def _expand(path: Path) -> list[Path]:
 
 def _read_list(path: Path) -> tuple[str, ...]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {cause(error)}; expected a list of files, one a line") from error
     return tuple(line.strip() for line in lines if line.strip())

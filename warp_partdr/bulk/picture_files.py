@@ -24,7 +24,7 @@ from ..files.json_files import parse_json
 from ..inputs.films import FilmFrames, is_film
 from ..inputs.keypoint_files import parse_keypoints, read_keypoints
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, described_label_set, read_parts, read_photo
+from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo
 from ..inputs.person import Box
 from .containers import KEYPOINTS, PARTS, Latest, NamedBytes, TarPictures, check_container, index_tar
 from .sources import KnownPerson, SourcePicture
@@ -158,7 +158,7 @@ def _with_labels(source: PictureFiles, beside: Sequence[Beside], labels: str | N
         file = source.folder / "labels.json"
         if labels is None and not file.is_file():
             raise InputError(f"--labels: missing; expected what the ids of *.{PARTS} mean, or {file}")
-        known = described_label_set(file) if labels is None else label_set(labels)
+        known = label_set(file if labels is None else labels)
     elif labels is not None:
         raise InputError(f"--labels: {labels}, without part labels; expected N.{PARTS} beside N.jpg")
     form = SKELETON
@@ -191,7 +191,7 @@ def _read_keypoints(file: PhotoFile) -> list[Keypoints2D]:
     if not isinstance(file, NamedBytes):
         return read_keypoints(str(file))
     try:
-        text = file.read().decode()
+        text = file.read().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: not JSON ({error}); expected keypoints in JSON") from error
     return parse_keypoints(parse_json(text, str(file), "keypoints in JSON"), name=str(file))

@@ -97,12 +97,15 @@ class BulkOptions(SettingOptions):
         """Options of the fits: the quality's, with the settings."""
         from ..bulk.people import BulkQuality, stages_of_quality
         from ..fit.settings import MESH, change_options
+        from ..fit.stages import OUTLINE
 
         values = self.read()
         if "network" in values:
             raise InputError("network: a setting; expected the option --network")
         if MESH in values and self.quality != MESH:
             raise InputError(f"{MESH}: settings, with --quality {self.quality.value}; expected --quality {MESH}")
+        if OUTLINE in values:
+            raise InputError(f"{OUTLINE}: settings of a stage that no quality of a data set has; expected none")
         quality: BulkQuality = self.quality.value  # type: ignore[assignment]  # its names
         return change_options(stages_of_quality(quality), values)
 

@@ -144,7 +144,7 @@ def partbench(
 
     Ten minutes on two cores; --quick one.
     """
-    _check_counts(jobs=jobs)
+    _check_counts(jobs=jobs, people=people)
     from ..bench.report import save_figures
     from ..evaluation.partbench.crossed import CASES, CROSSED_METHODS, crossed_samples
     from ..evaluation.partbench.methods import METHODS, QUICK

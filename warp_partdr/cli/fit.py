@@ -57,15 +57,15 @@ keypoints alone are fitted. Label sets: {", ".join(LABEL_SETS)}; or a JSON file 
 (for Blender), report.json; detailed.png, detailed.glb, detailed.obj, detailed.ply, detailed.bvh, detailed.npz,
 registration.json; of films overlay.mp4, and a .npz, .glb and .bvh each. Older ones are replaced.
 
-**Settings** (docs/fitting.md): `outline=false` (joints nearer to the truth), `outline=labels-first` (outlines nearer to
-the labels), `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`, `threads=4`,
-`min_score=0.6` (how sure that there is a person, default {MIN_SCORE}), `also=usdz,fbx` (more files; usda, too).
+**Settings** (docs/fitting.md): `trust_background=true`, `weights.prior=5`, `labels.size=256`, `mesh.apart=0.1`,
+`threads=4`, `min_score=0.6` (how sure that there is a person, default {MIN_SCORE}), `also=usdz,fbx` (more files; usda,
+too); with --model none `outline=false` (nearer joints), `outline=labels-first` (nearer outlines).
 """
 
 # Of these, the default stands in the text: typer would give each a line of its own.
 _MODEL_HELP = f"Detailed model: {MODEL_HELP}; none skips it. Default: anny."
 _QUALITY_HELP = (
-    "fast, balanced (default) or accurate: part F1 0.86, 0.88, 0.89 on PartBench in 0.5, 1, 1.15 of the time."
+    "fast, balanced (default) or accurate: with --model none part F1 0.86, 0.88, 0.89 on PartBench, time 0.5, 1, 1.15."
 )
 _START_HELP = "network (default; a search if that ends far off) or search."
 
@@ -107,7 +107,8 @@ def fit(
             raise InputError("--explain: without --keypoints; expected them with it")
         score = check_score(_SCORE, values.pop(_SCORE, MIN_SCORE))
         formats = take_formats(values)
-        chosen = take_whole(values, "threads"), score, fit_options(quality, start, values), formats
+        options = before_mesh(fit_options(quality, start, values), quality, values)
+        chosen = take_whole(values, "threads"), score, options, formats
         fit_everyone(files, photo, out, device, model, view, chosen)
         return
     if _SCORE in values:
@@ -117,6 +118,7 @@ def fit(
     from ..fit.fitting import fit_body
     from ..fit.mesh_stage import refine_mesh
     from ..fit.settings import MESH
+    from ..fit.stages import OUTLINE
     from ..interop.devices import choose_device
     from ..kernels.launch import set_num_threads
     from ..results.result_sets import check_folder, check_inputs
@@ -129,6 +131,13 @@ def fit(
     if formats and model == NO_MODEL:
         raise InputError(f"also: {', '.join(formats)}, with --model none; expected a detailed model")
     options = fit_options(quality, start, values)
+    clothed = person.parts is not None and model != NO_MODEL
+    if MESH in values and not clothed:
+        raise InputError(f"{MESH}: settings of a stage that needs part labels and a detailed model; expected both")
+    if OUTLINE in values and person.parts is None:
+        raise InputError(f"{OUTLINE}: settings of a stage that needs part labels; expected some")
+    if clothed:
+        options = before_mesh(options, quality, values)
     check_folder(out)
     named = (options.network, files.keypoint_format, files.labels, model)
     given = (photo, files.keypoint_file(photo), files.parts, settings.config, *(Path(name) for name in named if name))
@@ -136,8 +145,6 @@ def fit(
     size = image_size(person.keypoints, person.parts, person.photo)
     camera = view.of_photo(size, photo)
     detailed_model = None if model == NO_MODEL else read_model(model, where)
-    if MESH in values and (detailed_model is None or person.parts is None):
-        raise InputError(f"{MESH}: settings of a stage that needs part labels and a detailed model; expected both")
     if explain:
         _explain(person, options, camera, detailed_model)
     mesh, failure = None, None
@@ -145,7 +152,7 @@ def fit(
         load_kernels(where, options, with_labels=person.parts is not None)
         how: dict[str, Any] = {"options": options, "device": where, "camera": camera, "progress": progress}
         result = fit_body(person.keypoints, person.parts, others=person.others, **how)
-        if detailed_model is not None and person.parts is not None:
+        if clothed:
             try:
                 load_mesh_kernels(where)
                 mesh = refine_mesh(result, detailed_model, options=options.mesh, progress=progress)
@@ -203,6 +210,26 @@ def fit_options(quality: QualityName, start: StartName, values: dict[str, Any]) 
     if options.network is not None and start is StartName.search:
         raise InputError(f"network: {options.network}, with --start search, which has none; expected one of the two")
     return options
+
+
+def before_mesh(options: FitOptions, quality: QualityName, values: dict[str, Any]) -> FitOptions:
+    """Options of a fit that the mesh stage goes on from: without the outline stage, whose result it would not use.
+
+    An InputError if that stage was changed; a warning if a quality was asked for that differs in it alone.
+    """
+    from ..fit.options import FitOptions
+    from ..fit.stages import OUTLINE
+
+    if OUTLINE in values:
+        told = f"{OUTLINE}: settings of a stage that the mesh stage replaces"
+        raise InputError(f"{told}; expected --keypoints, --parts and --model none with it")
+    usual = QualityName.balanced
+    stages = [FitOptions.at(each.value, options.start).without_outline().stages for each in (usual, quality)]  # type: ignore[arg-type]
+    if quality is not usual and stages[0] == stages[1]:
+        typer.echo(
+            f"partdr: warning: --quality: {quality} does as {usual} before the mesh stage (--model none)", err=True
+        )
+    return options.without_outline()
 
 
 def _explain(

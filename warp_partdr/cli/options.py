@@ -246,8 +246,9 @@ class CameraOptions:
             except ValueError:
                 raise InputError(f"--principal: {shown(self.principal)}; expected two numbers, U,V") from None
             principal = (u, v)
+        focal = self._focal(photo)
         try:
-            return Perspective.of_picture(size, focal=self._focal(photo), fov=self.fov, principal=principal)
+            return Perspective.of_picture(size, focal=focal, fov=self.fov, principal=principal)
         except ValueError as error:
             raise InputError(f"--{error}") from None
 

@@ -14,17 +14,18 @@ import numpy as np
 import torch
 
 from .model import DetailedModel
-from .rigs import Rig, read_rig, rig_model
+from .rigs import Rig, named_joints, read_rig, rig_model
 
 _SHAPES = 45  # of identity, of unit variance
 # Controls of skeleton and scale are the last of these poses; of hands' there are 50 more, which stay 0.
 _SCALES = {"body_pose": 15, "head_pose": 3}
 _SCALE_SPREAD = 0.1  # taken for their standard deviation: their own is not in MHR's files
-_JOINTS = {"root": "pelvis", "c_neck": "neck", "c_head": "head"}
-_PAIRS = "upleg hip, lowleg knee, foot ankle, ball foot, clavicle collar, uparm shoulder, lowarm elbow, wrist wrist, "
-_PAIRS += "thumb3 thumb3, index1 index1, pinky1 pinky1"
-for _side in ("left", "right"):
-    _JOINTS |= {f"{_side[0]}_{_own}": f"{_side}_{_smpl}" for _own, _smpl in map(str.split, _PAIRS.split(", "))}
+_JOINTS = named_joints(
+    {"root": "pelvis", "c_neck": "neck", "c_head": "head"},
+    "upleg hip, lowleg knee, foot ankle, ball foot, clavicle collar, uparm shoulder, lowarm elbow, wrist wrist, "
+    "thumb3 thumb3, index1 index1, pinky1 pinky1",
+    {"left": "l_", "right": "r_"},
+)
 
 
 def mhr_model(

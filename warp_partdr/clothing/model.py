@@ -13,7 +13,6 @@ from functools import cached_property, lru_cache
 
 import torch
 
-from ..body.labels import label_set
 from ..body.template import NUM_PARTS, PART_NAMES
 from ..interop.checks import check_tensor
 from ..interop.movable import Movable
@@ -105,12 +104,6 @@ class DetailedModel(Movable):
     def bone_of_part(self) -> dict[str, str]:
         """Name of the joint that carries each of the 20 parts."""
         return {part: self.joint_names[joint] for part, joint in zip(PART_NAMES, self.part_joints, strict=True)}
-
-    @cached_property
-    def face_parts14(self) -> torch.Tensor:
-        """Label 1 to 14 of each face in the set "body14", shape (F,), uint8."""
-        table = torch.from_numpy(label_set("body14").part_groups)
-        return table.to(self.face_parts.device)[self.face_parts.long()]
 
     def rest(
         self, shape: torch.Tensor, offsets: torch.Tensor | None = None, *, stretches: torch.Tensor | None = None

@@ -26,6 +26,18 @@ _CARRIES |= {"wrist": "hand", "hip": "upper_leg", "knee": "lower_leg", "ankle": 
 Body = tuple[np.ndarray, np.ndarray]  # vertices and joints, or their changes [m]
 
 
+def named_joints(middle: Mapping[str, str], limbs: str, sides: Mapping[str, str]) -> dict[str, str]:
+    """SMPL's name of each of a rig's joints.
+
+    Args:
+        middle: Of those of no side.
+        limbs: The others without their sides: "upleg hip, lowleg knee".
+        sides: What the rig puts before a joint's name for "left" and for "right".
+    """
+    pairs = [pair.split() for pair in limbs.split(", ")]
+    return {**middle, **{f"{sides[side]}{own}": f"{side}_{smpl}" for side in sides for own, smpl in pairs}}
+
+
 @dataclass(frozen=True)
 class Rig:
     """A rig of the package, and the first of its joints that is one of the body."""

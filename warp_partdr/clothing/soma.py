@@ -15,14 +15,15 @@ import torch
 
 from ..errors import InputError, check_whole
 from .model import DetailedModel
-from .rigs import Rig, read_rig, rig_model
+from .rigs import Rig, named_joints, read_rig, rig_model
 from .smpl import DEFAULT_SHAPES
 
-_JOINTS = {"Hips": "pelvis", "Neck1": "neck", "Head": "head"}
-_PAIRS = "Leg hip, Shin knee, Foot ankle, ToeBase foot, Shoulder collar, Arm shoulder, ForeArm elbow, Hand wrist, "
-_PAIRS += "HandThumb3 thumb3, HandIndex2 index1, HandPinky2 pinky1"
-for _side in ("left", "right"):
-    _JOINTS |= {f"{_side.title()}{_own}": f"{_side}_{_smpl}" for _own, _smpl in map(str.split, _PAIRS.split(", "))}
+_JOINTS = named_joints(
+    {"Hips": "pelvis", "Neck1": "neck", "Head": "head"},
+    "Leg hip, Shin knee, Foot ankle, ToeBase foot, Shoulder collar, Arm shoulder, ForeArm elbow, Hand wrist, "
+    "HandThumb3 thumb3, HandIndex2 index1, HandPinky2 pinky1",
+    {"left": "Left", "right": "Right"},
+)
 
 
 def soma_model(

@@ -16,7 +16,7 @@ def read_json(path: str | Path, expected: str) -> Any:
         InputError: If it can't be read, or as ``parse_json``.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")  # some programs of Windows begin with a byte order mark
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; expected {expected}") from error
     except UnicodeDecodeError as error:

@@ -49,7 +49,7 @@ def read_opencv(path: str | Path, expected: str = _EXPECTED) -> dict[str, Any]:
         InputError: If it can't be read, is of another form, or has a key twice.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {cause(error)}; expected {expected}") from error
     if text.lstrip().startswith("{"):

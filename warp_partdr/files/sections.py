@@ -22,7 +22,7 @@ def read_toml(path: Path | Traversable, name: str, expected: str) -> dict[str, A
         InputError: If it can't be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{name}: {error.strerror or error}; expected {expected}") from error
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors

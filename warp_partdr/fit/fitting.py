@@ -19,6 +19,7 @@ from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.observation import Observation, crop_evidence
 from ..inputs.part_labels import PartLabels
+from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..network.checkpoint import load_label_network, packaged_network
 from ..network.label_network import LabelNetwork
@@ -38,6 +39,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @one_torch_thread()
+@with_gradients()
 def fit_body(
     keypoints: Keypoints2D,
     parts: PartLabels | None = None,
@@ -81,6 +83,7 @@ def fit_body(
 
 
 @one_torch_thread()
+@with_gradients()
 def fit_evidence(
     readings: Sequence[Evidence],
     options: FitOptions,

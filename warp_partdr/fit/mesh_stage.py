@@ -23,8 +23,10 @@ from ..clothing.clothes import bounded
 from ..clothing.measuring import measure_ellipbody
 from ..clothing.model import DetailedModel, detailed_mesh
 from ..clothing.registration import Registered, ungrown
-from ..errors import check_type
+from ..errors import InputError, check_type
 from ..inputs.observation import REFERENCE_SIZE
+from ..interop.checks import check_finite
+from ..interop.gradient_mode import with_gradients
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
@@ -98,6 +100,7 @@ def refine_mesh(
 
 
 @one_torch_thread()
+@with_gradients()
 def refine_meshes(
     results: Sequence[FitResult],
     model: DetailedModel | None = None,
@@ -193,6 +196,11 @@ def _finish(
     seen, pelvises = measure_parameters(bodies, found.log_scale, found.shift, people.lens)
     there, _ = place_bodies(seen, seen.posed(), people.lens, REFERENCE_SIZE)
     bodies, clothes = bodies.moved(there.joints[:, 0] - pelvises), bounded(found.clothes)
+    try:
+        check_finite(vertices=bodies.detailed.vertices, scale=seen.log_scale.exp(), shift=seen.shift)
+    except ValueError as error:
+        told = f"learning_rate: {energy.options.learning_rate}; the mesh stage went astray ({error})"
+        raise InputError(f"{told}; expected a smaller rate, or smaller weights of its terms") from error
     numbers = {name: term.tolist() for name, term in terms.items()}
     seconds = (time.perf_counter() - started) / len(results)
     fits: list[MeshFit] = []

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from ..body.icosphere import MAX_SUBDIVISIONS
 from ..errors import InputError, shown
 from ..files.sections import check_keys, read_section
+from ..refinement.energy import Weights
 from ..render.renderers import RendererMesh
 from .options import FitOptions
 from .stages import OUTLINE, Stage
@@ -25,10 +24,10 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
 
     Args:
         options: What to begin with, such as ``FitOptions.at("fast")``.
-        values: Fields of ``FitOptions``, all but ``start``; under a stage's name, fields of that ``Stage``; under
-            ``search``, the same for stages of the search. ``triangles``, true or fields of ``RendererMesh``, draws
-            ellipsoids by that in every stage. ``outline`` may also be false, which leaves that stage out, or
-            "labels-first" (``FitOptions.labels_first``).
+        values: Fields of ``FitOptions``, all but ``start``; ``weights`` changes those of all stages, too. Under a
+            stage's name, fields of that ``Stage``; under ``search``, the same for stages of the search. ``triangles``,
+            true or fields of ``RendererMesh``, draws ellipsoids by that in every stage. ``outline`` may also be false,
+            which leaves that stage out, or "labels-first" (``FitOptions.labels_first``).
 
     Raises:
         InputError: If a key is unknown, or its value is wrong or excludes another one.
@@ -37,8 +36,11 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
     if not isinstance(mesh := own.get(MESH, {}), Mapping):
         told = f"{MESH}: {shown(mesh)}; expected a table of the mesh stage"
         raise InputError(f"{told} (ellipsoids are drawn as a mesh by {TRIANGLES}=true)")
+    weights = own.get("weights", {})
+    usual = read_section(Weights, weights, "weights", options.weights)
+    options = replace(options, search=_weighed(options.search, weights))
     if isinstance(search := own.get("search"), Mapping):
-        options = replace(options, search=_change_stages(options.search, search, "search"))
+        options = replace(options, search=_change_stages(options.search, search, usual, "search"))
         del own["search"]
     options = read_section(type(options), own, base=options)
     names = [stage.name for stage in options.stages]
@@ -52,7 +54,17 @@ def change_options(options: FitOptions, values: Mapping[str, Any]) -> FitOptions
         options = _change_outline(options, tables.pop(OUTLINE))
     if triangles is not False:
         options = _draw_mesh(options, {} if triangles is True else triangles)
-    return replace(options, stages=_change_stages(options.stages, tables))
+    return replace(options, stages=_change_stages(_weighed(options.stages, weights), tables, usual))
+
+
+def _weighed(stages: tuple[Stage, ...], weights: object) -> tuple[Stage, ...]:
+    """Stages some of whose own weights are changed."""
+    return tuple(
+        stage
+        if stage.weights is None
+        else replace(stage, weights=read_section(Weights, weights, "weights", stage.weights))
+        for stage in stages
+    )
 
 
 def _change_outline(options: FitOptions, outline: object) -> FitOptions:
@@ -67,19 +79,23 @@ def _draw_mesh(options: FitOptions, values: object) -> FitOptions:
     """Replace all renderers by the mesh, with their own ``max_distance`` unless it is given."""
     mesh = read_section(RendererMesh, values, TRIANGLES)
     assert isinstance(values, Mapping)
-    level, tolerance = mesh.subdivisions, mesh.tolerance
-    if level != "auto" and not 0 <= level <= MAX_SUBDIVISIONS:
-        raise InputError(f"{TRIANGLES}.subdivisions: {level}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
-    if "tolerance" in values and level != "auto":
-        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected {TRIANGLES}.subdivisions=auto with it")
-    if not 0 < tolerance < math.inf:
-        raise InputError(f"{TRIANGLES}.tolerance: {tolerance}; expected a positive number of pixels")
+    if "tolerance" in values and mesh.subdivisions != "auto":
+        raise InputError(f"{TRIANGLES}.tolerance: {mesh.tolerance}; expected {TRIANGLES}.subdivisions=auto with it")
     if "max_distance" in values:
         return options.drawn_by(lambda old: mesh)
     return options.drawn_by(lambda old: replace(mesh, max_distance=old.max_distance))
 
 
-def _change_stages(stages: tuple[Stage, ...], tables: Mapping[str, Any], where: str = "") -> tuple[Stage, ...]:
+def _change_stages(
+    stages: tuple[Stage, ...], tables: Mapping[str, Any], usual: Weights, where: str = ""
+) -> tuple[Stage, ...]:
+    """Stages after settings of their own; some of the weights are changed over the usual ones if it has none."""
+
+    def before(stage: Stage) -> Stage:
+        table = tables.get(stage.name)
+        some = isinstance(table, Mapping) and isinstance(table.get("weights"), Mapping)
+        return replace(stage, weights=usual) if some and stage.weights is None else stage
+
     check_keys(tables, [stage.name for stage in stages], where)
     names = {stage.name: f"{where}.{stage.name}" if where else stage.name for stage in stages}
-    return tuple(read_section(Stage, tables.get(stage.name, {}), names[stage.name], stage) for stage in stages)
+    return tuple(read_section(Stage, tables.get(stage.name, {}), names[stage.name], before(stage)) for stage in stages)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ..body.parameters import BodyParameters
 from ..errors import check_whole
 from ..interop.checks import MAX_PICTURE, MAX_PIXELS, check_steps
 from ..refinement.energy import Weights
@@ -48,6 +49,7 @@ class Stage:
         }
         for name, value in whole.items():  # as ints, which JSON takes
             object.__setattr__(self, name, value)
+        BodyParameters.free(self.frozen)
 
 
 # Labels tell a body's outline better than its joints: where thighs end and torsos begin, label sets and ellipsoids

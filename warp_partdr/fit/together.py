@@ -21,6 +21,7 @@ from ..cameras import Crop
 from ..errors import check_each, check_type
 from ..inputs.evidence import Evidence
 from ..inputs.observation import Observation
+from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..network.label_network import LabelNetwork
 from ..network.predict import ask_network
@@ -126,6 +127,7 @@ class BatchFits(Sequence[FitResult]):
 
 
 @one_torch_thread()
+@with_gradients()
 def fit_together(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> Sequence[FitResult]:
     """Fit EllipBody to many people side by side.
 

@@ -81,24 +81,28 @@ def read_frames(path: str | Path) -> Iterator[Frame]:
     """Frames of a film in their order, of which one at a time is in memory.
 
     Raises:
-        InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or one is damaged;
-            frames before a damaged one are given.
+        InputError: If PyAV is not installed, the file can't be read as a film, it has no frame, or fewer than it says,
+            or one is damaged; frames before that are given.
     """
-    index, start, size = 0, 0.0, (0, 0)
+    index, packets, start, size = 0, 0, 0.0, (0, 0)
     with _opened(path) as (container, stream):
         stream.thread_type = "AUTO"
         rate = float(stream.average_rate or stream.guessed_rate or 0)
-        for frame in container.decode(stream):
-            if not index:
-                size = _square_size(path, stream, frame)
-                start = frame.time or 0.0
-            time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
-            yield Frame(
-                index, time, _upright(frame, size)
-            )  # films of several sizes exist; what follows people wants one
-            index += 1
+        for packet in container.demux(stream):
+            packets += bool(packet.size)
+            for frame in packet.decode():
+                if not index:
+                    size = _square_size(path, stream, frame)
+                    start = frame.time or 0.0
+                time = index / rate if frame.time is None and rate else (frame.time or 0.0) - start
+                # Films of several sizes exist; what follows people wants one.
+                yield Frame(index, time, _upright(frame, size))
+                index += 1
+        said = stream.frames
     if not index:
         raise InputError(f"{path}: no frames; expected a film")
+    if packets < said:
+        raise InputError(_cut_off(path, packets, said))
 
 
 class FilmFrames:
@@ -123,8 +127,7 @@ class FilmFrames:
                 packets += bool(packet.size)
                 if packet.size and not packet.is_discard:
                     times.append(packet.pts)
-        missing = f"{path}: {packets} of {said} frames in it; expected a whole film"
-        self.fault = missing if packets < said or not times else None
+        self.fault = _cut_off(path, packets, said) if packets < said or not times else None
         known = [time for time in times if time is not None]
         self._count = len(times)
         # Without times, or with one twice, frames can only be counted from the first on.
@@ -195,6 +198,10 @@ def _opened(path: str | Path) -> Iterator[tuple[InputContainer, VideoStream]]:
             raise
         text = "no frames" if isinstance(error, av.error.EOFError) else cause(error)
         raise InputError(f"{path}: {text}; expected a film") from error
+
+
+def _cut_off(path: str | Path, packets: int, said: int) -> str:
+    return f"{path}: {packets} of {said} frames in it; expected a whole film"
 
 
 def _square_size(path: str | Path, stream: VideoStream, frame: VideoFrame) -> tuple[int, int]:

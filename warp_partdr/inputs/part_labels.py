@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set, label_sets_of
+from ..body.labels import BACKGROUND, IGNORE, LABEL_SETS, LabelSet, label_set
 from ..errors import InputError, cause
 from ..files.array_files import Header, read_npy
-from ..files.json_files import read_json
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -81,27 +80,6 @@ class PartLabels:
             raise InputError(f"instances: shape {np.shape(masks)}; expected (N, {groups.shape[0]}, {groups.shape[1]})")
 
 
-def described_label_set(path: Path) -> LabelSet:
-    """Read the label set in a JSON file: ids with class names of a set of the project's, or one's own set."""
-    data = read_json(path, "ids and their names")
-    if isinstance(data, dict) and "groups" in data:
-        return label_set(path)
-    names = _class_names(data)
-    if names is not None and len(known := label_sets_of(names)) == 1:
-        return known[0]
-    raise InputError(
-        f"{path}: the ids and names of no known label set; expected those of {', '.join(LABEL_SETS)}, or groups and "
-        "ids (docs/inputs.md)"
-    )
-
-
-def _class_names(data: Any) -> dict[int, str] | None:
-    """Class name of each id from a JSON object; None if it is something else."""
-    if not isinstance(data, dict) or not all(isinstance(name, str) for name in data.values()):
-        return None
-    return {int(key): name for key, name in data.items()} if all(map(str.isdecimal, map(str, data))) else None
-
-
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
     """Read the part labels of the options --parts and --labels; None without.
 
@@ -121,7 +99,7 @@ def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | 
         raise InputError(
             f"--labels: missing; expected what the ids of {parts} mean: one of {', '.join(LABEL_SETS)}, or a JSON file"
         )
-    return read_parts(parts, described_label_set(beside))
+    return read_parts(parts, label_set(beside))
 
 
 def read_photo(path: PhotoFile) -> np.ndarray:
@@ -213,13 +191,18 @@ def check_sizes(**sizes: tuple[int, int] | None) -> None:
         raise InputError(f"{shown}; expected one size")
 
 
-def read_parts(path: PhotoFile, labels: LabelSet) -> PartLabels:
+def read_parts(path: PhotoFile, labels: LabelSet | str | Path) -> PartLabels:
     """Read part labels, ids of a label set, each person's or their probabilities, from a ``.png`` or ``.npy`` file.
 
+    Args:
+        path: The file.
+        labels: What the ids mean, or what ``label_set`` takes.
+
     Raises:
-        InputError: If the file can't be read, is no label image, has more than 2**27 pixels or ids outside the set,
-            shows nobody, or, in a set of several groups, a single part.
+        InputError: If the label set or the file can't be read, or this is no label image, has more than 2**27 pixels or
+            ids outside the set, shows nobody, or, in a set of several groups, a single part.
     """
+    labels = label_set(labels)
     suffix = Path(str(path)).suffix.lower()
     if suffix == ".png" or isinstance(path, BytesIO):
         array = _read_png(path)

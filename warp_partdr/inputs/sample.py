@@ -14,21 +14,6 @@ from .part_labels import PartLabels
 
 
 @dataclass(frozen=True)
-class SmplFit:
-    """A body in SMPL's parameters, as data sets give them.
-
-    Attributes:
-        pose: Axis-angles of the root (in the camera frame) and 23 joints [rad], shape (24, 3).
-        betas: Shape, shape (10,).
-        gender: "neutral", "male" or "female".
-    """
-
-    pose: np.ndarray
-    betas: np.ndarray
-    gender: str = "neutral"
-
-
-@dataclass(frozen=True)
 class Sample:
     """One person of a data set. Nothing but name and keypoints need be known.
 
@@ -44,7 +29,6 @@ class Sample:
         joint_names: Their landmarks; both hips, which are the pelvis, must be among them.
         vertices: True vertices of a mesh, in the frame of ``joints`` [m], shape (V, 3).
         mirrored: Joints with a limb mirrored in depth, which keypoints don't tell from the true ones, as ``joints``.
-        smpl: The true body as SMPL's parameters.
         picture: File of the picture, or the picture, shape (H, W, 3), uint8.
         camera: The picture's, where it is known, B = 1.
     """
@@ -60,6 +44,5 @@ class Sample:
     joint_names: tuple[str, ...] = MPJPE_JOINTS
     vertices: np.ndarray | None = None
     mirrored: np.ndarray | None = None
-    smpl: SmplFit | None = None
     picture: Path | np.ndarray | None = None
     camera: Perspective | None = None

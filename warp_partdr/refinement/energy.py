@@ -6,6 +6,7 @@ in pixels of the same (whatever size is drawn), L_l, L_t and the hold in square 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from ..body.pose_prior import PosePrior, up_direction
 from ..body.posing import LandmarkGather, Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
+from ..errors import check_type, check_whole
 from ..inputs.observation import REFERENCE_SIZE, Observation, resize_nearest
 from ..render.renderers import Renderer, RendererEllipsoids
 
@@ -104,6 +106,12 @@ class Weights:
     limits: float = _term(20.0, 5, _limits, lambda energy: energy.prior is not None)
     depth: float = _term(0.0, 6, _depth, lambda energy: energy.observation.depths is not None)
 
+    def __post_init__(self) -> None:
+        for term in fields(self):
+            weight = getattr(self, term.name)
+            if not 0 <= weight < math.inf:
+                raise ValueError(f"{term.name}: {weight}; expected 0 or a positive number")
+
 
 def landmark_votes(seen: Observation) -> torch.Tensor:
     """Weights of landmarks, shape (L,): those of a part share its vote, for ten of a face say little more than one."""
@@ -161,6 +169,8 @@ class Energy:
 
     def __post_init__(self) -> None:
         seen = self.observation
+        check_type("observation", seen, Observation, "of observe")
+        self.size = check_whole("size", self.size, 1)
         device = seen.points.device
         self._gather = LandmarkGather(seen.body_points, device)
         self.votes = landmark_votes(seen)

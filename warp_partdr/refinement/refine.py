@@ -7,11 +7,13 @@ from typing import Any
 
 from ..body.parameters import BodyParameters
 from ..errors import check_type
+from ..interop.gradient_mode import with_gradients
 from .captured import can_capture, refine_captured
 from .energy import Energy
 from .stepper import LEARNING_RATE, EnergyFunction, Refined, Refinement
 
 
+@with_gradients()
 def refine(
     start: BodyParameters,
     energy: Energy | EnergyFunction,
@@ -42,9 +44,9 @@ def refine(
         and 140 % of the mean adult's, thicknesses within 40 and 160 %.
 
     Raises:
-        TypeError: If ``start`` are no bodies, or ``energy`` is no function.
-        ValueError: If ``frozen`` names what is no parameter, or all of them; if ``iterations`` or ``learning_rate`` is
-            out of range, or ``start`` holds NaN or infinity.
+        TypeError: If ``start`` are no bodies, or ``energy`` is no function that returns terms.
+        ValueError: If a term has another shape, or none has a gradient; if ``frozen`` names what is no parameter, or
+            all of them; if ``iterations`` or ``learning_rate`` is out of range, or ``start`` holds NaN or infinity.
     """
     check_type("start", start, BodyParameters, "such as BodyParameters.mean(1)")
     if not callable(energy):

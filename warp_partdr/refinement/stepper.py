@@ -6,7 +6,7 @@ Learning rates, bounds of sizes and the result are those of ``captured`` as well
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -14,7 +14,7 @@ import torch
 from ..body.parameters import BodyParameters
 from ..errors import check_type
 from ..interop.adam import Adam
-from ..interop.checks import check_steps
+from ..interop.checks import FLOATS, check_steps, check_tensor
 from ..interop.movable import Movable
 
 EnergyFunction = Callable[[BodyParameters], dict[str, torch.Tensor]]
@@ -112,9 +112,21 @@ class Refinement:
         history = torch.stack(self.history) if self.history else total[None][:0]
         return Refined(best.parameters, best.energy, best.terms, history)
 
+    def _check(self, terms: object) -> None:
+        """Raise unless the energy's function gave terms that can be minimised, body by body."""
+        if not isinstance(terms, Mapping) or not terms:
+            told = "none" if isinstance(terms, Mapping) else type(terms).__name__
+            raise TypeError(f"energy: returned {told}; expected terms by name, tensors of shape (B,)")
+        for name, term in terms.items():
+            check_tensor(f"energy: {name}", term, (self.bodies.batch_size,), dtypes=FLOATS)
+        if torch.is_grad_enabled() and not any(term.requires_grad for term in terms.values()):
+            raise ValueError("energy: no term has a gradient; expected them to be made of the bodies' parameters")
+
     def _evaluate(self) -> torch.Tensor:
         """Evaluate the energy, shape (B,), and keep the best state of each body."""
         terms = self.energy(self.bodies)
+        if self.best is None:
+            self._check(terms)
         total = torch.stack(list(terms.values())).sum(0)
         now = total.detach()
         if self.best is None:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..body.ellipbody import DEFAULT_SUBDIVISIONS
+from ..body.icosphere import MAX_SUBDIVISIONS
 from ..body.posing import Posed
 from ..body.template import NUM_PARTS
 from ..cameras import Camera
@@ -41,6 +42,9 @@ class RendererEllipsoids(BodyLoss):
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     samples_per_pixel: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_rule(**self._rule)
 
     def draw(
         self,
@@ -106,6 +110,14 @@ class RendererMesh(BodyLoss):
     max_distance: float = math.inf
     depth_weight: float = DEFAULT_DEPTH_WEIGHT
     gradient: MeshGradient = "partdr"
+
+    def __post_init__(self) -> None:
+        check_mesh_rule(**self._rule)
+        level, tolerance = self.subdivisions, self.tolerance
+        if level != "auto" and (type(level) is not int or not 0 <= level <= MAX_SUBDIVISIONS):
+            raise ValueError(f"subdivisions: {level!r}; expected 0 to {MAX_SUBDIVISIONS}, or auto")
+        if not 0 < tolerance < math.inf:
+            raise ValueError(f"tolerance: {tolerance}; expected a positive number of pixels")
 
     def draw(
         self,

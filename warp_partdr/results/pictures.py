@@ -201,13 +201,14 @@ def loss_chart(result: FitResult) -> Image:
     font, small = ImageFont.load_default(14 * smooth), ImageFont.load_default(12 * smooth)
 
     values = np.concatenate([*result.history, np.zeros(0)])
-    powers = np.log10(values[values > 0]) if (values > 0).any() else np.zeros(1)
+    good = (values > 0) & np.isfinite(values)
+    powers = np.log10(values[good]) if good.any() else np.zeros(1)
     high = powers.max() + 0.05
     low = max(powers.min() - 0.05, high - 4)  # no stage falls by more decades
     ends = np.cumsum([0, *map(len, result.history)]).tolist()
 
     def at(iteration: float, energy: float) -> tuple[float, float]:
-        share = (np.log10(max(energy, 10**low)) - low) / (high - low)
+        share = (np.log10(min(max(energy, 10**low), 10**high)) - low) / (high - low)
         return left + (right - left) * iteration / max(ends[-1], 1), bottom - (bottom - top) * float(share)
 
     for index, stage in enumerate(result.stages):
@@ -224,7 +225,7 @@ def loss_chart(result: FitResult) -> Image:
             draw.line([left, y, right, y], fill=(205, 205, 205), width=1)
             draw.text((left - 6 * smooth, y), f"{tick:g}", "black", small, anchor="rm")
     for first, energies in zip(ends, result.history, strict=False):
-        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(energies)]
+        points = [at(first + k + 0.5, float(energy)) for k, energy in enumerate(np.nan_to_num(energies, nan=np.inf))]
         draw.line(points, fill=(20, 70, 140), width=2 * smooth, joint="curve")
     draw.rectangle([left, top, right, bottom], outline=(120, 120, 120), width=smooth)
     draw.text((left, 6 * smooth), "energy of the winner", "black", font)

@@ -95,6 +95,13 @@ def check_result(path: str | Path) -> None:
         )
 
 
+def names_file(report: Path, name: str) -> bool:
+    """True if a set's report has a file of this name; False, too, where there is none or it can't be read."""
+    with suppress(InputError):
+        return name in _named(report)
+    return False
+
+
 def check_not_in_set(path: Path) -> None:
     """Raise an InputError if a set's report has this file, which is about to be written by itself."""
     for report, _ in _naming(path):

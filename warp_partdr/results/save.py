@@ -38,7 +38,7 @@ from .ellipbody_files import ellipbody_scene
 from .further_files import save_further
 from .palette import group_colours
 from .pictures import blend, draw_keypoints, loss_chart, panels, shade_body, shade_detailed
-from .result_sets import FIT_REPORT, REGISTRATION_REPORT, replacing
+from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, names_file, replacing
 from .skinned_files import save_detailed
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def save_fit(
         TypeError: If an argument is of another type.
     """
     check_type("result", result, FitResult, "of fit_body")
-    check_type("photo", photo, np.ndarray | None, "of read_photo")
+    check_photo(photo)
     evidence = result.evidence
     size = image_size(evidence.keypoints, evidence.picture, photo)
     report = make_report(result)
@@ -91,8 +91,11 @@ def save_fit(
         report |= score_labels(shown, target, label_set)
         comparison = panels(target, shown, group_colours(label_set.part_groups))
     overlay = draw_overlay(result, size, photo)
-    # A registration that is there clothes another body.
-    with replacing(Path(folder), FIT_REPORT, report, outdates=(FIT_REPORT, REGISTRATION_REPORT)) as temporary:
+    # A registration that is there clothes another body, and a photo's people have the same overlay (a film's have not).
+    outdates: tuple[str, ...] = (FIT_REPORT, REGISTRATION_REPORT)
+    if names_file(Path(folder, PEOPLE_REPORT), "overlay.png"):
+        outdates += (PEOPLE_REPORT,)
+    with replacing(Path(folder), FIT_REPORT, report, outdates=outdates) as temporary:
         position = result.posed.joints[0, 0]
         body_file(result.parameters, result.camera, size, position).save(temporary / "body.npz")
         save_description(describe_body(result, mesh), temporary)
@@ -102,6 +105,13 @@ def save_fit(
             comparison.save(temporary / "parts.png")
         loss_chart(result).save(temporary / "loss.png")
     return report
+
+
+def check_photo(photo: np.ndarray | None) -> None:
+    """Raise unless it is a picture, as of ``read_photo``, or none."""
+    check_type("photo", photo, np.ndarray | None, "of read_photo")
+    if photo is not None and (photo.dtype != np.uint8 or photo.ndim != 3 or photo.shape[2] != 3 or not photo.size):
+        raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3), as of read_photo")
 
 
 def image_size(keypoints: Keypoints2D, parts: PartLabels | None, photo: np.ndarray | None) -> tuple[int, int]:

@@ -19,11 +19,12 @@ from .ellipbody_files import GLTF_FROM_CAMERA
 from .further_files import FURTHER_FILES
 from .palette import PART_COLOURS
 from .pictures import draw_keypoints
-from .result_sets import PEOPLE_REPORT, replacing
+from .result_sets import FIT_REPORT, PEOPLE_REPORT, REGISTRATION_REPORT, replacing
 from .save import (
     DETAILED_FILES,
     RESULT_FILES,
     SMPLX_FILE,
+    check_photo,
     describe_body,
     draw_detailed,
     save_fit,
@@ -47,7 +48,8 @@ def save_photo_fit(
 
     Args:
         fit: Of ``fit_photo``.
-        folder: Made if it is not there. Files of people whom an older run left in it are removed.
+        folder: Made if it is not there. Files of people whom an older run left in it are removed, and those of a single
+            person's fit.
         photo: The picture, shape (H, W, 3), uint8.
         formats: Of ``FURTHER``, for more files of each detailed body.
 
@@ -59,6 +61,7 @@ def save_photo_fit(
     """
     check_type("fit", fit, PhotoFit, "of fit_photo")
     check_type("photo", photo, np.ndarray, "of read_photo")
+    check_photo(photo)
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
     placed = {place: _place(each, size) for place, each in fit.fits.items()}
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
@@ -66,12 +69,6 @@ def save_photo_fit(
     overlay = small
     for place in sorted(fit.fits, key=lambda place: -placed[place][1]):  # the farthest first
         overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
-    with replacing(folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT,)) as temporary:
-        _picture(overlay).save(temporary / "overlay.png")
-        draw_people(fit, small).save(temporary / "people.png")
-        _scene({place: fit.fits[place].vertices + offset for place, (offset, _) in placed.items()}, fit).export(
-            temporary / "scene.glb"
-        )
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
         shown = small if found.evidence.picture is not None else photo
@@ -81,6 +78,15 @@ def save_photo_fit(
             seconds=round(found.stage_seconds["mesh"], 3), formats=formats,
         )  # fmt: skip
     _remove_others(folder, {_name(place) for place in fit.fits})
+    # Last, so that where people.json is, everyone is; a fit of one person, whose overlay this replaces, goes.
+    with replacing(
+        folder, PEOPLE_REPORT, report, outdates=(PEOPLE_REPORT, FIT_REPORT, REGISTRATION_REPORT)
+    ) as temporary:
+        _picture(overlay).save(temporary / "overlay.png")
+        draw_people(fit, small).save(temporary / "people.png")
+        _scene({place: fit.fits[place].vertices + offset for place, (offset, _) in placed.items()}, fit).export(
+            temporary / "scene.glb"
+        )
     return report
 
 

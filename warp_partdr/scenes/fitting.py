@@ -21,6 +21,7 @@ from ..fit.fitting import Progress
 from ..fit.mesh_energy import MeshEnergy, Unknowns, mesh_energy
 from ..fit.steps import find_steps
 from ..interop.devices import choose_device
+from ..interop.gradient_mode import with_gradients
 from ..interop.movable import Movable
 from ..interop.torch_threads import one_torch_thread
 from ..refinement.stepper import rate_share
@@ -71,6 +72,7 @@ class SceneFit(Movable):
 
 
 @one_torch_thread()
+@with_gradients()
 def fit_scene(
     scene: Scene,
     *,

@@ -5,9 +5,9 @@ What a user has to get, and from where, is in the errors and in docs/evaluation.
 
 from __future__ import annotations
 
-from ...inputs.sample import Sample, SmplFit
+from ...inputs.sample import Sample
 from .folder import read_folder
 from .lsp import read_lsp
 from .spin import read_human36m, read_pw3d, read_spin
 
-__all__ = ["Sample", "SmplFit", "read_folder", "read_human36m", "read_lsp", "read_pw3d", "read_spin"]
+__all__ = ["Sample", "read_folder", "read_human36m", "read_lsp", "read_pw3d", "read_spin"]

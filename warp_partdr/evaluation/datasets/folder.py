@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...body.labels import LabelSet
+from ...body.labels import LabelSet, label_set
 from ...errors import InputError
 from ...inputs.keypoint_files import read_keypoints
 from ...inputs.keypoints import choose_person
-from ...inputs.part_labels import check_sizes, described_label_set, read_parts, read_photo
+from ...inputs.part_labels import check_sizes, read_parts, read_photo
 from ...inputs.person import select_person
 from ...inputs.sample import Sample
 from .pictures import existing
@@ -40,7 +40,7 @@ def read_folder(path: str | Path, labels: LabelSet | None = None) -> Iterator[Sa
         raise InputError(f"{folder}: no pictures; expected a folder of {_LAYOUT}")
     labelled = any(picture.with_suffix(".parts.png").is_file() for picture in pictures)
     if labelled and labels is None:
-        labels = described_label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
+        labels = label_set(existing(folder, "labels.json", "the label set of the *.parts.png (or --labels)"))
     for picture in pictures:
         people = read_keypoints(existing(folder, f"{picture.stem}.keypoints.json", _LAYOUT))
         parts = None

@@ -18,7 +18,7 @@ from ...files.array_files import read_npz
 from ...inputs.keypoint_files import read_keypoints
 from ...inputs.keypoints import Keypoints2D
 from ...inputs.part_labels import read_parts
-from ...inputs.sample import Sample, SmplFit
+from ...inputs.sample import Sample
 from .pictures import existing, read_mask
 
 # Human3.6M's head (its joint 15) and the top of the head in LSP are one landmark, and so are LSP's neck and MPII's
@@ -38,16 +38,12 @@ _SHAPES: dict[str, tuple[int | None, ...] | None] = {  # of a row; None: text
     "part": (len(SPIN_JOINTS), 3),
     "openpose": (len(skeleton("body25")), 3),
     "S": (len(SPIN_JOINTS), 4),
-    "pose": (24, 3),
-    "shape": (10,),
-    "gender": None,
     "partname": None,
     "maskname": None,
     "vertices": (None, 3),
 }
 _REQUIRED = ("imgname", "center", "scale")
 _FORMATS = ("lsp14", "h36m17", "coco17")  # what ``part`` may be; all of them within the 24 joints
-_GENDERS = {"m": "male", "f": "female"}
 # Files for ``expected`` in errors.
 _HUMAN36M = (
     "an .npz of plain arrays: h36m_valid_protocol1.npz or h36m_valid_protocol2.npz, which SPIN's "
@@ -108,8 +104,6 @@ def read_spin(
     """
     optional = tuple(_SHAPES.keys() - set(_REQUIRED))
     arrays = read_npz(path, _REQUIRED, optional, expected=expected, most=MAX_BYTES)
-    if "pose" in arrays and arrays["pose"].ndim == 2 and arrays["pose"].shape[1] == 72:
-        arrays["pose"] = arrays["pose"].reshape(-1, 24, 3)
     for name in arrays:
         _check_array(arrays, name, path)
     if keypoints is None and not arrays.keys() & {"part", "openpose"}:
@@ -143,7 +137,6 @@ def read_spin(
             mask=mask,
             joints=_joints(person["S"]) if "S" in person else None,
             vertices=person.get("vertices"),
-            smpl=_smpl(person) if person.keys() >= {"pose", "shape"} else None,
             picture=picture if picture is not None and picture.is_file() else None,
         )
 
@@ -203,8 +196,3 @@ def _select(values: np.ndarray, landmarks: tuple[str, ...]) -> np.ndarray:
 def _joints(values: np.ndarray) -> np.ndarray:
     selected = _select(values, MPJPE_JOINTS)
     return np.where(selected[:, 3:] > 0, selected[:, :3], np.nan)
-
-
-def _smpl(person: Mapping[str, np.ndarray]) -> SmplFit:
-    gender = str(person.get("gender", ""))
-    return SmplFit(person["pose"], person["shape"], _GENDERS.get(gender[:1], "neutral"))
