@@ -21,7 +21,7 @@ LABELS = label_set("cdcl14")
 # Levels of noise as "realistic", and people of ``make_person(setting=...)``.
 NEAR, TILTED, CLOTHED = SETTINGS = ("near", "tilted", "clothed")
 CROSSED = "crossed"  # level of ``crossed_samples``
-PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
+PAIRS, GROUPS, CLIP, VIEWS = SCENES = ("pairs", "groups", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 
