@@ -14,12 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..clothing.model import DetailedModel
+from ..inputs.keypoints import Keypoints2D
 from .depth_order import grown
 from .energy import FEET, SceneEnergy, SceneStarts
 from .scene import Ground, Scene
 from .start import Looked, gather_scene
 
 _ANKLES = ("left_ankle", "right_ankle")
+STANDING_LANDMARKS = (*FEET, *_ANKLES, "pelvis", "neck")
 _SIZE_SPREAD = 0.1  # of the logarithm of a size that the network sees
 _FOOT_SPREAD = 0.03  # [m], of the lowest point of a foot that stands
 _LEAN_SPREAD = 0.15  # [rad], of a standing body against the plane's normal
@@ -45,6 +47,13 @@ class Standing:
     ups: np.ndarray
     seen: np.ndarray
     people: np.ndarray
+
+    @classmethod
+    def of(cls, landmarks: np.ndarray, seen: np.ndarray, people: np.ndarray) -> Standing:
+        """Bodies of ``STANDING_LANDMARKS`` about the camera [m], shape (N, 10, 3)."""
+        feet, ankles, trunk = np.split(landmarks, [len(FEET), len(FEET) + len(_ANKLES)], axis=1)
+        ups = trunk.mean(1) - ankles.mean(1)
+        return cls(feet, ups / np.linalg.norm(ups, axis=1, keepdims=True), seen, people)
 
 
 @dataclass(frozen=True)
@@ -141,15 +150,14 @@ def _standing(
     """Bodies where the fit starts, about the eye of the one camera."""
     names = energy.one.model.landmark_names
     points = energy.landmarks(people, energy.at_rest(people)).double().cpu().numpy() - eye
-    feet, ankles, trunk = (
-        points[:, [names.index(name) for name in wanted]] for wanted in (FEET, _ANKLES, ("pelvis", "neck"))
-    )
-    ups = trunk.mean(1) - ankles.mean(1)
     seen = np.zeros(len(points))
     for look in looks:
-        keypoints = look.sight.keypoints
-        marked = [name.endswith(_ANKLES) for name in keypoints.format.marks]
-        if any(marked):
-            seen[look.sight.person * scene.num_frames + look.sight.frame] = keypoints.confidence[marked].mean()
-    people_of = np.arange(len(points)) // scene.num_frames
-    return Standing(feet, ups / np.linalg.norm(ups, axis=1, keepdims=True), seen, people_of)
+        seen[look.sight.person * scene.num_frames + look.sight.frame] = feet_seen(look.sight.keypoints)
+    wanted = [names.index(name) for name in STANDING_LANDMARKS]
+    return Standing.of(points[:, wanted], seen, np.arange(len(points)) // scene.num_frames)
+
+
+def feet_seen(keypoints: Keypoints2D) -> float:
+    """Mean confidence of a person's ankles, 0 if the format has none."""
+    marked = [name.endswith(_ANKLES) for name in keypoints.format.marks]
+    return float(keypoints.confidence[marked].mean()) if any(marked) else 0.0
