@@ -22,12 +22,18 @@ from warp_partdr.evaluation.partbench import scenes
 from warp_partdr.evaluation.partbench.report import compare_methods, write_report
 from warp_partdr.evaluation.partbench.samples import make_sample, source_name
 from warp_partdr.evaluation.partbench.scenes import SCENE_METHODS, SceneMethod, fit_all_together, partbench_scenes
-from warp_partdr.evaluation.scene_scoring import SceneBodies, acceleration_error, order_share, score_scene
+from warp_partdr.evaluation.scene_scoring import (
+    SceneBodies,
+    acceleration_error,
+    depth_between_error,
+    order_share,
+    score_scene,
+)
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.scenes.options import SceneOptions
 from warp_partdr.scenes.start import look_at
 from warp_partdr.synthetic.mocap import Clip
-from warp_partdr.synthetic.scene_people import SceneSample, in_wrong_order, make_clip
+from warp_partdr.synthetic.scene_people import SceneSample, depths_of, in_wrong_order, make_clip
 
 QUICK = SceneOptions(mesh=MeshOptions(iterations=10, size=96, vertices=800), together=128)
 
@@ -42,6 +48,10 @@ class Known:
     @property
     def vertices(self) -> torch.Tensor:
         return torch.from_numpy(self.sample.vertices) + self.move
+
+    @property
+    def statures(self) -> torch.Tensor:
+        return torch.from_numpy(self.sample.statures)
 
     def landmarks(self, names: tuple[str, ...]) -> torch.Tensor:
         if names == MPJPE_JOINTS:
@@ -69,6 +79,7 @@ def test_the_truth_scores_full_marks_and_others_do_not() -> None:
     score = score_scene(sample, "truth", SceneBodies([Known(sample)]), 0.0)
     assert (score.world_mpjpe, score.mpjpe, score.order) == (0, 0, 1)
     assert score.pa_mpjpe < 0.01
+    assert score.depth_between == score.stature == 0
     assert np.isnan(score.acceleration)
     assert len(score.pixels.classes) == 13
     off = score.pixels.parts - np.diag(score.pixels.parts.diagonal())
@@ -83,6 +94,7 @@ def test_people_who_change_places_are_in_the_wrong_order() -> None:
     sample = pair()
     truth = sample.joints
     assert order_share(sample, truth) == 1
+    depths = depths_of(sample.scene, truth)
     view = sample.scene.views[0]
     front, back = sample.order
     depth = view.to_camera(torch.from_numpy(truth[back, 0].mean(0) - truth[front, 0].mean(0)))
@@ -90,6 +102,7 @@ def test_people_who_change_places_are_in_the_wrong_order() -> None:
     changed = truth.copy()
     changed[front] += behind
     assert order_share(sample, changed) == 0
+    assert depth_between_error(sample, changed) == pytest.approx(2 * depths[back] - 2 * depths[front], rel=1e-3)
     right = score_scene(sample, "truth", SceneBodies([Known(sample)]), 0.0)
     other = replace(sample, vertices=sample.vertices + 0)
     other.vertices[front] += behind
@@ -165,7 +178,8 @@ def test_differences_of_scenes_are_told() -> None:
     ]
     (found,) = compare_methods(replace(evaluate([], {}), scores=tuple(scores)))
     assert re.match(r"pairs: scene minus each alone: PA-MPJPE [+-]0\.0 ", found)
-    assert "world MPJPE -100.0 (-100.0 to -100.0) mm, depth order right +0.0 (+0.0 to +0.0) %, part F1 +" in found
+    assert "world MPJPE -100.0 (-100.0 to -100.0) mm, depth order right +0.0 (+0.0 to +0.0) %, " in found
+    assert "depth between people +0.0 (+0.0 to +0.0) mm, stature +0.0 (+0.0 to +0.0) mm, part F1 +" in found
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import DETAILED_FILES, RESULT_FILES, save_fit
 from warp_partdr.results.save_photo import PHOTO_FILES, save_photo_fit
+from warp_partdr.results.scene_places import place_on_ground
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "warp_partdr" / "assets" / "example"
 FAST = FitOptions.at("fast")
@@ -198,6 +199,22 @@ def test_files_of_everyone(everyone, tmp_path):
     assert (overlay != photo).any()
     save_fit(found.fits[0].ellipbody, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {*RESULT_FILES, "person0", "person1", "person8"}
+
+
+def test_bodies_grow_about_the_camera_to_one_ground(everyone):
+    photo, found = everyone
+    fits, keypoints = list(found.fits.values()), [each.keypoints for each in found.people]
+    places = place_on_ground(fits, keypoints, photo.shape[:2])
+    assert all(0.6 < each.scale < 1.6 for each in places)
+    assert max(abs(each.scale - 1) for each in places) > 1e-4
+    hidden = [replace(each, confidence=0 * each.confidence) for each in keypoints]
+    alone = [place_on_ground([fit], [each], photo.shape[:2])[0] for fit, each in zip(fits, keypoints, strict=True)]
+    for others in (place_on_ground(fits, hidden, photo.shape[:2]), alone):  # nothing tells the ground
+        for fit, place, other in zip(fits, places, others, strict=True):
+            assert other.scale == pytest.approx(1, abs=1e-9)
+            assert place.distance == pytest.approx(other.distance * place.scale)
+            here, there = place.of(fit.vertices), other.of(fit.vertices)
+            np.testing.assert_allclose(here[:, :2] / here[:, 2:], there[:, :2] / there[:, 2:], atol=1e-5)
 
 
 def test_wrong_arguments_are_named(everyone, tmp_path):

@@ -234,6 +234,8 @@ _COLUMNS = {  # figure: its heading, a factor, and digits
     "pa_mpjpe_mm": ("PA-MPJPE\n[mm]", 1, 1),
     "pve_mm": ("PVE\n[mm]", 1, 1),
     "world_mpjpe_mm": ("world\nMPJPE [mm]", 1, 1),
+    "depth_between_mm": ("depth between\noff [mm]", 1, 0),
+    "stature_off_mm": ("stature\noff [mm]", 1, 0),
     "acceleration_mm": ("acceleration\noff [mm/frame²]", 1, 1),
     "order_right": ("depth\norder [%]", 100, 0),
     "depth_within_spread": ("depth in\n68 % [%]", 100, 0),

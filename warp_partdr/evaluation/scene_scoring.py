@@ -48,6 +48,11 @@ class SceneBodies:
         """In the world [m], shape (P, T, V, 3)."""
         return self._joined([each.vertices for each in self.fits])
 
+    @property
+    def statures(self) -> np.ndarray:
+        """Of people standing [m], shape (P,)."""
+        return torch.cat([each.statures for each in self.fits]).cpu().numpy()
+
     def _joined(self, points: list[torch.Tensor]) -> torch.Tensor:
         every = torch.cat(points).cpu()
         if self.smoothing > 0:
@@ -69,6 +74,8 @@ def score_scene(sample: SceneSample, method: str, bodies: SceneBodies, seconds: 
         mpjpe=1000 * float(metrics.mpjpe(joints, truth, centre_on=_HIPS).mean()),
         pa_mpjpe=1000 * float(metrics.pa_mpjpe(joints, truth).mean()),
         world_mpjpe=1000 * float(metrics.mpjpe(joints, truth).mean()),
+        depth_between=1000 * depth_between_error(sample, joints),
+        stature=1000 * float(np.abs(bodies.statures - sample.statures).mean()),
         acceleration=1000 * acceleration_error(joints, truth),
         order=order_share(sample, joints),
         shared_volume=_shared(bodies.vertices.numpy()),
@@ -87,6 +94,13 @@ def order_share(sample: SceneSample, joints: np.ndarray) -> float:
     found, true = depths_of(sample.scene, joints), depths_of(sample.scene, sample.joints)
     right = [(found[i] < found[j]) == (true[i] < true[j]) for i, j in combinations(range(len(true)), 2)]
     return float(np.mean(right)) if right else math.nan
+
+
+def depth_between_error(sample: SceneSample, joints: np.ndarray) -> float:
+    """Mean error of the differences in depth between two people, in the first picture [m]; NaN with one person."""
+    off = depths_of(sample.scene, joints) - depths_of(sample.scene, sample.joints)
+    pairs = [abs(float(one - other)) for one, other in combinations(off, 2)]
+    return float(np.mean(pairs)) if pairs else math.nan
 
 
 def _shared(vertices: np.ndarray) -> float:

@@ -28,6 +28,8 @@ _MEANS = (  # figure, field of ``Score``, and digits
     ("pa_mpjpe_mm", "pa_mpjpe", 1),
     ("pve_mm", "pve", 1),
     ("world_mpjpe_mm", "world_mpjpe", 1),
+    ("depth_between_mm", "depth_between", 1),
+    ("stature_off_mm", "stature", 1),
     ("acceleration_mm", "acceleration", 2),
     ("order_right", "order", 3),
     ("depth_within_spread", "depth_within", 3),
@@ -61,6 +63,8 @@ class Score:
     pa_mpjpe: float = math.nan  # [mm], the same
     pve: float = math.nan  # [mm], the same for vertices, and NaN if the method has none
     world_mpjpe: float = math.nan  # [mm], as joints stand in the world; NaN but for scenes
+    depth_between: float = math.nan  # [mm], error of how far two people are from each other in depth; NaN with one
+    stature: float = math.nan  # [mm], error of a person's; NaN but for scenes
     acceleration: float = math.nan  # [mm/frame²], how far joints' are from the true ones; NaN but for motion
     order: float = math.nan  # share of pairs of people, or of a limb (``Sample.mirrored``), in the right order in depth
     depth_within: float = math.nan  # share of joints whose depth lies in the interval of 68 % that the network stated

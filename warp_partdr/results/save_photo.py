@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
-from ..cameras import Camera, Perspective
+from ..cameras import Perspective
 from ..errors import check_type
-from ..fit.mesh_stage import MeshFit
 from ..fit.photo import PhotoFit
 from ..interop.torch_threads import one_torch_thread
 from .ellipbody_files import GLTF_FROM_CAMERA
@@ -31,6 +29,7 @@ from .save import (
     save_registered,
     shown_at,
 )
+from .scene_places import ScenePlace, place_on_ground
 
 if TYPE_CHECKING:
     import trimesh
@@ -63,11 +62,12 @@ def save_photo_fit(
     check_type("photo", photo, np.ndarray, "of read_photo")
     check_photo(photo)
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
-    placed = {place: _place(each, size) for place, each in fit.fits.items()}
+    found = [fit.people[place].keypoints for place in fit.fits]
+    placed = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), found, size), strict=True))
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
     small = _as_shown(photo)  # once for all, which takes long
     overlay = small
-    for place in sorted(fit.fits, key=lambda place: -placed[place][1]):  # the farthest first
+    for place in sorted(fit.fits, key=lambda place: -placed[place].distance):  # the farthest first
         overlay = np.asarray(draw_detailed(fit.fits[place].body, fit.fits[place].camera, size, overlay))
     for place, mesh in fit.fits.items():
         own, found = folder / _name(place), mesh.ellipbody
@@ -84,7 +84,7 @@ def save_photo_fit(
     ) as temporary:
         _picture(overlay).save(temporary / "overlay.png")
         draw_people(fit, small).save(temporary / "people.png")
-        _scene({place: fit.fits[place].vertices + offset for place, (offset, _) in placed.items()}, fit).export(
+        _scene({place: each.of(fit.fits[place].vertices) for place, each in placed.items()}, fit).export(
             temporary / "scene.glb"
         )
     return report
@@ -126,21 +126,7 @@ def _name(place: int) -> str:
     return f"person{place}"
 
 
-def _place(fit: MeshFit, size: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """Offset that brings a body into a scene of all, (3,) [m], and its distance from the camera [m].
-
-    Without a known camera, one whose focal length is the picture's diagonal: a body is as far as its size says.
-    """
-    camera: Camera = fit.camera
-    if isinstance(camera, Perspective):
-        return np.zeros(3), float(fit.ellipbody.posed.joints[0, 0, 2])
-    focal = camera.scale.new_full((1,), float(np.hypot(*size)))
-    middle = torch.tensor([[size[1] / 2, size[0] / 2]]).to(camera.scale)
-    offset = camera.to_perspective(focal, middle)[1][0].detach().cpu().numpy()
-    return offset, float(offset[2])
-
-
-def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> dict[str, Any]:
+def _describe(fit: PhotoFit, place: int, placed: ScenePlace) -> dict[str, Any]:
     person, mesh = fit.people[place], fit.fits[place]
     keypoints = np.column_stack([person.keypoints.points.round(2), person.keypoints.confidence.round(3)])
     return {
@@ -148,7 +134,8 @@ def _describe(fit: PhotoFit, place: int, placed: tuple[np.ndarray, float]) -> di
         "folder": _name(place),
         "score": round(person.score, 3),
         "box": [round(float(edge), 1) for edge in person.box],
-        "distance_m": round(placed[1], 2),
+        "distance_m": round(placed.distance, 2),
+        "scene_scale": round(placed.scale, 3),
         "distance": _distance_by(mesh),
         "hidden_by": fit.hidden_by(place),
         "sources": fit.sources[place],

@@ -23,6 +23,8 @@ from ..render.part_mesh import PartMesh
 from .options import SceneOptions
 from .pictures import PictureViews, place_people
 
+FEET = ("left_heel", "left_big_toe", "left_small_toe", "right_heel", "right_big_toe", "right_small_toe")
+
 
 @dataclass(frozen=True)
 class SceneStarts(Tensors):
@@ -49,6 +51,8 @@ class SceneStarts(Tensors):
         depth_weights: Of their squares, 0 where somebody is not seen [1/m^2], shape (N, V, 20).
         shown: Who is seen in each view, shape (N, V), bool.
         smooth: Share of each frame in each frame's moves, shape (T, T); None: frames move for themselves.
+        ground: Normal and offset [m] of the ground in the world, shape (4,); None: no feet are held to any.
+        standing: How surely each body stands on it, shape (N,).
         target: Labels of pictures: person G + group, shape (T V, size, size), uint8; None: without labels.
         target_lens: Of the pictures' crops, shape (T V, 3).
     """
@@ -75,6 +79,8 @@ class SceneStarts(Tensors):
     smooth: torch.Tensor | None
     target: torch.Tensor | None
     target_lens: torch.Tensor | None
+    ground: torch.Tensor | None = None
+    standing: torch.Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +126,9 @@ class SceneEnergy:
             weight = self.options.apart if len(people.shape) > 1 else options.apart
             placed = self.capsules.of(posed, numbers.shape, by=pelvises[:, None])
             terms["apart"] = weight * self.capsules.overlap(placed, people=len(people.shape)).sum()
+        if people.ground is not None and people.standing is not None:
+            lowest = self.lowest_feet(points, people.ground)
+            terms["ground"] = self.options.ground * (people.standing * (100 * lowest).square()).sum()
         if people.target is not None and people.target_lens is not None and self.mesh is not None:
             views = self._views(people, people.target_lens)
             loss, _ = mesh_label_loss(
@@ -140,6 +149,17 @@ class SceneEnergy:
         posed = self.one.pose(people, self._of_frames(people, unknowns))
         views = self._views(people, lenses)
         return place_people(posed.vertices, self.pelvises(people, unknowns), views, size)
+
+    def landmarks(self, people: SceneStarts, unknowns: Unknowns) -> torch.Tensor:
+        """All of the drawn model's, in the world [m], shape (N, L, 3)."""
+        posed = self.one.pose(people, self._of_frames(people, unknowns))
+        return self.one.landmarks(posed) + self.pelvises(people, unknowns)[:, None]
+
+    def lowest_feet(self, points: torch.Tensor, ground: torch.Tensor) -> torch.Tensor:
+        """Heights of the lowest of each body's feet over the ground [m], of landmarks (N, L, 3), shape (N,)."""
+        names = self.one.model.landmark_names
+        feet = torch.stack([points[:, names.index(name)] for name in FEET], dim=1)
+        return (feet @ ground[:3]).amin(1) - ground[3]
 
     def at_rest(self, people: SceneStarts) -> Unknowns:
         """Numbers where the fit starts."""

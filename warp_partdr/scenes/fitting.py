@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
@@ -14,6 +14,7 @@ from ..body.template import JOINT_NAMES
 from ..clothing.anny import anny
 from ..clothing.capsules import measure_capsules
 from ..clothing.clothes import bounded
+from ..clothing.measuring import statures
 from ..clothing.model import DetailedModel
 from ..clothing.registration import Registered, ungrown
 from ..errors import InputError, check_type
@@ -28,8 +29,9 @@ from ..refinement.stepper import rate_share
 from ..render.part_mesh import MAX_LABEL, PartMesh
 from .depth_order import LEAST_GAIN, exchange, order_people
 from .energy import SceneEnergy, SceneStarts
+from .ground import Grounded, stand_on_ground
 from .options import SceneOptions
-from .scene import Scene
+from .scene import Ground, Scene
 from .start import Looked, gather_scene, look_at
 
 
@@ -43,6 +45,7 @@ class SceneFit(Movable):
         clothes: Thicknesses of clothes and hair of each person [m], shape (P, 8).
         energy: Weighted terms before the last step, by name.
         seconds: Wall time of each stage.
+        ground: That people stand on, where one was found.
         warnings: Faults of sights that were found, a sentence each.
     """
 
@@ -52,6 +55,7 @@ class SceneFit(Movable):
     energy: dict[str, float]
     seconds: dict[str, float]
     warnings: tuple[str, ...]
+    ground: Ground | None = None
 
     @property
     def joints(self) -> torch.Tensor:
@@ -62,6 +66,11 @@ class SceneFit(Movable):
     def vertices(self) -> torch.Tensor:
         """Of the bodies without clothes, in the world [m], shape (P, T, V, 3)."""
         return self._by_person(self.bodies.detailed.vertices)
+
+    @property
+    def statures(self) -> torch.Tensor:
+        """Heights of the people standing [m], shape (P,)."""
+        return statures(self.bodies.model, self.bodies.shape[:: self.scene.num_frames])
 
     def landmarks(self, names: tuple[str, ...]) -> torch.Tensor:
         """Landmarks in the world [m], shape (P, T, L, 3)."""
@@ -115,13 +124,14 @@ def fit_scene(
     one = mesh_energy(model, options.mesh, label_set)
     energy = scene_energy(one, options, scene.num_people, label_set.num_groups if label_set else 0)
     with torch.no_grad():
+        looks, grounded = stand_on_ground(energy, model, scene, looks)
         if options.exchanges:
             people, looks = order_people(energy, model, scene, looks)
         else:
             people = gather_scene(energy, model, scene, looks)
     warnings = _warnings(looks)
     looked = time.perf_counter()
-    best = _refine(energy, people, looks, tell)
+    best = _refine(energy, _held(people, grounded), looks, tell)
     # What is refined fits the order it stands in, so in one frame the other order is refined, too, before they compare.
     least_gain = LEAST_GAIN if scene.num_frames > 1 else -math.inf
     for _ in range(1, scene.num_people if options.exchanges else 1):
@@ -130,7 +140,7 @@ def fit_scene(
             if exchanged is None:
                 break
             people = gather_scene(energy, model, scene, exchanged)
-        other = _refine(energy, people, exchanged, tell)
+        other = _refine(energy, _held(people, grounded), exchanged, tell)
         if other.total >= best.total:
             break
         best = other
@@ -138,7 +148,8 @@ def fit_scene(
         bodies = ungrown(model, *energy.whole_pose(model, best.people, best.unknowns), {})
         clothes = bounded(best.unknowns.clothes)
     seconds = {"network": looked - started, "scene": time.perf_counter() - looked}
-    return SceneFit(scene, bodies, clothes, best.terms, seconds, warnings)
+    ground = None if grounded is None else grounded.ground
+    return SceneFit(scene, bodies, clothes, best.terms, seconds, warnings, ground)
 
 
 @dataclass(frozen=True)
@@ -154,6 +165,14 @@ class _Refined:
     def total(self) -> float:
         """The energy."""
         return sum(self.terms.values())
+
+
+def _held(people: SceneStarts, grounded: Grounded | None) -> SceneStarts:
+    """People whose feet are held to the ground, if there is one."""
+    if grounded is None:
+        return people
+    plane = people.shape.new_tensor([*grounded.ground.normal, grounded.ground.offset])
+    return replace(people, ground=plane, standing=people.shape.new_tensor(grounded.shares))
 
 
 def _refine(energy: SceneEnergy, people: SceneStarts, looks: Sequence[Looked], tell: Progress) -> _Refined:

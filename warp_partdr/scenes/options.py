@@ -19,6 +19,8 @@ class SceneOptions:
         smoothing: Standard deviation of the Gaussian by which starts, and all moves from there, are smooth in time
             [s]; 0 leaves frames to themselves.
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
+        ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
+            one camera start, too; 0 leaves it out.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
             for a z gradient (``mesh.gradient``).
         together: Side of the crop in which several people are drawn together [px].
@@ -30,6 +32,7 @@ class SceneOptions:
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.15
     apart: float = 0.1
+    ground: float = 0.1
     exchanges: bool = True
     together: int = 256
     window: int = 64
@@ -39,8 +42,9 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing < math.inf:
             raise ValueError(f"smoothing: {self.smoothing}; expected seconds, 0 or more")
-        if not 0 <= self.apart < math.inf:
-            raise ValueError(f"apart: {self.apart}; expected 0 or a positive number")
+        for name in ("apart", "ground"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: {getattr(self, name)}; expected 0 or a positive number")
         check_whole("together", self.together, 1, math.isqrt(MAX_PICTURE) - 1)
         check_whole("window", self.window, 1)
         check_whole("overlap", self.overlap, 0, self.window - 1)
@@ -48,8 +52,11 @@ class SceneOptions:
 
     @classmethod
     def film(cls) -> SceneOptions:
-        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve."""
-        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02))
+        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve.
+
+        They have no ground: people go up stairs, and what it gains in films is not measured.
+        """
+        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02), ground=0.0)
 
     def size_of(self, num_people: int) -> int:
         """Side of drawn crops [px]."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 
 from ..cameras import Perspective, check_square, is_rotation
@@ -14,6 +15,8 @@ from ..inputs.calibrated_camera import CalibratedCamera
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels
 from ..interop.checks import FLOATS, check_tensor
+
+_UNIT = 1e-4  # that the length of a normal may be off 1
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,32 @@ class PersonShape:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """Plane of the points x with normal x = offset.
+
+    Attributes:
+        normal: Up, of length 1, shape (3,), float64.
+        offset: From the origin along it [m].
+
+    Raises:
+        ValueError: If the normal is no direction, or the offset no number.
+    """
+
+    normal: np.ndarray
+    offset: float
+
+    def __post_init__(self) -> None:
+        if np.shape(self.normal) != (3,) or not abs(np.linalg.norm(self.normal) - 1) < _UNIT:
+            raise ValueError(f"normal: {self.normal}; expected 3 numbers of length 1")
+        if not math.isfinite(self.offset):
+            raise ValueError(f"offset: {self.offset}; expected a finite number [m]")
+
+    def heights(self, points: np.ndarray) -> np.ndarray:
+        """Of points (..., 3) over the plane [m], shape (...)."""
+        return points @ self.normal - self.offset
+
+
+@dataclass(frozen=True)
 class Scene:
     """People in frames seen by views.
 
@@ -96,6 +125,7 @@ class Scene:
             bridged.
         frame_rate: Frames a second.
         shapes: Of people who are known, by person; the others' are found.
+        ground: In the world, where it is known; else one is looked for under several people before one camera.
 
     Raises:
         InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, or labels differ
@@ -106,6 +136,7 @@ class Scene:
     sights: Sequence[Sight]
     frame_rate: float = 30.0
     shapes: Mapping[int, PersonShape] = field(default_factory=dict)
+    ground: Ground | None = None
 
     def __post_init__(self) -> None:
         check_each("views", self.views, View, "such as View(camera)")
@@ -130,6 +161,7 @@ class Scene:
             if not 0 <= person < self.num_people:
                 raise InputError(f"shapes: of person {person}; expected people 0 to {self.num_people - 1}")
             check_type(f"shapes[{person}]", shape, PersonShape, "of an earlier fit")
+        check_type("ground", self.ground, Ground | None, "such as Ground(np.array([0.0, -1.0, 0.0]), -1.6)")
         sets = [sight.parts.label_set for sight in self.sights if sight.parts is not None]
         if any(each != sets[0] for each in sets):
             raise InputError("sights: part labels of several sets; expected one")

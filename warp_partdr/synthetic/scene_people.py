@@ -28,7 +28,7 @@ from ..scenes.start import Looked, time_shares
 from . import people
 from .mocap import Clip
 from .noise import LEVELS, Level, noisy_keypoints, noisy_labels
-from .partbench_people import COCO, SEED, draw_phenotypes, pose_kind
+from .partbench_people import COCO, NUM_PEOPLE, SEED, draw_phenotypes, pose_kind
 from .pose_recipes import draw_pose
 from .poses import mean_body
 
@@ -42,7 +42,10 @@ _APART = 1.08  # ratio of the distances of two people in the wrong order
 _HIDDEN = (0.05, 0.6)  # share of the one behind that the other hides
 _ROUNDING = 1.5  # [frames], standard deviation over which places of motion capture are averaged
 _LASTS = 0.7  # correlation of a keypoint's noise from frame to frame
-_VIEWS, _PAIR, _CLIP = 19, 20, 21  # of the seeds
+_GROUP = (2, 5)  # people, fewest and most
+_NEXT, _DEEP, _LIFTED = (0.6, 1.0), 1.2, (0.1, 0.5)  # [m], of a group: from one to the next, in depth, of who jumps
+_JUMPS = 0.1  # share of them
+_VIEWS, _PAIR, _CLIP, _GROUPS = 19, 20, 21, 22  # of the seeds
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class SceneSample:
         scene: As it is seen, with noise.
         joints: LSP's 14 joints in the world [m], shape (P, T, 14, 3).
         vertices: Anny's in the world [m], shape (P, T, V, 3).
+        statures: Of people standing [m], shape (P,).
         parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
         source: Group whose figures are pooled.
         wrong_order: A fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
@@ -63,6 +67,7 @@ class SceneSample:
     scene: Scene
     joints: np.ndarray
     vertices: np.ndarray
+    statures: np.ndarray
     parts: np.ndarray
     source: str = ""
     wrong_order: bool = False
@@ -131,6 +136,22 @@ def make_pair(index: int, level: str = "realistic") -> SceneSample:
     name = f"people {index:03d}, {index + 1:03d}"
     sample = _see(name, [[one], [beyond]], [first, second], [view], LEVELS[level], rng)
     return replace(sample, wrong_order=index % 2 == 1)
+
+
+def make_group(index: int, level: str = "realistic") -> SceneSample:
+    """Two to five people on one ground, the first of them ``index``; one in ten jumps."""
+    rng = np.random.default_rng([SEED, index, _GROUPS])
+    count = _GROUP[0] + index % (_GROUP[1] - _GROUP[0] + 1)
+    people_there = [_draw_body((index + place) % NUM_PEOPLE) for place in range(count)]
+    beside = rng.permutation(np.cumsum(rng.uniform(*_NEXT, count)))
+    bodies = []
+    for (body, _), aside in zip(people_there, beside, strict=True):
+        up = rng.uniform(*_LIFTED) * (rng.random() < _JUMPS)
+        move = [aside, -up - float(body.vertices[..., 1].max()), rng.uniform(-_DEEP, _DEEP)]
+        bodies.append(body.moved(torch.tensor([move], dtype=torch.float32)))
+    view = _place_view(torch.cat([body.vertices for body in bodies]).numpy(), 0.0, rng)
+    name = f"{count} people from {index:03d}"
+    return _see(name, [[body] for body in bodies], [stature for _, stature in people_there], [view], LEVELS[level], rng)
 
 
 def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic") -> SceneSample:
@@ -233,4 +254,4 @@ def _see(
     truth = [torch.cat([model.landmarks(body, MPJPE_JOINTS) for body in each]).numpy() for each in bodies]
     every = [torch.cat([body.vertices for body in each]).numpy() for each in bodies]
     scene = Scene(tuple(views), tuple(sights), frame_rate)
-    return SceneSample(name, scene, np.stack(truth), np.stack(every), np.stack(pictures))
+    return SceneSample(name, scene, np.stack(truth), np.stack(every), np.array(statures), np.stack(pictures))

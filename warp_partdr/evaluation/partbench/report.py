@@ -44,6 +44,7 @@ ORDER = (
     ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, PartDR's rule"),
     ("scene", "each alone"),
+    ("scene", "scene, no ground"),
     ("scene", "scene, no exchanges"),
     ("scene, z gradient, no exchanges", "scene, no z gradient, no exchanges"),
     *(("scene", name) for name in SMOOTHED),
@@ -54,6 +55,8 @@ _GAINS = (  # figure, field of ``Score``, factor, unit
     ("world MPJPE", "world_mpjpe", 1, "mm"),
     ("acceleration", "acceleration", 1, "mm/frame²"),
     ("depth order right", "order", 100, "%"),
+    ("depth between people", "depth_between", 1, "mm"),
+    ("stature", "stature", 1, "mm"),
 )
 _TRUE, _FITTED = (20, 70, 140), (200, 60, 20)
 _STYLE = "body{font:15px sans-serif;margin:2em;max-width:1500px}pre{font-size:12px;line-height:1.15}img{display:block}"

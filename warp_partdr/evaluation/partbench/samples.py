@@ -24,7 +24,7 @@ LABELS = label_set("cdcl14")
 NEAR, FAR, TILTED, CLOTHED = SETTINGS = ("near", "far", "tilted", "clothed")
 TURNED = "turned"  # level of "realistic" people in pictures that are turned
 CROSSED = "crossed"  # level of ``crossed_samples``
-PAIRS, CLIP, VIEWS = SCENES = ("pairs", "clip", "views")  # levels of ``partbench_scenes``
+PAIRS, GROUPS, CLIP, VIEWS = SCENES = ("pairs", "groups", "clip", "views")  # levels of ``partbench_scenes``
 _OVERLAP = (0.1, 0.3)  # of the person's width that a stranger stands before
 
 

@@ -17,10 +17,10 @@ from ...scenes.start import look_at
 from ...synthetic.mocap import Clip
 from ...synthetic.mocap_files import FRAME_RATE, held_out_windows
 from ...synthetic.partbench_people import NUM_PEOPLE
-from ...synthetic.scene_people import SceneSample, in_wrong_order, make_clip, make_pair, make_views
+from ...synthetic.scene_people import SceneSample, in_wrong_order, make_clip, make_group, make_pair, make_views
 from ..scene_scoring import SceneBodies, score_scene
 from ..scoring import Score
-from .samples import CLIP, PAIRS, SCENES, VIEWS, check_people, source_name
+from .samples import CLIP, GROUPS, PAIRS, SCENES, VIEWS, check_people, source_name
 
 CAMERAS = (2, 4)  # of the level "views"
 _SECONDS = 2.0  # of a clip
@@ -36,7 +36,7 @@ def partbench_scenes(
     """Scenes of these people at each level, at the noise of "realistic".
 
     Args:
-        indices: Whom; of a clip, whose shape, of "pairs", the first of two.
+        indices: Whom; of a clip, whose shape, of "pairs" and "groups", the first of them.
         levels: Of ``SCENES``.
         mocap: The folder of motion capture (``synthetic.mocap_files``) that "clip" needs.
 
@@ -48,6 +48,8 @@ def partbench_scenes(
     for level in levels:
         if level == PAIRS:
             samples += [replace(make_pair(index), source=source_name(PAIRS)) for index in indices]
+        elif level == GROUPS:
+            samples += [replace(make_group(index), source=source_name(GROUPS)) for index in indices]
         elif level == VIEWS:
             samples += [
                 replace(make_views(index, count), source=source_name(f"{VIEWS}, {count} cameras"))
@@ -130,7 +132,8 @@ _FRAMES_ALONE = replace(SceneOptions.film(), smoothing=0.0)  # but with one shap
 _NO_EXCHANGES = SceneOptions(mesh=_PARTDR, exchanges=False)
 SCENE_METHODS: dict[str, SceneMethod] = {
     "scene": SceneMethod(fit_all_together),
-    "each alone": SceneMethod(fit_each_alone, (PAIRS,)),
+    "each alone": SceneMethod(fit_each_alone, (PAIRS, GROUPS)),
+    "scene, no ground": SceneMethod(partial(fit_all_together, options=SceneOptions(ground=0.0)), (PAIRS, GROUPS)),
     "scene, no exchanges": SceneMethod(partial(fit_all_together, options=SceneOptions(exchanges=False)), (PAIRS,)),
     "scene, z gradient, no exchanges": SceneMethod(partial(fit_all_together, options=_NO_EXCHANGES), (PAIRS,)),
     "scene, no z gradient, no exchanges": SceneMethod(

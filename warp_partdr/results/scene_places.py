@@ -1,0 +1,65 @@
+"""Where the people of a photo stand: one camera, one ground, and sizes that agree with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..cameras import Camera, Perspective
+from ..fit.mesh_stage import MeshFit
+from ..inputs.keypoints import Keypoints2D
+from ..scenes.ground import STANDING_LANDMARKS, Standing, feet_seen, find_ground
+
+
+@dataclass(frozen=True)
+class ScenePlace:
+    """Place of a body in a scene of all.
+
+    Attributes:
+        offset: To be added to the body's points [m], shape (3,).
+        scale: By which they grow about the camera afterwards, so that all stand on one ground.
+        distance: From the camera, grown [m].
+    """
+
+    offset: np.ndarray
+    scale: float
+    distance: float
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the body in the scene [m]."""
+        return (points + self.offset) * self.scale
+
+
+def place_on_ground(
+    fits: Sequence[MeshFit], keypoints: Sequence[Keypoints2D], size: tuple[int, int]
+) -> list[ScenePlace]:
+    """Places of people of a picture of (H, W) pixels; of somebody alone, as far as the size says.
+
+    Without a known camera, one whose focal length is the picture's diagonal.
+    """
+    offsets = [_offset(fit, size) for fit in fits]
+    sizes = np.zeros(len(fits))
+    if len(fits) > 1:
+        marked = [fit.landmarks(STANDING_LANDMARKS) + move for fit, move in zip(fits, offsets, strict=True)]
+        seen = [feet_seen(each) for each in keypoints]
+        bodies = Standing.of(np.array(marked, dtype=np.float64), np.array(seen), np.arange(len(fits)))
+        sizes = find_ground(bodies, np.array([0.0, -1.0, 0.0])).sizes
+    places = []
+    for fit, offset, scale in zip(fits, offsets, np.exp(sizes).tolist(), strict=True):
+        away = fit.ellipbody.posed.joints[0, 0, 2] if isinstance(fit.camera, Perspective) else offset[2]
+        places.append(ScenePlace(offset, scale, float(away) * scale))
+    return places
+
+
+def _offset(fit: MeshFit, size: tuple[int, int]) -> np.ndarray:
+    """Offset that brings a body before its camera, shape (3,) [m]."""
+    camera: Camera = fit.camera
+    if isinstance(camera, Perspective):
+        return np.zeros(3)
+    focal = camera.scale.new_full((1,), float(np.hypot(*size)))
+    middle = torch.tensor([[size[1] / 2, size[0] / 2]]).to(camera.scale)
+    offset: np.ndarray = camera.to_perspective(focal, middle)[1][0].detach().cpu().numpy()
+    return offset
