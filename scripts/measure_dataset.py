@@ -1,11 +1,11 @@
 """Measure and print that ``partdr dataset`` loses nobody and repeats nobody, however it is ended; and how fast it is.
 
-    python scripts/measure_dataset.py FOLDER [PEOPLE] [KILLS] [SHARD]
+    python scripts/measure_dataset.py FOLDER [PEOPLE] [KILLS] [SHARD] [SETTING=VALUE ...]
 
 PartBench's people, 40 of them under PEOPLE names (default 1000), go into tar files in FOLDER with keypoints and labels;
 two in a hundred are broken, and the last file is cut off. A run on a disk that is too small is followed by KILLS that
 are killed at random times (default 5; the first while it starts), and by one that ends. Then rows are counted. The
-small disk is a tmpfs where that may be mounted, else a limit on the size of files.
+small disk is a tmpfs where that may be mounted, else a limit on the size of files. Settings are of ``partdr dataset``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import sys
 import tarfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -36,15 +36,17 @@ DISTINCT, IN_A_TAR, BROKEN_EVERY = 40, 10_000, 100
 SMALL, LARGE = "96k", "2g"  # of the disk
 
 
-def main(folder: str, people: str = "1000", kills: str = "5", shard: str = "500") -> None:
-    found = measure(Path(folder), int(people), int(kills), int(shard))
+def main(folder: str, people: str = "1000", kills: str = "5", shard: str = "500", *settings: str) -> None:
+    found = measure(Path(folder), int(people), int(kills), int(shard), settings=settings)
     for name, value in found.items():
         print(f"{name}: {value}")
     if found["lost"] or found["twice"] or found["strange errors"] or found["made again"]:
         sys.exit("not as it should be")
 
 
-def measure(folder: Path, people: int, kills: int, shard: int, distinct: int = DISTINCT) -> dict[str, Any]:
+def measure(
+    folder: Path, people: int, kills: int, shard: int, distinct: int = DISTINCT, settings: Sequence[str] = ()
+) -> dict[str, Any]:
     """Numbers of what was asked for and of what was found."""
     names, broken = write_source(folder / "shards", people, distinct)
     out, rng = folder / "out", random.Random(0)
@@ -52,6 +54,7 @@ def measure(folder: Path, people: int, kills: int, shard: int, distinct: int = D
     seconds_of_a_shard = shard / 30  # on two cores, about
     line = [sys.executable, "-m", "warp_partdr", "dataset", str(folder / "shards"), "--labels", "ellipbody20"]
     line += ["--quality", "network", "--device", "cpu", "--shard", str(shard), "--out", str(out)]
+    line += [word for setting in settings for word in ("--set", setting)]
     started = time.monotonic()
     with small_disk(out) as grow:
         full = subprocess.run(line, capture_output=True, text=True, **grow.limits)
