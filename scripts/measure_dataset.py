@@ -1,11 +1,11 @@
 """Measure and print that ``partdr dataset`` loses nobody and repeats nobody, however it is ended; and how fast it is.
 
-    python scripts/measure_dataset.py FOLDER [PEOPLE] [KILLS] [SHARD] [SETTING ...]
+    python scripts/measure_dataset.py FOLDER [PEOPLE] [KILLS] [SHARD] [SETTING=VALUE ...]
 
 PartBench's people, 40 of them under PEOPLE names (default 1000), go into tar files in FOLDER with keypoints and labels;
 two in a hundred are broken, and the last file is cut off. A run on a disk that is too small is followed by KILLS that
 are killed at random times (default 5; the first while it starts), and by one that ends. Then rows are counted. The
-small disk is a tmpfs where that may be mounted, else a limit on the size of files. A SETTING is one of --set.
+small disk is a tmpfs where that may be mounted, else a limit on the size of files. Settings are of ``partdr dataset``.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from warp_partdr.clothing.anny import anny
 from warp_partdr.errors import InputError
 from warp_partdr.fit.photo import fit_photo
 from warp_partdr.inputs.part_labels import read_photo
+from warp_partdr.interop import precision
 
 pa = pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
@@ -90,9 +91,9 @@ def test_every_picture_has_its_rows(run: Run) -> None:
 
 
 def test_rows_are_those_of_single_fits(run: Run) -> None:
-    """With the mesh stage, in a batch as alone."""
+    """With the mesh stage, in a batch as alone; in float32, as single fits are."""
     write_folder(Path("photos"))
-    assert run(f"{FOLDER} --out out --quality mesh --batch 2")[0] == 0
+    assert run(f"{FOLDER} --out out --quality mesh --batch 2 --set half=false")[0] == 0
     table = pq.read_table("out")
     table = table.filter(table["person"].is_valid())
     alone = fit_photo(read_photo("photos/more/two.png")).fits
@@ -116,6 +117,26 @@ def test_settings_change_the_fits_and_are_remembered(run: Run) -> None:
     code, _, complaint = run(f"{FOLDER} --out alone --quality network")
     assert code != 0
     assert "settings" in complaint
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_bfloat16_is_taken_where_it_is_quick_and_told(quick: bool, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_folder(Path("photos"))
+    monkeypatch.setattr(precision, "multiplies_bfloat16", lambda device: quick)
+    told = {}
+    for name, setting in (("out", ""), ("true", "--set half=true"), ("false", "--set half=false")):
+        assert run(f"{FOLDER} --out {name} --quality network {setting}")[0] == 0
+        told[name] = json.loads(pq.read_schema(f"{name}/{parts(name)[0]}").metadata[b"warp-partdr"])["options"]
+    assert (told["true"]["half"], told["false"]["half"]) == (True, False)
+    assert told["out"] == told[str(quick).lower()]
+    joints = {name: arrays(pq.read_table(name), "joints") for name in told}
+    np.testing.assert_array_equal(joints["out"], joints[str(quick).lower()])
+    assert 0 < np.abs(joints["true"] - joints["false"]).max() < 0.02
+    monkeypatch.setattr(precision, "multiplies_bfloat16", lambda device: not quick)
+    code, _, complaint = run(f"{FOLDER} --out out --quality network")  # as of another machine
+    assert code == 2
+    assert f"made with half {quick}, not {not quick}; expected the same options" in complaint
+    assert "nothing to do" in run(f"{FOLDER} --out out --quality network --set half={str(quick).lower()}")[1]
 
 
 def test_annotations_are_taken(run: Run) -> None:

@@ -11,14 +11,14 @@ import pytest
 from PIL import Image
 from scenes.files import EXAMPLE
 
-from warp_partdr.body.labels import BACKGROUND, IGNORE, label_set
+from warp_partdr.body.labels import BACKGROUND, IGNORE, LabelSet, label_set
 from warp_partdr.body.landmarks import mirror_name
 from warp_partdr.cameras import Crop
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.result import FitResult
-from warp_partdr.inputs.agreement import Agreement, compare_sides, disagreement
+from warp_partdr.inputs.agreement import Agreement, compare_sides, disagreement, glance
 from warp_partdr.inputs.evidence import WINDOW_SIDE, Evidence, weigh_evidence
 from warp_partdr.inputs.ignored_labels import ignore_stray_labels
 from warp_partdr.inputs.keypoint_files import read_keypoints
@@ -86,6 +86,14 @@ def with_blob() -> tuple[np.ndarray, np.ndarray]:
     """The example's group ids with "torso" over the left leg, and where that is."""
     mask = over_leg(example(), "left")
     return painted(example()[1], mask, group("torso")).groups, mask
+
+
+def ignored(groups: np.ndarray, keypoints: Keypoints2D) -> tuple[np.ndarray, set[str]]:
+    return ignore_stray_labels(groups, keypoints, CDCL, glance(groups, keypoints, CDCL))
+
+
+def measured(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> float:
+    return disagreement(compare_sides(groups, keypoints, labels), glance(groups, keypoints, labels))
 
 
 def part_f1(result: FitResult, person: Person) -> float:
@@ -192,11 +200,11 @@ def test_the_wrong_one_is_mended_whichever_it_is(start: str) -> None:
 def test_a_blob_far_from_its_bones_is_ignored_and_the_part_itself_is_not() -> None:
     keypoints, parts = example()
     groups, mask = with_blob()
-    cleaned, names = ignore_stray_labels(groups, keypoints, CDCL)
+    cleaned, names = ignored(groups, keypoints)
     assert names == {"torso"}
     assert (cleaned[mask] == IGNORE).mean() > 0.9
     assert (cleaned[~mask] == parts.groups[~mask]).all()
-    cleaned, names = ignore_stray_labels(parts.groups, keypoints, CDCL)  # where nothing is wrong
+    cleaned, names = ignored(parts.groups, keypoints)  # where nothing is wrong
     assert names == set()
     np.testing.assert_array_equal(cleaned, parts.groups)
 
@@ -207,9 +215,9 @@ def test_no_blob_of_a_part_whose_keypoints_are_missing_or_in_doubt() -> None:
     for joint in ("left_hip", "right_shoulder"):
         confidence = keypoints.confidence.copy()
         confidence[keypoints.format.landmarks.index(joint)] = 0.1
-        assert ignore_stray_labels(groups, replace(keypoints, confidence=confidence), CDCL)[1] == set()
+        assert ignored(groups, replace(keypoints, confidence=confidence))[1] == set()
     groups[~mask & (parts.groups == group("torso"))] = BACKGROUND  # all of the part is elsewhere
-    assert ignore_stray_labels(groups, keypoints, CDCL)[1] == set()
+    assert ignored(groups, keypoints)[1] == set()
 
 
 # --- Other ids -------------------------------------------------------------------------------------------------------
@@ -221,7 +229,7 @@ def test_labels_of_another_set_are_told() -> None:
     for name in ("sapiens28", "atr18"):
         other = label_set(name)
         contrary = PartLabels(other, other.to_groups(ids))
-        assert disagreement(select_person(contrary.groups, keypoints), keypoints, other) > 1.0
+        assert measured(select_person(contrary.groups, keypoints), keypoints, other) > 1.0
         assert any(f"are these ids of {name}?" in text for text in weigh_evidence(keypoints, contrary)[0].warnings)
 
 
@@ -229,7 +237,7 @@ def test_people_with_noise_are_not_told_that_their_labels_are_others() -> None:
     for index in range(20):
         sample = make_sample(index, "realistic")
         selected = select_person(sample.parts.groups, sample.keypoints, sample.others)
-        assert disagreement(selected, sample.keypoints, CDCL) < 0.9
+        assert measured(selected, sample.keypoints, CDCL) < 0.9
 
 
 def test_an_implausible_end_is_told() -> None:

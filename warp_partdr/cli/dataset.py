@@ -51,8 +51,10 @@ keypoints and masks are taken then. Beside 7.jpg, also in tar files, may lie 7.k
 says what its ids mean). People without keypoints are found, as by `partdr fit photo.jpg`.
 
 **How far**, --quality: network (what `partdr predict` says), fast (ellipsoids refined), or mesh (the detailed body of
-`partdr fit`, too). `--set mirror=false`, `--set half=true` make the network faster, `--set mesh.iterations=30` the mesh
-stage. Nobody gets a search: where the body ends far from what was seen, the column warnings says so.
+`partdr fit`, too). `--set mirror=false` makes the network faster, `--set mesh.iterations=30` the mesh stage. Without
+`--set half=false` or true, it is asked in bfloat16 where the device multiplies that, but for --ray; the metadata says
+which, and machines that share a data set have to agree. Nobody gets a search: where the body ends far from what was
+seen, the column warnings says so.
 
 **Results**: part-00000-of-00010.parquet, ..., each with the people of so many pictures (--shard), whole or not there.
 The same command again makes those that are missing, so a run may be killed at any time; options that differ are
@@ -93,8 +95,8 @@ class BulkOptions(SettingOptions):
         files = {name: path and path.absolute() for name in ("network", "config") for path in [getattr(self, name)]}
         return replace(self, model=model, **files)
 
-    def fit_options(self) -> FitOptions:
-        """Options of the fits: the quality's, with the settings."""
+    def fit_options(self, *, half: bool) -> FitOptions:
+        """Options of the fits: the quality's, with the settings; ``half`` where these don't say it."""
         from ..bulk.people import BulkQuality, stages_of_quality
         from ..fit.settings import MESH, change_options
         from ..fit.stages import OUTLINE
@@ -107,12 +109,13 @@ class BulkOptions(SettingOptions):
         if OUTLINE in values:
             raise InputError(f"{OUTLINE}: settings of a stage that no quality of a data set has; expected none")
         quality: BulkQuality = self.quality.value  # type: ignore[assignment]  # its names
-        return change_options(stages_of_quality(quality), values)
+        return change_options(replace(stages_of_quality(quality), half=half), values)
 
-    def record(self, view: CameraOptions, source: PictureSource) -> dict[str, Any]:
+    def record(self, view: CameraOptions, source: PictureSource, *, half: bool) -> dict[str, Any]:
         """All that rows depend on but the pictures, as shards state it."""
         check_score("--min-score", self.min_score)
-        self.fit_options()  # whether they can be read
+        options = self.fit_options(half=half)
+        settings = {name: value for name, value in self.read().items() if name != "half"}
         model = _sha256(Path(self.model)) if Path(self.model).is_file() else self.model
         return {
             "version": __version__,
@@ -121,7 +124,8 @@ class BulkOptions(SettingOptions):
             "min_score": self.min_score if source.finds else None,
             "network": None if self.network is None else _sha256(self.network),
             "model": model if self.quality == "mesh" else None,
-            **({"settings": values} if (values := self.read()) else {}),
+            "half": options.half,
+            **({"settings": settings} if settings else {}),
             **{name: getattr(view, name) for name in ("focal", "fov", "principal")},
         }
 
@@ -167,6 +171,7 @@ class FitterSetup:
     view: CameraOptions
     batch: int | None
     device: str
+    half: bool
 
     def model(self) -> DetailedModel | None:
         """The detailed model, if there is to be one."""
@@ -179,7 +184,7 @@ class FitterSetup:
 
         detailed = detailed or self.model()
         fitter = PeopleFitter(
-            self.how.fit_options(),
+            self.how.fit_options(half=self.half),
             load_label_network(self.how.network, device=self.device),
             detailed,
             self.device,
@@ -223,12 +228,14 @@ def dataset(
     from ..bulk.opening import open_source
     from ..bulk.shards import Shards
     from ..interop.devices import choose_device
+    from ..interop.precision import multiplies_bfloat16
     from ..results.result_sets import check_folder
 
     source = open_source(pictures, images, labels)
     where = choose_device(device) if cluster.ray is None else device
+    half = cluster.ray is None and multiplies_bfloat16(where)  # machines of a cluster may differ, its rows may not
     check_folder(out)
-    shards = Shards(out, source.names, parts.shard, how.record(view, source))
+    shards = Shards(out, source.names, parts.shard, how.record(view, source, half=half))
     done = shards.done()
     todo = [index for index in parts.mine(shards.count) if index not in done]
     if not todo:
@@ -241,7 +248,7 @@ def dataset(
             room = stack.enter_context(connected_cluster(cluster.ray))
             where = ("cuda" if room.get("GPU") else "cpu") if device == "auto" else device
         work = _Work(source, replace(shards, about=_versions(where) | {"skeleton": source.skeleton}), todo, len(done))
-        work.run(FitterSetup(how, view, batch, where), cluster)
+        work.run(FitterSetup(how, view, batch, where, half), cluster)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import NamedTuple
 
@@ -84,23 +84,24 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
         if own in (BACKGROUND, mirrored):
             continue
         shown = labels_along(groups, start, end, samples=_SAMPLES, margin=_JOINT)
-        other = ~np.isin(shown, (own, mirrored, BACKGROUND, IGNORE))
         limb = next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)
-        counts[limb] += [(shown == own).sum(), (shown == mirrored).sum(), other.sum()]
+        on_own, on_mirrored = shown == own, shown == mirrored
+        other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
+        counts[limb] += [np.count_nonzero(each) for each in (on_own, on_mirrored, other)]
     return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
 
 
-def disagreement(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> float:
-    """Measure of disagreement between labels and keypoints, regardless of sides.
+def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -> float:
+    """Measure of disagreement between labels and keypoints, regardless of sides, from ``compare_sides`` and ``glance``.
 
     The share of the limbs' bones that run over other parts' labels, plus four times the share of labels that lie far
     from any bone of their part. At most 0.87 for 120 people of PartBench, "realistic" and "hard"; their labels read as
     Sapiens' or ATR's have at least 1.3.
     """
-    sides = compare_sides(groups, keypoints, labels).values()
+    sides = compared.values()
     other = sum(each.other for each in sides)
     bones = sum(each.own + each.mirrored + each.other for each in sides)
-    distances = [each.distances for each in distances_beyond(groups, keypoints, labels, stride=coarse(groups))]
+    distances = [each.distances for each in glances]
     known = sum(len(each) for each in distances)
     far = sum(np.count_nonzero(each > _FAR) for each in distances)
     return (other / bones if bones >= 2 * _FEWEST else 0.0) + 4 * far / max(known, 1)
@@ -170,6 +171,11 @@ def coarse(groups: np.ndarray) -> int:
     return max(math.ceil(max(groups.shape) / _COARSE), 1)
 
 
+def glance(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> list[Beyond]:
+    """Distances (``distances_beyond``) at the stride of ``coarse``."""
+    return list(distances_beyond(groups, keypoints, labels, stride=coarse(groups)))
+
+
 def distances_beyond(
     groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, *, stride: int = 1, only: int | None = None
 ) -> Iterator[Beyond]:
@@ -183,9 +189,8 @@ def distances_beyond(
     shown = thin[rows, columns]
     rows, columns = rows * stride, columns * stride
     for group, name in enumerate(labels.group_names, 1):
-        segments = _group_segments(name, labels, points)
         mine = np.flatnonzero(shown == group)
-        if mine.size and segments is not None:
+        if mine.size and (segments := _group_segments(name, labels, points)) is not None:
             x, y = columns[mine] + 0.5, rows[mine] + 0.5
             nearest = np.full(x.shape, np.inf)
             for (x0, y0), (x1, y1), radius in segments:

@@ -12,7 +12,7 @@ from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name, mirror_order, without_side
 from ..cameras import Crop
 from ..errors import InputError, check_each, check_type
-from .agreement import LIMBS, compare_sides, disagreement
+from .agreement import LIMBS, compare_sides, disagreement, glance
 from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
@@ -108,12 +108,15 @@ def weigh_evidence(
     mine = crop_keypoints(keypoints, box, window.size)
     groups = crop_nearest(parts.groups, box, window.size)
     groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
-    groups, names = ignore_stray_labels(groups, mine, labels)
+    glances = glance(groups, mine, labels)
+    groups, names = ignore_stray_labels(groups, mine, labels, glances)
     warnings = [f"labels: {_join(sorted(names))} also far from any such bone; ignored there"] if names else []
-    if len(names) >= _MANY or disagreement(groups, mine, labels) > MOST_DISAGREEMENT:
+    if names:
+        glances = glance(groups, mine, labels)
+    agreements = compare_sides(groups, mine, labels)
+    if len(names) >= _MANY or disagreement(agreements, glances) > MOST_DISAGREEMENT:
         warnings.append(f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?")
     seen = Evidence(keypoints, parts, window, groups, tuple(warnings))
-    agreements = compare_sides(groups, mine, labels)
     if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
         return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
     return [seen]

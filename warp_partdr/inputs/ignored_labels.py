@@ -7,11 +7,13 @@ label they have, would pull limbs away, and F1 of the foreground hides it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import MEAN_STATURE, PART_NAMES, SHAPE_INDICES, template
-from .agreement import coarse, distances_beyond, labels_along, limb_bones
+from .agreement import Beyond, coarse, distances_beyond, labels_along, limb_bones
 from .keypoints import Keypoints2D, person_height
 from .person import connected, lower_near
 
@@ -24,27 +26,28 @@ _SAMPLES = 64  # points along a bone
 _MARGIN = 0.01  # of the person's height: about how far keypoints are off
 
 
-def ignore_stray_labels(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> tuple[np.ndarray, set[str]]:
+def ignore_stray_labels(
+    groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet, glances: Iterable[Beyond]
+) -> tuple[np.ndarray, set[str]]:
     """Turn blobs of labels far from any bone of their part, or of its mirror image, into 255; names their groups, too.
 
     A whole connected blob is turned, up to the part's flesh. A label whose part has no confident keypoints stays, and
     so does one that is mostly elsewhere than its keypoints. ``groups``, shape (H, W), here and below, hold this
-    person's ids alone (``select_person``).
+    person's ids alone (``select_person``); ``glances`` are of them (``glance``).
     """
     cleaned, names = groups.copy(), set()
-    stride = coarse(groups)
-    thin = groups[::stride, ::stride]
+    thin = groups[:: coarse(groups), :: coarse(groups)]
     least = max(_LEAST * np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE)), 1.0)
-    for glance in distances_beyond(groups, keypoints, labels, stride=stride):
-        far = np.count_nonzero(glance.distances > _FAR)
-        if far < least or np.count_nonzero(glance.distances <= 0.0) < _CONFIRMED * far:
+    for seen in glances:
+        far = np.count_nonzero(seen.distances > _FAR)
+        if far < least or np.count_nonzero(seen.distances <= 0.0) < _CONFIRMED * far:
             continue
-        for each in distances_beyond(groups, keypoints, labels, only=glance.group):
+        for each in distances_beyond(groups, keypoints, labels, only=seen.group):
             blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
             blob[each.rows, each.columns] = each.distances > 0.0
             seeds[each.rows, each.columns] = each.distances > _FAR
             cleaned[connected(blob, seeds)] = IGNORE
-        names.add(glance.name)
+        names.add(seen.name)
     return cleaned, names
 
 

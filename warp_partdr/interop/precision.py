@@ -1,4 +1,4 @@
-"""Rounding of float32 products and convolutions on CUDA."""
+"""Rounding of float32 products and convolutions on CUDA, and where bfloat16 is quick."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from typing import Literal
 
 import torch
+
+_CPU_CHECKS = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
 
 
 @contextmanager
@@ -29,3 +31,13 @@ def exact_convolutions() -> Iterator[None]:
         yield
     finally:
         torch.backends.cudnn.allow_tf32 = before
+
+
+def multiplies_bfloat16(device: str) -> bool:
+    """True if a device multiplies bfloat16 in hardware: CUDA from capability 8.0 on, CPUs with AVX512-BF16 or AMX.
+
+    On others it is emulated, and slower than float32. Torch has no public name for what a CPU can do.
+    """
+    if device == "cpu":
+        return any(getattr(torch.cpu, name, bool)() for name in _CPU_CHECKS)
+    return torch.version.cuda is not None and torch.cuda.get_device_capability(device) >= (8, 0)

@@ -149,7 +149,8 @@ class LabelNetwork(nn.Module):
         """Features that bodies are made of, (B, F); arguments as of ``forward``."""
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
-        seen = self.stages(torch.cat([coarse, heatmaps.to(coarse.dtype)], dim=1))
+        heatmaps = heatmaps.to(coarse.dtype, memory_format=torch.channels_last)  # else what is joined is not
+        seen = self.stages(torch.cat([coarse, heatmaps], dim=1))
         points = self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))
         return torch.cat([seen, points.to(seen)], dim=1)
 

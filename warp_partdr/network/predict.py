@@ -30,9 +30,7 @@ def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor
 
 def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
     """Shares of all, those with labels of one set and size at a time: one by one, launches would take long."""
-    device = seen[0].points.device
-    shares = torch.zeros(len(seen), NUM_CHANNELS, size, size, device=device)
-    shares = shares.contiguous(memory_format=torch.channels_last)
+    shares: torch.Tensor | None = None
     alike: dict[Hashable, list[int]] = {}
     for row, each in enumerate(seen):
         labels = None if each.label_set is None else each.labels
@@ -40,14 +38,17 @@ def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
         alike.setdefault(None if labels is None else (id(each.label_set), labels.shape, soft), []).append(row)
     for key, rows in alike.items():
         some = [seen[row] for row in rows]
-        found = shares.new_zeros(1, NUM_CHANNELS, 1, 1)
         if key is None:
+            found = torch.zeros(1, NUM_CHANNELS, 1, 1, device=seen[0].points.device)
             found[:, -1] = 1.0
         else:
             found = _shares_of(some, size)
         if len(rows) == len(seen):
-            return found.expand_as(shares)
-        shares[torch.tensor(rows).to(device)] = found
+            return found.expand(len(seen), -1, size, size)
+        if shares is None:
+            shares = found.new_empty(len(seen), size, size, NUM_CHANNELS).permute(0, 3, 1, 2)
+        shares[torch.tensor(rows).to(shares.device)] = found
+    assert shares is not None
     return shares
 
 
