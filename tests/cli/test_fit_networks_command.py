@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scenes import commands
-from scenes.checkpoints import class_names, knowing_vitpose, tiny_segformer
+from scenes.checkpoints import class_names, knowing_vitpose, tiny_detector, tiny_segformer
 from scenes.commands import EVERY_FILE, Run
 from scenes.files import EXAMPLE
 from scenes.films import write_film
@@ -63,6 +63,22 @@ def test_both_networks_from_folders(run: Run, files: Path, networks: Path) -> No
     truth = read_keypoints(EXAMPLE / "keypoints.json")[0]
     seen = np.array(told["keypoints"])
     assert np.median(np.linalg.norm(seen[:, :2] - truth.points, axis=1)) < 20  # cells are 39 pixels wide
+
+
+def test_boxes_from_a_folder(run: Run, files: Path, networks: Path) -> None:
+    """A detector that sees nobody leaves nobody to fit; one that sees the person leads to as good a fit."""
+    shutil.copy(EXAMPLE / "photo.png", "whole.png")
+    tiny_detector("yolos", Path("yolos"), {0: "person"})
+    line = f"fit whole.png --keypoints-from {networks}/vitpose+yolos --out out --device cpu"
+    code, said, complaint = run(f"{line} --set min_score=0.99")
+    assert code == 2
+    assert complaint.splitlines()[-1].startswith("partdr: whole.png: nobody found")
+    assert [each.split(":")[0] for each in said.splitlines()] == [
+        "boxes from yolos",
+        f"keypoints from {networks}/vitpose",
+    ]
+    assert run(f"{line} --set min_score=0")[0] == 0
+    assert json.loads(Path("out", "people.json").read_text())["people"]
 
 
 FILM = "--device cpu --set mesh.iterations=3"
@@ -123,11 +139,16 @@ def test_films_of_cameras_are_seen_by_networks(run: Run, film: Path, networks: P
 
 
 def test_a_network_s_fault_in_a_film_is_none_of_the_film(run: Run, film: Path, networks: Path) -> None:
+    detector = tiny_detector("yolos", Path("yolos"), {0: "person"})
     for line, words in (
         ("fit stand.mp4 --labels lip20", "--labels: lip20, without --parts-from; expected both"),
         ("fit stand.mp4 --format coco17", "--format: coco17, without --keypoints-from"),
         ("fit stand.mp4 --parts-from nowhere/net", "nowhere/net: no such folder"),
         (f"fit stand.mp4 --parts-from {networks}/segformer --labels lip20", "lip20, of 20 classes"),
+        (
+            f"fit stand.mp4 --keypoints-from {networks}/vitpose+{detector}",
+            "yolos, for a film, whose people the packaged",
+        ),
         ("scene stand.mp4 --cameras rig.json --labels lip20", "--labels: lip20, without --parts-from"),
     ):
         code, said, complaint = run(f"{line} --out out --device cpu")
@@ -164,6 +185,8 @@ def test_a_network_s_fault_in_a_film_is_none_of_the_film(run: Run, film: Path, n
             ["--parts-from: NET, with --keypoints; expected a photo alone"],
         ),
         ("photo.png --keypoints k.json --keypoints-from NET", ["--keypoints-from: NET, with --keypoints"]),
+        ("photo.png --keypoints-from VIT+SEG", ["segformer: a segformer; expected a network of object detection"]),
+        ("photo.png --keypoints-from VIT+", ["vitpose+: a + without two names"]),
         ("--parts-from SEG", ["PHOTO: missing"]),
     ],
 )

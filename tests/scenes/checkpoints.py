@@ -20,9 +20,9 @@ def class_names(label_set: str) -> dict[int, str]:
     return {source: labels.class_names.get(source, labels.ids[source]) for source in labels.channel_ids}
 
 
-def save(model: Any, folder: Path, size: tuple[int, int], **settings: Any) -> Path:
+def save(model: Any, folder: Path, size_px: tuple[int, int], **settings: Any) -> Path:
     model.save_pretrained(folder)
-    sides = {"height": size[0], "width": size[1]}
+    sides = settings.pop("size", {"height": size_px[0], "width": size_px[1]})
     (folder / "preprocessor_config.json").write_text(json.dumps({"size": sides, **COLOURS, **settings}))
     return folder
 
@@ -71,3 +71,48 @@ def knowing_vitpose(folder: Path, cells: Sequence[tuple[int, int]], *, experts: 
         for keypoint, (row, column) in enumerate(cells):
             model.head.conv.weight[keypoint, 12 * row + column, 1, 1] = 1 / count**0.5
     return save(model, folder, (256, 192))
+
+
+def tiny_detector(kind: str, folder: Path, classes: Mapping[int, str]) -> Path:
+    """Detector of ``transformers`` with random weights: rt_detr, rt_detr_v2, detr, conditional_detr or yolos."""
+    import transformers
+
+    torch.manual_seed(0)
+    sides: dict[str, Any] = {"height": 64, "width": 64}
+    small: dict[str, Any] = {"id2label": dict(classes), "num_queries": 5, "d_model": 16, "decoder_layers": 2}
+    heads: dict[str, Any] = {"encoder_attention_heads": 2, "decoder_attention_heads": 2, "encoder_ffn_dim": 16}
+    heads |= {"decoder_ffn_dim": 16, "encoder_layers": 1}
+    if kind.startswith("rt_detr"):
+        name = "RTDetrV2" if kind == "rt_detr_v2" else "RTDetr"
+        backbone = transformers.RTDetrResNetConfig(
+            embedding_size=8, hidden_sizes=[8, 8, 8, 8], depths=[1, 1, 1, 1], layer_type="basic",
+            out_features=["stage2", "stage3", "stage4"],
+        )  # fmt: skip
+        config = getattr(transformers, f"{name}Config")(
+            backbone_config=backbone, encoder_in_channels=[8, 8, 8], feat_strides=[8, 16, 32], encoder_hidden_dim=16,
+            decoder_in_channels=[16, 16, 16], decoder_n_points=2, **small, **heads,
+        )  # fmt: skip
+        model = getattr(transformers, f"{name}ForObjectDetection")(config)
+    elif kind == "yolos":
+        config = transformers.YolosConfig(
+            hidden_size=16, num_hidden_layers=1, num_attention_heads=2, intermediate_size=16, image_size=[64, 64],
+            num_detection_tokens=5, id2label=dict(classes),
+        )  # fmt: skip
+        model = transformers.YolosForObjectDetection(config)
+    else:
+        name = {"detr": "Detr", "conditional_detr": "ConditionalDetr"}[kind]
+        backbone = transformers.ResNetConfig(
+            embedding_size=8,
+            hidden_sizes=[8, 8, 8, 8],
+            depths=[1, 1, 1, 1],
+            layer_type="basic",
+            out_features=["stage4"],
+        )
+        config = getattr(transformers, f"{name}Config")(
+            backbone_config=backbone, use_timm_backbone=False, use_pretrained_backbone=False, backbone=None,
+            **small, **heads,
+        )  # fmt: skip
+        model = getattr(transformers, f"{name}ForObjectDetection")(config)
+    if not kind.startswith("rt_detr"):
+        sides = {"shortest_edge": 48, "longest_edge": 64}
+    return save(model, folder, (64, 64), size=sides)

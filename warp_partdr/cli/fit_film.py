@@ -97,6 +97,7 @@ def fit_films(run: FilmRun) -> None:
     from ..scenes.seen_film import SeenFilm
     from .progress import FitProgress
 
+    run.networks.check_film()
     films, where = run.films, choose_device(run.device)
     set_num_threads(take_whole(run.values, "threads"))
     formats = take_formats(run.values)

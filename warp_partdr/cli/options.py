@@ -133,7 +133,7 @@ class PersonFiles:
 
 PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]
 KeypointsFromOption = Annotated[
-    str | None, Option(help="ViTPose for keypoints, likewise (docs/inputs.md).", metavar="NAME")
+    str | None, Option(help="ViTPose for keypoints, likewise; NAME+NAME: and RT-DETR for boxes.", metavar="NAME")
 ]
 
 
@@ -158,7 +158,10 @@ class NetworkOptions:
     @property
     def files(self) -> list[Path]:
         """Files in the user's own folders of networks, by whose times it is seen that they are the same."""
-        folders = [Path(name).expanduser() for name in (self.parts_from, self.keypoints_from) if name is not None]
+        from ..predictors.checkpoints import split_names
+
+        given = (self.parts_from, *((None,) if self.keypoints_from is None else split_names(self.keypoints_from)))
+        folders = [Path(name).expanduser() for name in given if name is not None]
         return [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.*")) if path.is_file()]
 
     def check(self, instead: str = "") -> None:
@@ -170,6 +173,16 @@ class NetworkOptions:
             if given is not None and network is None:
                 wanted = f"{instead} or {other}; expected one of them with it" if instead else f"{other}; expected both"
                 raise InputError(f"{name}: {given}, without {wanted}")
+
+    def check_film(self) -> None:
+        """Raise an InputError if a network is to find the people, which films have none for."""
+        from ..predictors.checkpoints import split_names
+
+        if self.keypoints_from is not None and split_names(self.keypoints_from)[1] is not None:
+            raise InputError(
+                f"--keypoints-from: {self.keypoints_from}, for a film, whose people the packaged detector follows; "
+                "expected keypoints alone"
+            )
 
     def load(self, device: str) -> dict[str, Any]:
         """Networks that were asked for, as arguments of ``fit_photo`` and ``GivenNetworks``."""

@@ -33,3 +33,8 @@ class FoundPerson:
     crop: TurnedCrops
     mask: np.ndarray
     next_crop: TurnedCrops
+
+    @property
+    def seen(self) -> bool:
+        """False of somebody whom another detector's box shows, but of whom no landmark is known."""
+        return bool(self.keypoints.confident.any())

@@ -18,6 +18,7 @@ from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
+from ..detection.given_boxes import find_people_in_boxes
 from ..detection.masks import instance_map
 from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
@@ -86,7 +87,7 @@ def fit_photo(
     Args:
         photo: RGB, shape (H, W, 3), uint8, of ``read_photo``; or its file.
         parts_from: Network for part labels instead of masks, of ``load_part_network`` or of your own.
-        keypoints_from: Network for keypoints instead of the packaged one's, likewise.
+        keypoints_from: Network for keypoints instead of the packaged one's, likewise; its ``boxes`` find the people.
         person: Fit this one alone, 0 = largest; the others' pixels are still known to be theirs.
         min_score: Least confidence that there is a person, 0 to 1.
         options: Such as ``FitOptions.at("fast")``; the outline stage, from before which the mesh stage goes on, is left
@@ -112,7 +113,7 @@ def fit_photo(
         camera = Perspective.of_picture(pixels.shape[:2], focal=focal)
     picture = Pyramid(pixels, device)
     with told_as("photo", "photo" if pixels is photo else photo):
-        found, owners = _everyone(picture, min_score)
+        found, owners = _everyone(picture, min_score, keypoints_from)
     chosen = range(len(found)) if person is None else [person_place(person, len(found))]
     options = (options or FitOptions.at("balanced")).without_outline()
     evidence = _PeopleEvidence(found, owners, picture, parts_from, keypoints_from, len(chosen))
@@ -152,10 +153,11 @@ class _PeopleEvidence:
         """Readings of one of them (``weigh_evidence``), a sentence for each network of no use, and ``sources``."""
         warnings: list[str] = []
         names: dict[str, str | None] = {"keypoints": PACKAGED, "parts": PACKAGED}
-        readings = [person_evidence(self._people[place].keypoints, self._owners, place)]
+        person = self._people[place]
+        readings = [person_evidence(person.keypoints, self._owners, place)] if person.seen else []
         if self._keypoints_from is not None:
-            given = find_keypoints(self._keypoints_from, self._picture, self._people[place])
-            weighed = [] if given is None else _weighed(given, readings[0].picture)
+            given = find_keypoints(self._keypoints_from, self._picture, person)
+            weighed = [] if given is None else _weighed(given, readings[0].picture if readings else None)
             if not weighed:
                 warnings.append("keypoints: none of the given network on this person; the packaged one's taken")
             else:
@@ -187,18 +189,30 @@ def person_in_photo(photo: np.ndarray, person: int = 0) -> PersonInputs:
         InputError: If nobody is found, or not so many people.
     """
     check_picture("photo", photo)
-    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE)
+    found, owners = _everyone(Pyramid(photo, "cpu"), MIN_SCORE, None)
     index = person_place(person, len(found))
     seen = person_evidence(found[index].keypoints, owners, index)
     return PersonInputs(seen.keypoints, (), seen.picture, photo)
 
 
-def _everyone(photo: Pyramid, min_score: float) -> tuple[list[FoundPerson], np.ndarray]:
-    """The people in a photo, and whom each pixel shows."""
-    found = find_people(photo, device=photo.device, min_score=min_score)
+def _everyone(
+    photo: Pyramid, min_score: float, keypoints_from: KeypointNetwork | None
+) -> tuple[list[FoundPerson], np.ndarray]:
+    """The people in a photo, and whom each pixel shows; without those of whom nothing but a box is known."""
+    if keypoints_from is None or keypoints_from.boxes is None:
+        found = find_people(photo, device=photo.device, min_score=min_score)
+    else:
+        boxed = find_people_in_boxes(keypoints_from.boxes, photo, min_score)
+        found = [person for person in boxed if person.seen or _has_keypoints(keypoints_from, photo, person)]
     if not found:
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
     return found, instance_map(found, photo.size)
+
+
+def _has_keypoints(network: KeypointNetwork, photo: Pyramid, person: FoundPerson) -> bool:
+    """True if a body can be fitted to what a network sees of somebody."""
+    given = find_keypoints(network, photo, person)
+    return given is not None and bool(_weighed(given, None))
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:

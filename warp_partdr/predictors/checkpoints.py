@@ -1,4 +1,4 @@
-"""Networks from checkpoints of ``transformers``: parts by semantic segmentation, keypoints by ViTPose."""
+"""Networks from checkpoints of ``transformers``: parts by segmentation, keypoints by ViTPose, boxes of people."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import torch
 
 from ..body.labels import LABEL_SETS, LabelSet, label_set, label_sets_of
 from ..body.skeletons import Skeleton
+from ..detection.given_boxes import BoxNetwork
 from ..errors import InputError, cause, shown
 from ..inputs.keypoint_files import format_of, given_format
 from .files import PictureInput, Say, describe, find_checkpoint, read_input
@@ -19,6 +20,7 @@ from .networks import KeypointNetwork, PartNetwork
 
 # Of square networks: human parsing's upright pictures are made square by the image processor, 2 : 3 ones for example.
 _STRETCH = 1.5
+_PERSON = "person"
 _COCO = 0  # of the data sets that ViTPose+ has experts for
 
 
@@ -70,7 +72,7 @@ def load_keypoint_network(
     """Load a ViTPose or ViTPose+.
 
     Args:
-        name: As of ``load_part_network``.
+        name: As of ``load_part_network``; "NAME+NAME" has the name of a ``load_box_network`` behind it.
         skeleton: Keypoint format of its points; None: the one that their number tells.
         device: Device to run on.
         say: Told what is downloaded and loaded.
@@ -78,6 +80,8 @@ def load_keypoint_network(
     Raises:
         InputError: If there is no such checkpoint, it has another task, or its keypoints are of no known format.
     """
+    name, other = split_names(name)
+    boxes = None if other is None else load_box_network(other, device=device, say=say)
     with _transformers(name) as library:
         folder = find_checkpoint(name, say or _silent)
         config = _configuration(library, name, folder)
@@ -101,7 +105,58 @@ def load_keypoint_network(
 
     about = f"{_about(name, model, folder)}, keypoints {form.name}"
     (say or _silent)(f"keypoints from {about}")
-    return KeypointNetwork(form, seen.size, predict, about, name)
+    return KeypointNetwork(form, seen.size, predict, about, name, boxes)
+
+
+def load_box_network(name: str, *, device: torch.device | str = "cpu", say: Say | None = None) -> BoxNetwork:
+    """Load a network with a class "person" that ``transformers.AutoModelForObjectDetection`` knows, such as RT-DETR.
+
+    Args:
+        name: As of ``load_part_network``.
+        device: Device to run on.
+        say: Told what is downloaded and loaded.
+
+    Raises:
+        InputError: If there is no such checkpoint, it has another task, or no class "person".
+    """
+    with _transformers(name) as library:
+        folder = find_checkpoint(name, say or _silent)
+        config = _configuration(library, name, folder)
+        if type(config) not in library.MODEL_FOR_OBJECT_DETECTION_MAPPING:
+            raise InputError(f"{name}: a {config.model_type}; expected a network of object detection, as rt_detr")
+        classes = {int(index): str(each) for index, each in config.id2label.items()}
+        people = [index for index, each in classes.items() if each.strip().lower() == _PERSON]
+        if len(people) != 1:
+            names = ", ".join(list(classes.values())[:4])
+            raise InputError(f"{name}: {len(people)} of its classes {shown(names)}, ... are {_PERSON!r}; expected one")
+        seen = read_input(folder, name)
+        model = _load(library.AutoModelForObjectDetection, name, folder, device)
+
+    def predict(picture: torch.Tensor) -> torch.Tensor:
+        said = model(pixel_values=_prepared(picture, seen))
+        logits, boxes = said.logits[0].float(), said.pred_boxes[0].float()
+        # One more than there are classes: the last one is "nothing", and they exclude each other.
+        sure = logits.softmax(1) if logits.shape[1] == len(classes) + 1 else logits.sigmoid()
+        middle, half = boxes[:, :2], boxes[:, 2:] / 2
+        return torch.cat([middle - half, middle + half, sure[:, people]], dim=1)
+
+    about = _about(name, model, folder)
+    (say or _silent)(f"boxes from {about}")
+    return BoxNetwork(seen.size, predict, seen.longest, about, name)
+
+
+def split_names(name: str) -> tuple[str, str | None]:
+    """Names of the keypoints' network and, of "NAME+NAME", of the boxes'; a folder may have a + in its own.
+
+    Raises:
+        InputError: If one of them is missing.
+    """
+    if "+" not in name or Path(name).expanduser().is_dir():
+        return name, None
+    keypoints, boxes = name.rsplit("+", 1)
+    if not (keypoints and boxes):
+        raise InputError(f"{name}: a + without two names; expected KEYPOINTS+BOXES")
+    return keypoints, boxes
 
 
 def _silent(text: str) -> None:

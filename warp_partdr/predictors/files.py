@@ -30,11 +30,14 @@ class PictureInput(NamedTuple):
         size: (H, W) [px].
         mean: Of each colour, taken from it; colours are from 0 to 1.
         deviation: What it is divided by then.
+        longest: Where whole pictures keep their shape, the most that the longer side may have [px], the shorter one
+            being that of ``size``; None: it says nothing of this.
     """
 
     size: tuple[int, int]
     mean: tuple[float, float, float]
     deviation: tuple[float, float, float]
+    longest: int | None = None
 
 
 def find_checkpoint(name: str, say: Say) -> Path:
@@ -135,7 +138,20 @@ def _picture_input(data: Mapping[str, Any]) -> PictureInput:
         raise ValueError(
             f"image_mean, image_std: {len(mean)} and {len(deviation)} numbers; expected 3 colours, above 0"
         )
-    return PictureInput(size, mean, deviation)
+    return PictureInput(size, mean, deviation, _longest(data))
+
+
+def _longest(data: Mapping[str, Any]) -> int | None:
+    """Most that a longer side may have, of an image processor that keeps a picture's shape."""
+    given = data.get("size")
+    side = (
+        given.get("longest_edge") if isinstance(given, Mapping) and "shortest_edge" in given else data.get("max_size")
+    )
+    if side is None or (isinstance(given, Mapping) and "height" in given):
+        return None
+    if not _is_side(side):
+        raise ValueError(f"longest_edge: {shown(side)}; expected from 1 to {_LARGEST_INPUT}")
+    return int(side)
 
 
 def _size(given: Any) -> tuple[int, int]:

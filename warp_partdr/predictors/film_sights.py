@@ -45,6 +45,11 @@ class GivenNetworks:
     def __post_init__(self) -> None:
         check_type("parts_from", self.parts_from, PartNetwork | None, "of load_part_network")
         check_type("keypoints_from", self.keypoints_from, KeypointNetwork | None, "of load_keypoint_network")
+        if self.keypoints_from is not None and self.keypoints_from.boxes is not None:
+            raise InputError(
+                f"keypoints_from: with boxes of {self.keypoints_from.boxes.name}, for a film, whose people the "
+                "packaged detector follows; expected keypoints alone"
+            )
 
 
 @dataclass(frozen=True)

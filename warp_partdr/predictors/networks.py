@@ -11,6 +11,7 @@ import torch
 from ..body.labels import LabelSet
 from ..body.skeletons import Skeleton, skeleton
 from ..detection.crops import Pyramid, TurnedCrops, cut_crops
+from ..detection.given_boxes import BoxNetwork
 from ..detection.person import FoundPerson
 from ..errors import check_type
 from ..interop.checks import check_image_size
@@ -62,6 +63,7 @@ class KeypointNetwork:
             confidence from 0 to 1, of each point of the format, shape (N, count, 3).
         about: Its name and size, for people.
         name: Its name or folder, for reports.
+        boxes: Network that finds the people, in photos; None: the packaged one.
     """
 
     skeleton: str | Skeleton
@@ -69,9 +71,11 @@ class KeypointNetwork:
     predict: Predict
     about: str = ""
     name: str = "unnamed"
+    boxes: BoxNetwork | None = None
 
     def __post_init__(self) -> None:
         skeleton(self.skeleton)
+        check_type("boxes", self.boxes, BoxNetwork | None, "of load_box_network")
         check_image_size(self.size)
 
 
@@ -86,6 +90,8 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     keypoints = person.keypoints
     sure = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
     places = np.concatenate([shown, sure])
+    if not len(places):  # nobody was seen in another detector's box
+        places = person.crop.from_picture(np.array(person.box, dtype=np.float64).reshape(1, 2, 2))[0]
     low, high = places.min(axis=0), places.max(axis=0)
     width, height = _MARGIN * np.maximum(high - low, _SMALLEST) * person.crop.sides
     aspect = size[1] / size[0]
