@@ -14,7 +14,7 @@ from warp_partdr.network import predict
 from warp_partdr.network.checkpoint import load_label_network
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predict import ask_network
-from warp_partdr.network.upright import leans, turn_bodies, turn_inputs
+from warp_partdr.network.upright import leans, turn_inputs, turn_predicted
 
 QUARTER = math.pi / 2
 
@@ -76,7 +76,7 @@ def test_a_body_is_the_same_however_its_picture_is_turned(monkeypatch):
         )
 
     def ask(count: int):
-        return turn_bodies(ask_network([quarters(count)], network), torch.tensor([-count * QUARTER]))
+        return turn_predicted(ask_network([quarters(count)], network), torch.tensor([-count * QUARTER]))
 
     upright, *turned = map(ask, range(4))
     for each in turned[1:]:

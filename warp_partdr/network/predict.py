@@ -14,7 +14,7 @@ from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table
 from .landmarks import stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
-from .upright import leans, turn_bodies, turn_inputs
+from .upright import leans, turn_inputs, turn_predicted
 
 
 def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -115,4 +115,4 @@ def ask_network(
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))
-    return turn_bodies(predicted, angles)
+    return turn_predicted(predicted, angles)

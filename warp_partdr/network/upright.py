@@ -63,7 +63,7 @@ def turn_inputs(
     return shares, torch.cat([points, keypoints[..., 2:]], dim=2), rays
 
 
-def turn_bodies(bodies: Predicted, angles: torch.Tensor) -> Predicted:
+def turn_predicted(bodies: Predicted, angles: torch.Tensor) -> Predicted:
     """Bodies turned clockwise about the view by ``angles`` (B,) [rad]; how sure they are stays."""
     turns = _turns(angles)
     about_view = torch.eye(3, device=turns.device).repeat(len(turns), 1, 1)
