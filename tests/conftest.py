@@ -10,6 +10,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+# The tests run in as many processes as there are cores: threads of torch that wait for one another, in these and in
+# those that tests start, would take several times as long. Before torch is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 import torch
