@@ -106,12 +106,33 @@ def test_boxes_are_checked_and_merged() -> None:
 def test_a_box_leads_to_the_landmarks_that_the_packaged_detector_leads_to() -> None:
     (alone,) = find_people(PHOTO)
     left, top, right, bottom = alone.box
-    half = (left, top, right, top + 0.7 * (bottom - top), 0.6)  # of the same person
-    (person,) = find_people_in_boxes(saying((*alone.box, 0.8), half), Pyramid(PHOTO, "cpu"), 0.5)
+    half = (left, top, right, top + 0.6 * (bottom - top), 0.6)  # of the same person
+    boxes = saying((*alone.box, 0.8), half)
+    person, other = find_people_in_boxes(boxes, Pyramid(PHOTO, "cpu"), 0.5)
+    assert not other.seen  # whose landmarks are the first one's
     assert person.score == pytest.approx(0.8)
     assert person.seen
     apart = np.linalg.norm(person.keypoints.points - alone.keypoints.points, axis=1)
     assert apart.mean() < 0.01 * (bottom - top)
+    landmarks, beside = alone.keypoints, np.array([0.8 * (right - left), 0.0])
+
+    def seeing(shift: np.ndarray) -> KeypointNetwork:
+        """Network that sees the same points in both boxes, in the second one moved."""
+        asked: list[None] = []
+
+        def predict(pictures: torch.Tensor) -> torch.Tensor:
+            second = len(asked) % 2
+            asked.append(None)
+            crop = upright_crop((person, other)[second], (64, 48))
+            places = crop.from_picture((landmarks.points + second * shift)[None].astype(float))[0]
+            return torch.from_numpy(np.column_stack([places, landmarks.confidence]))[None]
+
+        return KeypointNetwork("blazepose33", (64, 48), predict, boxes=boxes)
+
+    how = {"options": FitOptions.at("fast")}
+    assert len(fit_photo(PHOTO, keypoints_from=seeing(0 * beside), **how).people) == 1  # found twice
+    pair = fit_photo(PHOTO, keypoints_from=seeing(beside), **how)
+    assert pair.sources[1] == {"keypoints": "unnamed", "parts": None}
     assert ((person.mask > 0.5).sum() / (alone.mask > 0.5).sum()) == pytest.approx(1, abs=0.1)
 
 

@@ -21,7 +21,6 @@ from .same_person import similarity
 
 _MARGIN = 1.25  # side of a first crop, the longer side of the box being 1
 _MERGED = 0.7  # intersection over union above which two boxes are of one person
-_HELD = 0.8  # share of the smaller box in the larger one from which on coinciding landmarks mean one person
 _AGREED = 0.5  # intersection over union of box and mask from which on both are of one person
 _ALIKE = 0.5  # similarity above which landmarks coincide, as in ``same_person``
 _EMPTY = 1e-9  # [px^2]
@@ -89,7 +88,7 @@ def find_boxes(network: BoxNetwork, picture: Pyramid, min_score: float) -> tuple
     boxes, scores = boxes[there], values[there, 4].clip(0, 1)
     kept: list[int] = []
     for row in np.argsort(-scores, kind="stable").tolist():
-        if all(_common(boxes[row], boxes[other])[0] <= _MERGED for other in kept):
+        if all(_overlap(boxes[row], boxes[other]) <= _MERGED for other in kept):
             kept.append(row)
     return boxes[kept], scores[kept]
 
@@ -99,7 +98,7 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
     """Find the people of another detector's boxes, largest box first.
 
     The packaged network looks twice at each. Of whom it sees nobody, or somebody else, only the box is known
-    (``FoundPerson.seen``); a box whose landmarks are those of a better one that holds it is of the same person.
+    (``FoundPerson.seen``), and so of all but the best box of those whose landmarks coincide.
 
     Args:
         network: Finds the boxes.
@@ -122,32 +121,24 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
     first = look(networks, [picture], crops)
     looks = [first, look(networks, [picture], first.next_crops)] if len(boxes) else []
     candidates = [_seen(each, scores, picture.size) for each in looks]
-    people: list[FoundPerson] = []
     fits = np.zeros((len(candidates), len(boxes)))
     for index, (landmarks, found) in enumerate(zip(looks, candidates, strict=True)):
-        shared = [_common(np.array(person.box), box)[0] for person, box in zip(found, boxes, strict=True)]
+        shared = [_overlap(np.array(person.box), box) for person, box in zip(found, boxes, strict=True)]
         fits[index] = np.where(landmarks.presence >= min_score, shared, 0.0)
     chosen: list[FoundPerson | None] = []
     for row in range(len(boxes)):
         better = 1 if fits[1, row] >= _AGREED else 0  # the second look's crop is about the landmarks
         chosen.append(candidates[better][row] if fits[better, row] >= _AGREED else None)
-    taken: list[int] = []
-    gone: set[int] = set()
+    taken: list[FoundPerson] = []
     for row in np.argsort(-fits.max(axis=0, initial=0), kind="stable").tolist():
         person = chosen[row]
-        if person is None:
-            continue
-        twins = [other for other in taken if _coincide(person, chosen[other])]
-        if any(_common(boxes[row], boxes[other])[1] >= _HELD for other in twins):
-            gone.add(row)
-        elif twins:
+        if person is None or any(_coincide(person, other) for other in taken):
             chosen[row] = None
         else:
-            taken.append(row)
-    for row, person in enumerate(chosen):
-        if row not in gone:
-            people.append(person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1]))
-    return people
+            taken.append(person)
+    return [
+        person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1]) for row, person in enumerate(chosen)
+    ]
 
 
 def _seen(landmarks: FoundLandmarks, scores: np.ndarray, size: tuple[int, int]) -> list[FoundPerson]:
@@ -163,17 +154,24 @@ def _only_box(box: np.ndarray, score: float, crop: TurnedCrops) -> FoundPerson:
     return FoundPerson(keypoints, score, edges, crop, np.zeros((256, 256), np.float32), crop)
 
 
-def _common(box: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Intersection of two boxes (4,), over their union, and over the smaller one."""
+def _overlap(box: np.ndarray, other: np.ndarray) -> float:
+    """Intersection over union of two boxes (4,)."""
     both = float(np.clip(np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2]), 0, None).prod())
     areas = [float((each[2:] - each[:2]).prod()) for each in (box, other)]
-    return both / max(sum(areas) - both, _EMPTY), both / max(min(areas), _EMPTY)
+    return both / max(sum(areas) - both, _EMPTY)
 
 
-def _coincide(one: FoundPerson, other: FoundPerson | None) -> bool:
+def _coincide(one: FoundPerson, other: FoundPerson) -> bool:
     """True if two people's landmarks are about the same."""
-    assert other is not None
+    return same_keypoints(
+        one.keypoints, other.keypoints, (float(one.next_crop.sides[0]), float(other.next_crop.sides[0]))
+    )
+
+
+def same_keypoints(one: Keypoints2D, other: Keypoints2D, sides: tuple[float, float]) -> bool:
+    """True if keypoints of one format are about the same, of people in crops of these sides [px]."""
     ours, theirs = (
-        (each.keypoints.points[None], each.keypoints.confidence[None], each.next_crop.sides) for each in (one, other)
+        (each.points[None].astype(np.float64), each.confidence[None], np.array([side]))
+        for each, side in zip((one, other), sides, strict=True)
     )
     return bool(similarity(ours, theirs)[0] >= _ALIKE)

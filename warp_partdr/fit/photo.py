@@ -18,7 +18,7 @@ from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
 from ..detection.crops import Pyramid
-from ..detection.given_boxes import find_people_in_boxes
+from ..detection.given_boxes import BoxNetwork, find_people_in_boxes, same_keypoints
 from ..detection.masks import instance_map
 from ..detection.people import check_picture, find_people
 from ..detection.person import FoundPerson
@@ -202,17 +202,27 @@ def _everyone(
     if keypoints_from is None or keypoints_from.boxes is None:
         found = find_people(photo, device=photo.device, min_score=min_score)
     else:
-        boxed = find_people_in_boxes(keypoints_from.boxes, photo, min_score)
-        found = [person for person in boxed if person.seen or _has_keypoints(keypoints_from, photo, person)]
+        found = _boxed_people(keypoints_from, keypoints_from.boxes, photo, min_score)
     if not found:
         raise InputError("photo: nobody found in it; expected a person, or keypoints of one")
     return found, instance_map(found, photo.size)
 
 
-def _has_keypoints(network: KeypointNetwork, photo: Pyramid, person: FoundPerson) -> bool:
-    """True if a body can be fitted to what a network sees of somebody."""
-    given = find_keypoints(network, photo, person)
-    return given is not None and bool(_weighed(given, None))
+def _boxed_people(network: KeypointNetwork, boxes: BoxNetwork, photo: Pyramid, min_score: float) -> list[FoundPerson]:
+    """The people in boxes; whose box alone is known, only with keypoints of the network that nobody else has."""
+    people = find_people_in_boxes(boxes, photo, min_score)
+    if all(person.seen for person in people):
+        return people
+    given = [find_keypoints(network, photo, person) for person in people]
+    kept = [place for place, person in enumerate(people) if person.seen]
+    for place, own in enumerate(given):
+        if place in kept or own is None or not _weighed(own, None):
+            continue
+        side = float(people[place].crop.sides[0])
+        others = [(given[other], (side, float(people[other].crop.sides[0]))) for other in kept]
+        if not any(other is not None and same_keypoints(own, other, sides) for other, sides in others):
+            kept.append(place)
+    return [people[place] for place in sorted(kept)]
 
 
 def mask_labels(owners: np.ndarray, index: int) -> PartLabels | None:
