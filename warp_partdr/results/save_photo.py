@@ -59,8 +59,8 @@ def save_photo_fit(
     check_type("fit", fit, PhotoFit, "of fit_photo")
     check_type("photo", photo, np.ndarray, "of read_photo")
     folder, size = Path(folder), (photo.shape[0], photo.shape[1])
-    found = [fit.people[place].keypoints for place in fit.fits]
-    placed = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), found, size), strict=True))
+    keypoints = [fit.people[place].keypoints for place in fit.fits]
+    placed = dict(zip(fit.fits, place_on_ground(list(fit.fits.values()), keypoints, size), strict=True))
     report: dict[str, Any] = {"people": [_describe(fit, place, placed[place]) for place in fit.fits]}
     small = _as_shown(photo)  # once for all, which takes long
     overlay = small
