@@ -1,6 +1,7 @@
 """Measure and print a level of scenes of PartBench on some of its people.
 
-    python scripts/measure_scenes.py pairs|clip|views [FIRST LAST] [--mocap FOLDER] [--device cuda] [--method NAME]...
+    python scripts/measure_scenes.py pairs|groups|clip|views [FIRST LAST] [--mocap FOLDER] [--device cuda]
+        [--method NAME]...
 
 People are 100 to 139 if nothing is said. Intervals are of 95 %, over scenes.
 """

@@ -169,6 +169,14 @@ def test_scenes_are_fitted_scored_and_reported(tmp_path: Path) -> None:
         evaluate(samples[2:], {"each alone": methods["each alone"]})
 
 
+def test_groups_of_several_sizes_are_pooled() -> None:
+    samples = partbench_scenes([0, 1], ["groups"])
+    assert [len(each.joints) for each in samples] == [2, 3]
+    scores = tuple(score_scene(each, "truth", SceneBodies([Known(each)]), 0.0) for each in samples)
+    row = replace(evaluate([], {}), scores=scores).pooled()[source_name("groups")]["truth"]
+    assert (row["part_f1"], row["depth_between_mm"], row["stature_off_mm"]) == (1, 0, 0)
+
+
 def test_differences_of_scenes_are_told() -> None:
     sample = pair()
     scores = [

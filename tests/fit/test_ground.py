@@ -16,7 +16,7 @@ from warp_partdr.scenes.scene import Ground, Scene
 from warp_partdr.scenes.start import look_at
 from warp_partdr.synthetic.scene_people import make_group, make_views
 
-QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160)
+QUICK = SceneOptions(mesh=MeshOptions(iterations=30, size=96, vertices=800), together=160, ground=0.1)
 PLACES = np.array([[-1.0, 3.0], [-0.4, 5.0], [0.3, 3.6], [0.9, 4.6], [1.4, 5.4], [-1.6, 4.0]])  # [m]: right, away
 LEVEL = np.array([0.0, -1.0, 0.0])
 

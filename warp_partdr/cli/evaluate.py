@@ -121,7 +121,7 @@ def partbench(
             "--level",
             "--levels",
             help="clean, mild, realistic, hard (default: these), near, far, tilted, turned, clothed, crossed, pairs, "
-            "clip, views; may be given again.",
+            "groups, clip, views; may be given again.",
             metavar="NAME",
         ),
     ] = None,

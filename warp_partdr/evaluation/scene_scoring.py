@@ -126,7 +126,7 @@ def draw_scene(sample: SceneSample, vertices: torch.Tensor) -> np.ndarray:
 def _pixels(sample: SceneSample, bodies: SceneBodies) -> Pixels:
     """Pixels of all pictures; each person's parts are classes of their own, so that a wrong order costs."""
     names, _, from_parts = scoring_classes(LABELS)
-    people, count = len(sample.joints), len(names) - 1
+    people, count = max(len(sample.joints), sample.slots), len(names) - 1
     table = np.zeros(256, dtype=np.uint8)
     for person in range(people):
         parts = np.arange(1, NUM_PARTS + 1)

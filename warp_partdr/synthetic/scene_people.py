@@ -61,6 +61,7 @@ class SceneSample:
         parts: True labels of each picture, shape (T V, H, W): person 20 + part, 0 = background.
         source: Group whose figures are pooled.
         wrong_order: A fit is to start with the two exchanged in depth, as ``in_wrong_order`` does.
+        slots: People at most in scenes whose figures are pooled with its; 0: as many as here.
     """
 
     name: str
@@ -71,6 +72,7 @@ class SceneSample:
     parts: np.ndarray
     source: str = ""
     wrong_order: bool = False
+    slots: int = 0
 
     @property
     def order(self) -> np.ndarray:
@@ -151,7 +153,9 @@ def make_group(index: int, level: str = "realistic") -> SceneSample:
         bodies.append(body.moved(torch.tensor([move], dtype=torch.float32)))
     view = _place_view(torch.cat([body.vertices for body in bodies]).numpy(), 0.0, rng)
     name = f"{count} people from {index:03d}"
-    return _see(name, [[body] for body in bodies], [stature for _, stature in people_there], [view], LEVELS[level], rng)
+    statures_there = [stature for _, stature in people_there]
+    sample = _see(name, [[body] for body in bodies], statures_there, [view], LEVELS[level], rng)
+    return replace(sample, slots=_GROUP[1])
 
 
 def make_clip(index: int, clip: Clip, frame_rate: float, level: str = "realistic") -> SceneSample:
