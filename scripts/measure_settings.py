@@ -1,9 +1,9 @@
 """Measure and print what settings of a fit change, one at a time, on PartBench's people.
 
-    python scripts/measure_settings.py LEVEL QUALITY FIRST LAST NAME=VALUE ...
+    python scripts/measure_settings.py LEVEL QUALITY FIRST LAST [NAME=VALUE ...]
 
-QUALITY: fast, balanced or accurate, or network, which refines nothing; NAME=VALUE as `partdr fit --set` takes them.
-Differences are those to the fit without settings; intervals are of 95 %, over people.
+QUALITY: fast, balanced or accurate; network, which refines nothing; or mesh, the mesh stage after fast. NAME=VALUE as
+`partdr fit --set` takes them. Differences are those to the fit without settings; intervals are of 95 %, over people.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from warp_partdr import FitOptions, fit_body
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.evaluation.scoring import score_fit
 from warp_partdr.files.sections import set_value
+from warp_partdr.fit.mesh_stage import refine_mesh
 from warp_partdr.fit.settings import change_options
 
 _PLAIN = "without settings"
@@ -26,7 +27,7 @@ _PLAIN = "without settings"
 
 def main(level: str, quality: str, first: str, last: str, *settings: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
-    plain = FitOptions(stages=()) if quality == "network" else FitOptions.at(quality)
+    plain = FitOptions(stages=()) if quality == "network" else FitOptions.at("fast" if quality == "mesh" else quality)
     options = {_PLAIN: plain}
     for setting in settings:
         values: dict[str, Any] = {}
@@ -37,7 +38,8 @@ def main(level: str, quality: str, first: str, last: str, *settings: str) -> Non
         sample = make_sample(index, level)
         for name, given in options.items():
             result = fit_body(sample.keypoints, sample.parts, others=sample.others, options=given)
-            score = score_fit(sample, name, result, 0.0)
+            mesh = refine_mesh(result, options=given.mesh) if quality == "mesh" else None
+            score = score_fit(sample, name, mesh or result, 0.0)
             errors[name].append((score.pa_mpjpe, score.mpjpe))
     for name, rows in errors.items():
         print(f"{level}, {quality}, {name}:")

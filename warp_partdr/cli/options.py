@@ -133,7 +133,7 @@ class PersonFiles:
 
 PartsFromOption = Annotated[str | None, Option(help="Network for part labels: folder or hf:ORG/NAME.", metavar="NAME")]
 KeypointsFromOption = Annotated[
-    str | None, Option(help="ViTPose for keypoints, likewise; NAME+NAME: and RT-DETR for boxes.", metavar="NAME")
+    str | None, Option(help="Network for keypoints, likewise; or POSE+BOXES.", metavar="NAME")
 ]
 
 
@@ -221,9 +221,7 @@ class PhotoFiles(PersonFiles):
 class CameraOptions:
     """Options for the picture's camera."""
 
-    focal: Annotated[
-        str | None, Option(help="Focal length of the camera; or exif, the photo's; or none.", metavar="PX")
-    ] = None
+    focal: Annotated[str | None, Option(help="Focal length; exif: the photo's; none: no camera.", metavar="PX")] = None
     fov: Annotated[float | None, Option(help="Or its horizontal angle of view.", metavar="DEGREES")] = None
     principal: Annotated[str | None, Option(help="Principal point; default: the picture's middle.", metavar="U,V")] = (
         None
