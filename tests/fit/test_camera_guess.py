@@ -1,4 +1,4 @@
-"""Where no camera is known, and the network sees that it was near, a fit takes perspective of that distance."""
+"""Fits take perspective of the distance that the network says, where no camera is known and it was near."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where bfloat16 is quick, by what torch says of a device."""
+"""Devices that multiply bfloat16 quickly, by what torch says of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the people of a photo stand: one camera, one ground, and sizes that agree with it."""
+"""Places of the people of a photo: one camera, one ground, and sizes that agree with it."""
 
 from __future__ import annotations
 

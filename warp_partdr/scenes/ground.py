@@ -112,7 +112,7 @@ def find_ground(bodies: Standing, level: np.ndarray, given: Ground | None = None
 
 
 def _shares(bodies: Standing, off: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
-    """How surely each body stands whose feet are so far off the ground before it grows [m], shape (N,)."""
+    """Probabilities that bodies stand whose feet are so far off the ground before they grow [m], shape (N,)."""
     leans = np.linalg.norm(bodies.ups - normal, axis=1) / _LEAN_SPREAD
     spread = math.hypot(_FOOT_SPREAD, offset * _SIZE_SPREAD)
     stands = np.exp(-((off / spread) ** 2 + leans**2) / 2) / (math.sqrt(2 * math.pi) * spread)
