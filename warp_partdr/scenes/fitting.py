@@ -107,13 +107,15 @@ def fit_scene(
 
     Raises:
         InputError: If a sight has no keypoint, or there are more people and groups than 254 labels.
-        ValueError: If a known shape is of another model.
+        ValueError: If a known shape is of another model, or the ground is known and ``options.ground`` 0.
         TypeError: If an argument is of another type.
     """
     check_type("scene", scene, Scene, "such as Scene(views, sights)")
     check_type("options", options, SceneOptions | None, "such as SceneOptions()")
     check_type("model", model, DetailedModel | None, "of load_model, or anny()")
     options = options or SceneOptions()
+    if scene.ground is not None and not options.ground:
+        raise ValueError("options.ground: 0, of a scene whose ground is known; expected its weight, such as 0.1")
     where = torch.device(choose_device(str(device)))
     model = model or anny(where)
     tell = progress or (lambda name, done, total: None)

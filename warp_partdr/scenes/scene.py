@@ -125,7 +125,7 @@ class Scene:
             bridged.
         frame_rate: Frames a second.
         shapes: Of people who are known, by person; the others' are found.
-        ground: In the world, where it is known; else one is looked for under several people before one camera.
+        ground: In the world, where it is known; fits take it with ``SceneOptions.ground``, which else looks for one.
 
     Raises:
         InputError: If a person, frame or view is out of range or comes twice, somebody is never seen, or labels differ
