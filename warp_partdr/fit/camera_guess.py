@@ -25,5 +25,4 @@ def guess_camera(predicted: Predicted, crop: Crop, image_size: tuple[int, int]) 
     if nearness < _NEAR:
         return None
     pixels = float(predicted.log_scale[0].exp()) * crop.size[0] / 2 / crop.zoom  # [px/m] at the person
-    camera = Perspective.of_picture(image_size, focal=pixels / nearness)
-    return camera.to(predicted.log_scale.device)
+    return Perspective.of_picture(image_size, focal=pixels / nearness)

@@ -17,7 +17,7 @@ from ..cameras import Crop, Perspective, check_square
 from ..errors import check_type
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.observation import Observation, crop_evidence
+from ..inputs.observation import Observation, crop_evidence, crop_lens
 from ..inputs.part_labels import PartLabels
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
@@ -158,9 +158,8 @@ class _Fit:
         if self.options.guess_camera and self.seen.lens is None and self.body is None and picture is not None:
             camera = guess_camera(predicted, self.crop, picture.groups.shape)
         if camera is not None:
-            trust = self.options.trust_background
-            seen, crop = crop_evidence(self.evidence, trust_background=trust, device=device, camera=camera)
-            fit = replace(self, seen=seen, crop=crop, camera_guessed=True)
+            lens = crop_lens(camera, self.crop).to(device)
+            fit = replace(self, seen=replace(self.seen, lens=lens), camera_guessed=True)
             predicted = fit._ask(network)
         return replace(fit, predicted=predicted, seconds=time.perf_counter() - started)
 
