@@ -143,7 +143,7 @@ class LabelNetwork(nn.Module):
             keypoints: Crop coordinates and confidence, all 0 where missing (``network_keypoints``), shape (B, 24, 3).
             rays: Of the cameras, from ``lens_rays``, shape (B, 4).
         """
-        return self.bodies(self.features(shares, keypoints, rays))
+        return self.bodies(self.features(shares, keypoints, rays), keypoints)
 
     def features(self, shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
         """Features that bodies are made of, (B, F); arguments as of ``forward``."""
@@ -154,9 +154,9 @@ class LabelNetwork(nn.Module):
         points = self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))
         return torch.cat([seen, points.to(seen)], dim=1)
 
-    def bodies(self, features: torch.Tensor) -> Predicted:
-        """Bodies of features (B, F)."""
-        predicted: Predicted = self.regressor(features)
+    def bodies(self, features: torch.Tensor, keypoints: torch.Tensor) -> Predicted:
+        """Bodies of features (B, F) and of the keypoints (B, 24, 3) that these were made of."""
+        predicted: Predicted = self.regressor(features, keypoints)
         return replace(predicted, uncertainty=self.uncertainty(features))
 
 

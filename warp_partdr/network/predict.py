@@ -111,7 +111,7 @@ def ask_network(
     shares = shares.contiguous(memory_format=torch.channels_last)
     with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
         features = network.features(shares, keypoints, rays)
-    predicted = network.bodies(features.float())
+    predicted = network.bodies(features.float(), keypoints)
     if mirror:
         own, images = slice(len(observations)), slice(len(observations), None)
         predicted = mean_bodies(predicted.select(own), mirror_bodies(predicted.select(images)))

@@ -1,8 +1,9 @@
 """Regressor at the end of all networks: from features to EllipBody and its camera (paper, section 3.4).
 
 A multilayer perceptron of residual blocks takes the features and the last estimate and returns a correction of it, a
-few times from the mean body on (iterative error feedback, as in HMR). Rotations are two columns made orthonormal by
-Gram-Schmidt; sizes are factors of the mean body's.
+few times from the mean body on (iterative error feedback, as in HMR). With ``feedback`` it also sees how far that
+estimate's landmarks are from the keypoints. Rotations are two columns made orthonormal by Gram-Schmidt; sizes are
+factors of the mean body's.
 """
 
 from __future__ import annotations
@@ -17,10 +18,14 @@ from ..body.parameters import BodyParameters
 from ..body.pose_prior import FREE_PARTS, PosePrior
 from ..body.rotations import rotation_from_6d, rotation_from_axis_angle, rotation_to_6d
 from ..body.template import LENGTH_NAMES, LOCKED_PARTS, THICKNESS_NAMES, template
-from .predicted import Predicted
+from .landmarks import LANDMARKS
+from .predicted import Predicted, posed_landmarks
 
 _MAX_LOG_SIZE = 1.0  # sizes stay within e of the mean body's
 _MAX_LOG_SCALE = 2.0  # a person of 1.7 m fills a crop at about 0
+MISFITS = 2 * len(LANDMARKS)  # numbers that ``feedback`` adds to the inputs, the last of these
+_FARTHEST = 1.0  # [half-sides of the crop]: misfits beyond are cut
+_USUAL = 0.1  # [half-sides of the crop]: a misfit as large as the other inputs
 _NUM_SIZES = len(LENGTH_NAMES) + len(THICKNESS_NAMES)
 _HEADS: dict[str, int] = {
     "orientation": 6,
@@ -40,6 +45,7 @@ class RegressorConfig:
     blocks: int = 2  # residual blocks of two layers each
     iterations: int = 3  # corrections of the estimate
     dropout: float = 0.1  # share of activations that training drops
+    feedback: bool = False  # each correction sees how far the estimate is from the keypoints
 
 
 class Regressor(nn.Module):
@@ -51,7 +57,8 @@ class Regressor(nn.Module):
 
     def __init__(self, features: int, config: RegressorConfig) -> None:
         super().__init__()
-        self.first = _Layer(features + sum(_HEADS.values()), config)
+        self.feedback = config.feedback
+        self.first = _Layer(features + sum(_HEADS.values()) + MISFITS * config.feedback, config)
         self.blocks = nn.ModuleList(
             nn.ModuleList([_Layer(config.width, config), _Layer(config.width, config)]) for _ in range(config.blocks)
         )
@@ -67,11 +74,15 @@ class Regressor(nn.Module):
         self.register_buffer("sizes", torch.from_numpy(sizes).float(), persistent=False)
         self.register_buffer("locked", torch.eye(3).expand(1, len(LOCKED_PARTS), 3, 3).clone(), persistent=False)
 
-    def forward(self, features: torch.Tensor) -> Predicted:
-        """Bodies of features (B, F)."""
+    def forward(self, features: torch.Tensor, keypoints: torch.Tensor | None = None) -> Predicted:
+        """Bodies of features (B, F), and of keypoints as networks see them, (B, 24, 3), for those with ``feedback``."""
         estimate = self.mean.expand(len(features), -1)
         for iteration in range(self.iterations):
-            hidden = self.first(torch.cat([features, estimate.to(features.dtype)], dim=1), iteration)
+            known = [features, estimate.to(features.dtype)]
+            if self.feedback:
+                assert keypoints is not None
+                known.append(_misfits(self._bodies(estimate), keypoints).to(features.dtype))
+            hidden = self.first(torch.cat(known, dim=1), iteration)
             for block in self.blocks:
                 first, second = block.children()
                 hidden = hidden + second(first(hidden, iteration), iteration)
@@ -105,6 +116,20 @@ class _Layer(nn.Module):
     def forward(self, values: torch.Tensor, iteration: int) -> torch.Tensor:
         activated: torch.Tensor = self.dropout(torch.relu(self.norms[iteration](self.linear(values))))
         return activated
+
+
+@torch.compiler.disable  # kernels pose bodies faster than what is traced
+@torch.no_grad()
+def _misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
+    """Ways from the bodies' landmarks to the keypoints, 0 to those that are missing, shape (B, 48).
+
+    No gradient flows back: a correction is to be learned from what is seen, not what is seen from the correction.
+    """
+    with torch.autocast(keypoints.device.type, enabled=False):
+        landmarks = posed_landmarks(bodies.posed(), LANDMARKS)[..., :2]
+        drawn = bodies.log_scale.exp()[:, None, None] * landmarks + bodies.shift[:, None]
+        ways = (keypoints[..., :2].float() - drawn).clamp(-_FARTHEST, _FARTHEST) / _USUAL
+    return torch.where(keypoints[..., 2:] > 0, ways, 0.0).flatten(1)
 
 
 def _mean_estimate() -> torch.Tensor:

@@ -41,26 +41,29 @@ def leans(keypoints: torch.Tensor) -> torch.Tensor:
 
 
 def turn_inputs(
-    shares: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor, angles: torch.Tensor
+    pictures: torch.Tensor, keypoints: torch.Tensor, rays: torch.Tensor, angles: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs of a label network, turned clockwise about the crops' middles by ``angles`` (B,) [rad].
 
-    Labels that come into a crop from beyond it are those at its border. Shapes as of the network's ``forward``.
+    Of labels as shares or as ids (B, C, S, S), float32: what comes into a crop from beyond it is what is at its border.
+    Keypoints and rays as of the network's ``forward``.
     """
-    rows = angles.nonzero()[:, 0]
-    if len(rows) == 0:
-        return shares, keypoints, rays
-    some = shares[rows]
+    rows: slice | torch.Tensor = slice(None)  # on a GPU all, for choosing would wait for it
+    if not angles.is_cuda:
+        rows = angles.nonzero()[:, 0]
+        if len(rows) == 0:
+            return pictures, keypoints, rays
+    some = pictures[rows]
     back = torch.nn.functional.pad(_turns(angles[rows]).mT, (0, 1))  # from places after the turn to those before it
     places = torch.nn.functional.affine_grid(back, list(some.shape), align_corners=False)
-    shares = shares.clone()
-    shares[rows] = torch.nn.functional.grid_sample(
+    pictures = pictures.clone()
+    pictures[rows] = torch.nn.functional.grid_sample(
         some, places, mode="nearest", padding_mode="border", align_corners=False
     )
     turns = _turns(angles)
     points = keypoints[..., :2] @ turns.mT
     rays = torch.cat([rays[:, :2], (turns @ rays[:, 2:, None])[..., 0]], dim=1)
-    return shares, torch.cat([points, keypoints[..., 2:]], dim=2), rays
+    return pictures, torch.cat([points, keypoints[..., 2:]], dim=2), rays
 
 
 def turn_predicted(bodies: Predicted, angles: torch.Tensor) -> Predicted:

@@ -26,6 +26,8 @@ from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table, lens_rays
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted, posed_landmarks
+from ..network.regressor import MISFITS
+from ..network.upright import leans, turn_inputs, turn_predicted
 from ..render.ellipsoids import draw_ellipsoids
 from ..render.renderers import RendererEllipsoids
 from ..results.palette import group_colours
@@ -158,7 +160,11 @@ class LabelTask(Task):
         network = load_label_network(None if source == PACKAGED_NETWORK else source)
         if _sizes(network.config) != _sizes(self.config.model):
             raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
-        return network.state_dict()
+        weights = network.state_dict()
+        if self.config.model.regressor.feedback and not network.config.regressor.feedback:
+            first = "regressor.first.linear.weight"
+            weights[first] = torch.nn.functional.pad(weights[first], (0, MISFITS))  # which count for nothing at first
+        return weights
 
     def state_dict(self) -> dict[str, Any]:
         """Of what makes people."""
@@ -170,11 +176,15 @@ class LabelTask(Task):
 
     def predict(self, model: torch.nn.Module, people: PeopleBatch) -> Predicted:
         """Bodies that a network says people have."""
-        shares = label_shares(people.groups, self._tables, people.label_sets)
+        angles = leans(people.keypoints)
+        groups, keypoints, rays = turn_inputs(
+            people.groups[:, None].float(), people.keypoints, lens_rays(people.lenses, people.lens_known), -angles
+        )
+        shares = label_shares(groups[:, 0].byte(), self._tables, people.label_sets)
         if not model.training:  # validated without autocast
             shares = shares.float()
-        predicted: Predicted = model(shares, people.keypoints, lens_rays(people.lenses, people.lens_known))
-        return predicted
+        predicted: Predicted = model(shares, keypoints, rays)
+        return turn_predicted(predicted, angles)
 
     @cached_property
     def held_out(self) -> list[PeopleBatch]:
@@ -219,8 +229,8 @@ class _Stock:
 
 
 def _sizes(config: LabelNetworkConfig) -> LabelNetworkConfig:
-    """The same with no dropout, which changes no weight's shape."""
-    return replace(config, regressor=replace(config.regressor, dropout=0.0))
+    """The same with no dropout, which changes no weight's shape, and with feedback, for which there is a place."""
+    return replace(config, regressor=replace(config.regressor, dropout=0.0, feedback=True))
 
 
 def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:
