@@ -1,7 +1,7 @@
 """Measure and print a level of scenes of PartBench on some of its people.
 
     python scripts/measure_scenes.py pairs|groups|clip|views [FIRST LAST] [--mocap FOLDER] [--device cuda]
-        [--method NAME]...
+        [--method NAME]... [--jobs N]
 
 People are 100 to 139 if nothing is said. Intervals are of 95 %, over scenes.
 """
@@ -27,12 +27,13 @@ def main() -> None:
     parser.add_argument("--mocap", type=Path, help="motion capture, for the level clip")
     parser.add_argument("--method", action="append", choices=SCENE_METHODS, help="may be given again; default: all")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--jobs", type=int, default=1, help="fits at a time, in processes of their own")
     options = parser.parse_args()
     first, last = options.people
     one_thread()
     samples = partbench_scenes(range(first, last + 1), [options.level], options.mocap)
     methods = {name: SCENE_METHODS[name] for name in options.method or SCENE_METHODS}
-    report = evaluate(samples, methods, device=options.device)
+    report = evaluate(samples, methods, device=options.device, jobs=options.jobs)
     for table in tables(report):
         Console(width=170).print(table)
     for finding in compare_methods(report):

@@ -41,6 +41,12 @@ def far_camera(device="cpu"):
     return Perspective(torch.full((2, 2), 300.0, device=device), camera(device).translation)
 
 
+def away(device="cpu"):
+    """Bodies 5 m before the camera."""
+    posed, far = body(device).posed(), torch.tensor([0.0, 0.0, 5.0], device=device)
+    return replace(posed, centres=posed.centres + far, joints=posed.joints + far)
+
+
 def drawn(device="cpu", right=0.0):
     """Labels (H, W) of the body, so far to the right [m]."""
     posed = body(device).posed()
@@ -88,6 +94,15 @@ def test_overlay_lies_where_the_body_is_seen(device):
     assert names(figure) == [name.replace("_", " ") for name in PART_NAMES]
     picture = pixels(figure)
     assert all(has_colour(picture, colour) for colour in PART_COLOURS[1:])  # of the legend: the body is shaded
+
+
+def test_overlay_in_perspective(device):
+    photo, view = np.full((*SIZE, 3), 200, dtype=np.uint8), far_camera(device)
+    far = away(device)
+    changed = (shown(plot.overlay(far, photo, camera=view)) != photo).any(-1)
+    person = draw_ellipsoids(far, view, SIZE).labels[0].cpu().numpy() > 0
+    assert person.any()
+    assert (changed == person).mean() > 0.98
 
 
 def test_overlay_of_a_fit_needs_no_camera(fit):
@@ -153,10 +168,7 @@ def test_gradient_arrows_are_the_downhill_gradient(device):
 
 
 def test_gradient_of_the_mesh_and_of_perspective(device):
-    view = far_camera(device)
-    posed = body(device).posed()
-    away = torch.tensor([0.0, 0.0, 5.0], device=device)
-    far = replace(posed, centres=posed.centres + away, joints=posed.joints + away)
+    view, far = far_camera(device), away(device)
     target = drawn(device, right=0.1)
     exact, mesh = (
         quiver(plot.gradient_field(far, target, camera=view, renderer=renderer, subdivisions=0)).U
@@ -245,7 +257,6 @@ def test_compared_bodies(device):
         (lambda: plot.turntable(body(), turns=()), "turns"),
         (lambda: plot.turntable(BodyParameters.mean(0)), "body"),
         (lambda: plot.turntable(3), "body: int"),
-        (lambda: plot.overlay(body(), np.zeros((4, 4, 3), np.uint8), camera=far_camera()), "camera: Perspective"),
     ],
 )
 def test_bad_input_is_named(call, named):

@@ -56,7 +56,7 @@ _STAGES = ("#f6f6f6", "#e8edf3")
 
 
 def overlay(
-    body: Body, photo: np.ndarray, *, camera: WeakPerspective | None = None, keypoints: Keypoints2D | None = None
+    body: Body, photo: np.ndarray, *, camera: Camera | None = None, keypoints: Keypoints2D | None = None
 ) -> Figure:
     """A body over the photo it was fitted to.
 
@@ -67,7 +67,7 @@ def overlay(
         keypoints: Drawn over it, where they are confident.
 
     Raises:
-        ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing or not weak.
+        ValueError: If ``photo`` is no RGB picture, or ``camera`` is missing.
     """
     from PIL import Image as PilImage
 
@@ -76,8 +76,6 @@ def overlay(
         raise ValueError(f"photo: {photo.dtype} {photo.shape}; expected uint8 (H, W, 3)")
     size = photo.shape[0], photo.shape[1]
     posed, seen = first_body(body), first_camera(body, camera)
-    if not isinstance(seen, WeakPerspective):
-        raise ValueError(f"camera: {type(seen).__name__}; expected WeakPerspective, as Perspective.to_weak gives it")
     picture = PilImage.fromarray(blend(photo, shade_body(posed, seen, size), 0.7))
     if keypoints is not None:
         draw_keypoints(picture, keypoints)
