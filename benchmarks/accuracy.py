@@ -33,6 +33,7 @@ from warp_partdr.body.skeletons import MPJPE_JOINTS, MPJPE_SKELETON
 from warp_partdr.cli.progress import FitProgress
 from warp_partdr.evaluation.datasets import read_folder
 from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
+from warp_partdr.evaluation.partbench.anny_fit import fit_anny
 from warp_partdr.evaluation.scoring import summarise
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.keypoint_files import read_keypoints
@@ -52,6 +53,8 @@ SUPERVISIONS: dict[str, Method] = {
     "parts, labels first": Method(options=FitOptions().labels_first()),
     "the same, background trusted": Method(options=FitOptions(trust_background=True).labels_first()),
     "parts": Method(),
+    "mesh": Method(fit=fit_anny),
+    "mesh, background trusted": Method(fit=fit_anny, options=FitOptions(trust_background=True)),
 }
 
 

@@ -87,7 +87,7 @@ def test_stages_hold_the_networks_depth_as_hard_as_it_is_sure(monkeypatch):
     stages = *before, replace(outline, iterations=60, size=96)
     free = (replace(stage, weights=replace(stage.weights, depth=0.0)) for stage in stages)
     held, loose = ((fitted(*each).posed.centres[0, :, 2] - start).abs() / spread for each in (stages, free))
-    assert held.max() < 1.0
+    assert held.max() < 1.5
     assert held.mean() < 0.6 * loose.mean()
 
 

@@ -63,7 +63,7 @@ def test_two_cameras_find_where_somebody_stands(device):
     assert off < 40  # [mm]
     one = replace(sample.scene, sights=[sight for sight in sample.scene.sights if sight.view == 0])
     alone = fit_scene(one, options=QUICK, device=device).landmarks(MPJPE_JOINTS)[0, 0].cpu().numpy()
-    assert 1000 * np.linalg.norm(alone - sample.joints[0, 0], axis=-1).mean() > 2 * off
+    assert 1000 * np.linalg.norm(alone - sample.joints[0, 0], axis=-1).mean() > 1.3 * off
 
 
 def test_the_world_s_frame_does_not_matter():

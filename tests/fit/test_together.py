@@ -44,7 +44,8 @@ def turned(degrees: float) -> Keypoints2D:
 @pytest.mark.parametrize("options", [QUICK, replace(QUICK, stages=())], ids=["refined", "network alone"])
 @pytest.mark.parametrize("fov", [None, 50.0])
 def test_each_is_as_alone(options: FitOptions, fov: float | None, device: str) -> None:
-    """With labels and without, in one call; a camera is of all."""
+    """With labels and without, in one call; a camera is of all, and is not guessed."""
+    options = replace(options, guess_camera=False)
     camera = None if fov is None else Perspective.of_picture(PARTS.groups.shape, fov=fov)
     given = [(KEYPOINTS, PARTS), (turned(10), None), (KEYPOINTS, PARTS), (turned(-15), None)]
     people = [cut(keypoints, parts, device, camera) for keypoints, parts in given]

@@ -227,6 +227,21 @@ def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     assert all(torch.equal(read[name], value) for name, value in weights.items())
     with pytest.raises(InputError, match="initial: packaged: a network of"):
         task.read("packaged")
-    without = {"model": {"regressor": {"dropout": 0.0}}}  # changes no weight's shape
-    packaged = make_task(make_config({"task": "label-network", "steps": 1, **without}))
+    of_package = {"model": {"regressor": {"feedback": True, "dropout": 0.0}}}  # dropout changes no weight's shape
+    packaged = make_task(make_config({"task": "label-network", "steps": 1, **of_package}))
     packaged.model().load_state_dict(packaged.read("packaged"))
+
+
+def test_goes_on_with_feedback_from_a_network_without_as_the_same_network(task, tmp_path):
+    before = task.model().eval()
+    task.save(tmp_path / "model.safetensors", before.state_dict(), {}, half=False)
+    model = replace(task.config.model, regressor=replace(task.config.model.regressor, feedback=True))
+    wider = make_task(replace(task.config, model=model))
+    after = wider.model().eval()
+    after.load_state_dict(wider.read(str(tmp_path / "model.safetensors")))
+    people = task.held_out[0]
+    found, expected = (each.predict(network, people) for each, network in ((wider, after), (task, before)))
+    torch.testing.assert_close(found.posed().joints, expected.posed().joints, atol=1e-6, rtol=0)
+    wider.save(tmp_path / "wider.safetensors", after.state_dict(), {}, half=False)
+    with pytest.raises(InputError, match=r"initial: .*wider.safetensors: a network of"):
+        task.read(str(tmp_path / "wider.safetensors"))

@@ -158,12 +158,13 @@ class LabelTask(Task):
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         """Weights of a trained network; see ``Task``."""
         network = load_label_network(None if source == PACKAGED_NETWORK else source)
-        if _sizes(network.config) != _sizes(self.config.model):
-            raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
-        weights = network.state_dict()
-        if self.config.model.regressor.feedback and not network.config.regressor.feedback:
+        weights, sizes, expected = network.state_dict(), _sizes(network.config), _sizes(self.config.model)
+        if expected.regressor.feedback and not sizes.regressor.feedback:
+            sizes = replace(sizes, regressor=replace(sizes.regressor, feedback=True))
             first = "regressor.first.linear.weight"
             weights[first] = torch.nn.functional.pad(weights[first], (0, MISFITS))  # which count for nothing at first
+        if sizes != expected:
+            raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
         return weights
 
     def state_dict(self) -> dict[str, Any]:
@@ -229,8 +230,8 @@ class _Stock:
 
 
 def _sizes(config: LabelNetworkConfig) -> LabelNetworkConfig:
-    """The same with no dropout, which changes no weight's shape, and with feedback, for which there is a place."""
-    return replace(config, regressor=replace(config.regressor, dropout=0.0, feedback=True))
+    """The same with no dropout, which changes no weight's shape."""
+    return replace(config, regressor=replace(config.regressor, dropout=0.0))
 
 
 def body_losses(predicted: Predicted, people: PeopleBatch) -> dict[str, torch.Tensor]:
