@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from warp_partdr.evaluation.datasets import read_folder
 from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
 from warp_partdr.evaluation.partbench.anny_fit import fit_anny
 from warp_partdr.evaluation.scoring import summarise
+from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import choose_person
@@ -54,7 +56,7 @@ SUPERVISIONS: dict[str, Method] = {
     "the same, background trusted": Method(options=FitOptions(trust_background=True).labels_first()),
     "parts": Method(),
     "mesh": Method(fit=fit_anny),
-    "mesh, background trusted": Method(fit=fit_anny, options=FitOptions(trust_background=True)),
+    "mesh, labels first": Method(fit=partial(fit_anny, mesh=MeshOptions(seg=1.0, iterations=150))),
 }
 
 
