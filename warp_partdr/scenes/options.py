@@ -20,7 +20,7 @@ class SceneOptions:
             [s]; 0 leaves frames to themselves.
         apart: ``MeshOptions.apart`` of scenes of several people, who stand in one another as little as their parts do.
         ground: Weight of the squared heights of standing feet [1/cm^2] over one ground, on which several people before
-            one camera start, too; such as 0.1. 0, the default, leaves it out: what it gains is not established.
+            one camera start, too; 0 leaves it out.
         exchanges: Exchange people of a picture in depth where labels ask for it; else the order is the start's, but
             for a z gradient (``mesh.gradient``).
         together: Side of the crop in which several people are drawn together [px].
@@ -32,7 +32,7 @@ class SceneOptions:
     mesh: MeshOptions = field(default_factory=MeshOptions)
     smoothing: float = 0.15
     apart: float = 0.1
-    ground: float = 0.0
+    ground: float = 0.1
     exchanges: bool = True
     together: int = 256
     window: int = 64
@@ -52,8 +52,11 @@ class SceneOptions:
 
     @classmethod
     def film(cls) -> SceneOptions:
-        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve."""
-        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02))
+        """Options of films: moves that are smooth in time are small, so each step is larger, and fewer serve.
+
+        No ground: each window would find its own.
+        """
+        return cls(mesh=MeshOptions(iterations=40, learning_rate=0.02), ground=0.0)
 
     def size_of(self, num_people: int) -> int:
         """Side of drawn crops [px]."""

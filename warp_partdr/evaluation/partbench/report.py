@@ -44,7 +44,7 @@ ORDER = (
     ("search", "search, no z gradient"),
     ("parts, Anny's mesh", "parts, Anny's mesh, PartDR's rule"),
     ("scene", "each alone"),
-    ("scene, ground", "scene"),
+    ("scene", "scene, no ground"),
     ("scene", "scene, no exchanges"),
     ("scene, z gradient, no exchanges", "scene, no z gradient, no exchanges"),
     *(("scene", name) for name in SMOOTHED),

@@ -133,7 +133,7 @@ _NO_EXCHANGES = SceneOptions(mesh=_PARTDR, exchanges=False)
 SCENE_METHODS: dict[str, SceneMethod] = {
     "scene": SceneMethod(fit_all_together),
     "each alone": SceneMethod(fit_each_alone, (PAIRS, GROUPS)),
-    "scene, ground": SceneMethod(partial(fit_all_together, options=SceneOptions(ground=0.1)), (PAIRS, GROUPS)),
+    "scene, no ground": SceneMethod(partial(fit_all_together, options=SceneOptions(ground=0.0)), (PAIRS, GROUPS)),
     "scene, no exchanges": SceneMethod(partial(fit_all_together, options=SceneOptions(exchanges=False)), (PAIRS,)),
     "scene, z gradient, no exchanges": SceneMethod(partial(fit_all_together, options=_NO_EXCHANGES), (PAIRS,)),
     "scene, no z gradient, no exchanges": SceneMethod(
