@@ -89,28 +89,30 @@ class _Chain(torch.autograd.Function):
 
 def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launch that fills the joints' frames from their rotations and bones."""
-    types = _types(inputs[0])
+    types = joint_types(inputs[0])
     *local, transforms = _arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
-    return partial(kernels.launch_chain, _tree_on(parents, inputs[0]), types.scalar(1.0), local, transforms)
+    return partial(kernels.launch_chain, tree_on(parents, inputs[0]), types.scalar(1.0), local, transforms)
 
 
 def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
     """Launch that fills the gradients of rotations and bones from these, the frames and their adjoint."""
-    types = _types(inputs[0])
+    types = joint_types(inputs[0])
     scratch = [torch.empty_like(each) for each in outputs]
     kinds = types.mat, types.vec
     *saved, adjoint = _arrays(inputs, (*kinds, types.frame, types.frame))
     found = _arrays((*scratch, *outputs), kinds * 2)
-    return partial(kernels.launch_chain_adjoint, _tree_on(parents, inputs[0]), saved, adjoint, found)
+    return partial(kernels.launch_chain_adjoint, tree_on(parents, inputs[0]), saved, adjoint, found)
 
 
 def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
     return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]
 
 
-def _types(like: torch.Tensor) -> kernels.JointTypes:
+def joint_types(like: torch.Tensor) -> kernels.JointTypes:
+    """Warp's types of a tensor's precision."""
     return kernels.SINGLE if like.dtype == torch.float32 else kernels.DOUBLE
 
 
-def _tree_on(parents: tuple[int, ...], like: torch.Tensor) -> Any:
+def tree_on(parents: tuple[int, ...], like: torch.Tensor) -> Any:
+    """The kernels' ``JointTree`` on a tensor's device."""
     return _tree(parents, wp.device_from_torch(like.device).alias)

@@ -19,9 +19,18 @@ def blend_skin(
     weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
 ) -> torch.Tensor:
     """Vertices (B, V, 3) that follow maps (B, N, 3, 3) of ``rest`` to ``places``, (B, N, 3), by weights (V, N)."""
+    return carry_skin(weights, map_rows(maps, places, rest), vertices)
+
+
+def map_rows(maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
+    """The same maps by rows of 3 x 4 matrices, shape (B, 12, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
     # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
-    rows = torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+    return torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+
+
+def carry_skin(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
+    """Vertices (B, V, 3) that follow maps, as ``map_rows`` gives them, by weights (V, N)."""
     own = torch.nn.functional.linear(rows, weights)  # one product for all bodies
     if torch.compiler.is_compiling() or is_transformed(own, vertices):
         return _carry(own, vertices)
