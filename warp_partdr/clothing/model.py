@@ -185,11 +185,11 @@ class DetailedModel(Movable):
         return self.weights_of(names) @ torch.cat([detailed.vertices, detailed.joints], dim=1)
 
     def weights_of(self, names: Sequence[str]) -> torch.Tensor:
-        """Copy the weights of landmarks over vertices and joints, shape (L, V + J); errors as of ``landmarks``."""
+        """Weights of landmarks over vertices and joints, shape (L, V + J), kept; errors as of ``landmarks``."""
         if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
             known = ", ".join(self.landmark_names)
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
-        return self.landmark_weights[[self.landmark_names.index(name) for name in names]]
+        return _landmark_rows(self, tuple(names))
 
     @cached_property
     def _rests(self) -> torch.Tensor:
@@ -234,6 +234,12 @@ class DetailedModel(Movable):
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
         check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
+
+
+@lru_cache(maxsize=16)  # a copy of a megabyte
+def _landmark_rows(model: DetailedModel, names: tuple[str, ...]) -> torch.Tensor:
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return model.landmark_weights[[model.landmark_names.index(name) for name in names]]
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find
