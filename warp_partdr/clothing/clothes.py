@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import torch
@@ -27,6 +28,16 @@ def clothes_offsets(basis: torch.Tensor, thicknesses: torch.Tensor) -> torch.Ten
         thicknesses: Of ``CLOTHED`` [m], shape (B, 8), within ``THICKEST``; differentiable.
     """
     return (bounded(thicknesses) @ basis.flatten(1)).unflatten(1, (-1, 3))
+
+
+def dressed_model(model: DetailedModel, basis: torch.Tensor) -> DetailedModel:
+    """The model whose shape values are followed by thicknesses, as ``bounded`` gives them, of this basis."""
+    moves = model.joint_directions
+    return replace(
+        model,
+        shape_directions=torch.cat([model.shape_directions, basis]),
+        joint_directions=torch.cat([moves, moves.new_zeros(len(basis), *moves.shape[1:])]),
+    )
 
 
 def bounded(thicknesses: torch.Tensor) -> torch.Tensor:

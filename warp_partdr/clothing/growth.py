@@ -55,7 +55,7 @@ class Growth:
         of_parts = torch.nn.functional.one_hot(parts.long(), NUM_PARTS).to(like) * areas[:, None]
         whole = of_parts.sum(0)
         self.shares = (of_parts / whole.clamp(min=1e-12)).T
-        self.joint_weights = model.weights_of(JOINT_NAMES)  # kept: a copy of a megabyte
+        self.joint_weights = model.weights_of(JOINT_NAMES)
         # A part without skin, which a model may have, does not count.
         counts = torch.stack([torch.ones_like(whole), whole > 0, whole > 0], dim=-1).flatten()
         sharing = torch.nn.functional.one_hot(self.indices.flatten(), len(MEASURES)) * counts[:, None]

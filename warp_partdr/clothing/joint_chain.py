@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
 import torch
+import warp as wp
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import warp_array
+from ..interop.captured_function import call_captured
 from ..interop.derivatives import differentiate_again, is_transformed
-from ..interop.streams import on_torch_stream
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..kernels import joint_chain as kernels
 
 
@@ -64,20 +68,11 @@ def _tree(parents: tuple[int, ...], device: str) -> Any:
     return kernels.make_joint_tree(parents, device)
 
 
-def _types(like: torch.Tensor) -> kernels.JointTypes:
-    return kernels.SINGLE if like.dtype == torch.float32 else kernels.DOUBLE
-
-
 class _Chain(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, parents: tuple[int, ...], rotations: torch.Tensor, bones: torch.Tensor) -> torch.Tensor:
-        local = contiguous(rotations), contiguous(bones)
-        transforms, types = rotations.new_empty(*rotations.shape[:2], 4, 4), _types(rotations)
-        if transforms.numel():
-            with on_torch_stream(rotations.device) as device:
-                arrays = [warp_array(each, kind) for each, kind in zip(local, (types.mat, types.vec), strict=True)]
-                tree = _tree(parents, device)
-                kernels.launch_chain(tree, types.scalar(1.0), arrays, warp_array(transforms, types.frame))
+        shape = torch.Size((*rotations.shape[:2], 4, 4))
+        (transforms,) = call_captured(_prepare, (rotations, bones), (shape,), parents)
         ctx.parents = parents
         ctx.save_for_backward(rotations, bones, transforms)
         return transforms
@@ -88,20 +83,36 @@ class _Chain(torch.autograd.Function):
         if torch.is_grad_enabled():
             products = partial(multiply_joints, ctx.parents)
             return None, *differentiate_again(products, (rotations, bones), adjoints[0])
-        types = _types(rotations)
-        kinds = types.mat, types.vec
-        scratch, found = (
-            [torch.empty_like(each, memory_format=torch.contiguous_format) for each in (rotations, bones)]
-            for _ in range(2)
-        )
-        if transforms.numel():
-            saved = contiguous(rotations), contiguous(bones), transforms.detach()
-            adjoint = contiguous(adjoints[0])
-            with on_torch_stream(rotations.device) as device:
-                kernels.launch_chain_adjoint(
-                    _tree(ctx.parents, device),
-                    [warp_array(each, kind) for each, kind in zip(saved, (*kinds, types.frame), strict=True)],
-                    warp_array(adjoint, types.frame),
-                    [warp_array(each, kind) for each, kind in zip((*scratch, *found), kinds * 2, strict=True)],
-                )
-        return None, *found
+        saved = rotations, bones, transforms, adjoints[0]
+        return None, *call_captured(_prepare_adjoint, saved, (rotations.shape, bones.shape), ctx.parents)
+
+
+def _prepare(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
+    """Launch that fills the joints' frames from their rotations and bones."""
+    types = joint_types(inputs[0])
+    *local, transforms = _arrays((*inputs, *outputs), (types.mat, types.vec, types.frame))
+    return partial(kernels.launch_chain, tree_on(parents, inputs[0]), types.scalar(1.0), local, transforms)
+
+
+def _prepare_adjoint(inputs: Tensors, outputs: Tensors, parents: tuple[int, ...]) -> Launch:
+    """Launch that fills the gradients of rotations and bones from these, the frames and their adjoint."""
+    types = joint_types(inputs[0])
+    scratch = [torch.empty_like(each) for each in outputs]
+    kinds = types.mat, types.vec
+    *saved, adjoint = _arrays(inputs, (*kinds, types.frame, types.frame))
+    found = _arrays((*scratch, *outputs), kinds * 2)
+    return partial(kernels.launch_chain_adjoint, tree_on(parents, inputs[0]), saved, adjoint, found)
+
+
+def _arrays(tensors: Tensors, kinds: Sequence[type]) -> list[Any]:
+    return [warp_array(each, kind) for each, kind in zip(tensors, kinds, strict=True)]
+
+
+def joint_types(like: torch.Tensor) -> kernels.JointTypes:
+    """Warp's types of a tensor's precision."""
+    return kernels.SINGLE if like.dtype == torch.float32 else kernels.DOUBLE
+
+
+def tree_on(parents: tuple[int, ...], like: torch.Tensor) -> Any:
+    """The kernels' ``JointTree`` on a tensor's device."""
+    return _tree(parents, wp.device_from_torch(like.device).alias)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
 from warp import mat33, vec3
 
 from ..body.rotations import rotation_from_axis_angle
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import warp_array
+from ..interop.captured_function import Fixed, call_captured
 from ..interop.derivatives import differentiate_again, is_transformed
-from ..interop.streams import on_torch_stream
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..kernels import joint_turns as kernels
 
 
@@ -34,13 +37,8 @@ class _Turned(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
-        inputs = contiguous(rotations), joints, contiguous(turns)
-        turned = rotations.new_empty(rotations.shape)
-        if turned.numel():
-            with on_torch_stream(rotations.device):
-                kernels.launch_joint_turns(_arrays(*inputs), warp_array(turned, mat33))
-        ctx.save_for_backward(*inputs[:2], turns)
-        return turned
+        ctx.save_for_backward(rotations, joints, turns)
+        return call_captured(_prepare, (rotations, turns), (rotations.shape,), Fixed(joints))[0]
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
@@ -48,13 +46,20 @@ class _Turned(torch.autograd.Function):
         if torch.is_grad_enabled():
             again = differentiate_again(lambda moved: _turn(rotations, joints, moved), (turns,), adjoints[0])
             return None, None, *again
-        gradient = turns.new_empty(turns.shape)
-        if gradient.numel():
-            with on_torch_stream(turns.device):
-                inputs, adjoint = _arrays(rotations, joints, contiguous(turns)), contiguous(adjoints[0])
-                kernels.launch_joint_turns_adjoint(inputs, warp_array(adjoint, mat33), warp_array(gradient, vec3))
-        return None, None, gradient
+        inputs = rotations, turns, adjoints[0]
+        return None, None, *call_captured(_prepare_adjoint, inputs, (turns.shape,), Fixed(joints))
 
 
-def _arrays(rotations: torch.Tensor, joints: torch.Tensor, turns: torch.Tensor) -> list[Any]:
-    return [warp_array(rotations, mat33), warp_array(joints), warp_array(turns, vec3)]
+def _prepare(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
+    """Launch that fills the turned rotations from rotations and turns."""
+    return partial(kernels.launch_joint_turns, _arrays(inputs, joints), warp_array(outputs[0], mat33))
+
+
+def _prepare_adjoint(inputs: Tensors, outputs: Tensors, joints: Fixed) -> Launch:
+    """Launch that fills the gradient of the turns from rotations, turns and the adjoint of what they turned."""
+    adjoint, gradient = warp_array(inputs[2], mat33), warp_array(outputs[0], vec3)
+    return partial(kernels.launch_joint_turns_adjoint, _arrays(inputs, joints), adjoint, gradient)
+
+
+def _arrays(inputs: Tensors, joints: Fixed) -> list[Any]:
+    return [warp_array(inputs[0], mat33), warp_array(joints.tensor), warp_array(inputs[1], vec3)]

@@ -96,15 +96,10 @@ def _rotations(body: Registered, joints: torch.Tensor) -> tuple[torch.Tensor, to
     bones = joints[:, 1:] - joints[:, BONE_STARTS]
     hips = directions[_LEFT_HIP] - directions[_RIGHT_HIP], bones[:, _LEFT_HIP] - bones[:, _RIGHT_HIP]
     orientation = rotation_between(world[:, 0] @ hips[0], hips[1]) @ world[:, 0]
-    found: list[torch.Tensor] = []
-    for part in range(len(PART_NAMES)):
-        if part in LOCKED_PARTS:
-            found.append(orientation)
-            continue
-        before = carried[:, part]
-        found.append(rotation_between(before @ directions[part], bones[:, part]) @ before)
-    above = [orientation if parent < 0 else found[parent] for parent in PARENTS]
-    return orientation, torch.stack(above, dim=1).mT @ torch.stack(found, dim=1)
+    found = rotation_between((carried @ directions[..., None])[..., 0], bones) @ carried
+    found[:, list(LOCKED_PARTS)] = orientation[:, None]
+    above = torch.stack([orientation if parent < 0 else found[:, parent] for parent in PARENTS], dim=1)
+    return orientation, above.mT @ found
 
 
 def _heights(rest: Detailed) -> torch.Tensor:

@@ -18,7 +18,8 @@ from ..interop.checks import check_tensor
 from ..interop.movable import Movable
 from ..render.part_mesh import PartMesh
 from .joint_chain import chain_joints, homogeneous
-from .skinning import blend_skin
+from .joint_maps import map_joints
+from .skinning import blend_skin, carry_skin
 
 _SPREADING = 16  # rows of vertices, about, over which a part's stretch passes into the next one's
 
@@ -151,20 +152,18 @@ class DetailedModel(Movable):
         if self.pose_directions is not None:
             bend = rotations[:, 1:] - torch.eye(3, dtype=shape.dtype, device=shape.device)
             vertices = vertices + (bend.flatten(1) @ self.pose_directions).unflatten(1, (-1, 3))
-        bones = torch.cat([translation[:, None], rest[:, 1:] - rest.index_select(1, self._parents[1:])], dim=1)
-        transforms = chain_joints(self.parents, rotations, bones)
-        turns, joints = transforms[..., :3, :3], transforms[..., :3, 3]
-        return Detailed(blend_skin(self.skin_weights, turns, joints, rest, vertices), joints, transforms)
+        transforms, joints, maps = map_joints(self.parents, rotations, translation, rest)
+        return Detailed(carry_skin(self.skin_weights, maps, vertices), joints, transforms)
 
     def _at_rest(
         self, shape: torch.Tensor, offsets: torch.Tensor | None, stretches: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Vertices and joints of ``rest``, without the joints' frames."""
-        vertices = self.rest_vertices + (shape @ self.shape_directions.flatten(1)).unflatten(1, (-1, 3))
+        found = (self._rests + shape @ self._directions).unflatten(1, (-1, 3))
+        vertices, joints = found.split([self.num_vertices, self.num_joints], dim=1)
         if offsets is not None:
             self._check("offsets", offsets, shape.shape[0], self.num_vertices, 3)
             vertices = vertices + offsets
-        joints = self.rest_joints + (shape @ self.joint_directions.flatten(1)).unflatten(1, (-1, 3))
         if stretches is not None:
             self._check("stretches", stretches, shape.shape[0], NUM_PARTS, 3, 3)
             bones = joints[:, 1:] - joints[:, self._parents[1:]]
@@ -186,11 +185,21 @@ class DetailedModel(Movable):
         return self.weights_of(names) @ torch.cat([detailed.vertices, detailed.joints], dim=1)
 
     def weights_of(self, names: Sequence[str]) -> torch.Tensor:
-        """Copy the weights of landmarks over vertices and joints, shape (L, V + J); errors as of ``landmarks``."""
+        """Weights of landmarks over vertices and joints, shape (L, V + J), kept; errors as of ``landmarks``."""
         if unknown := ", ".join(repr(name) for name in names if name not in self.landmark_names):
             known = ", ".join(self.landmark_names)
             raise ValueError(f"names: {self.name} has no landmark {unknown}; expected some of {known}")
-        return self.landmark_weights[[self.landmark_names.index(name) for name in names]]
+        return _landmark_rows(self, tuple(names))
+
+    @cached_property
+    def _rests(self) -> torch.Tensor:
+        """Vertices, then joints, of shape 0 in a row, shape (1, 3 (V + J))."""
+        return torch.cat([self.rest_vertices, self.rest_joints]).view(1, -1)
+
+    @cached_property
+    def _directions(self) -> torch.Tensor:
+        """Their changes by a unit of each shape value, shape (S, 3 (V + J)): one product for both."""
+        return torch.cat([self.shape_directions, self.joint_directions], dim=1).flatten(1)
 
     @cached_property
     def _parents(self) -> torch.Tensor:
@@ -225,6 +234,12 @@ class DetailedModel(Movable):
     def _check(self, name: str, tensor: torch.Tensor, *shape: int | None) -> None:
         like = self.rest_vertices
         check_tensor(name, tensor, shape, dtypes=(like.dtype,), like=(self.name, like))
+
+
+@lru_cache(maxsize=16)  # a copy of a megabyte
+def _landmark_rows(model: DetailedModel, names: tuple[str, ...]) -> torch.Tensor:
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        return model.landmark_weights[[model.landmark_names.index(name) for name in names]]
 
 
 @lru_cache(maxsize=8)  # its edges take a moment to find

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 
 from ..body.landmarks import without_side
@@ -13,7 +15,7 @@ from ..body.rotations import (
     rotation_to_6d,
     rotation_to_axis_angle,
 )
-from ..body.template import JOINT_NAMES, PARENTS, PART_NAMES, template
+from ..body.template import JOINT_NAMES, NUM_PARTS, PARENTS, PART_NAMES, template
 from .model import Detailed, DetailedModel
 
 # Parts whose bone has another direction in a model's rest pose than in EllipBody's.
@@ -21,7 +23,7 @@ _AIMED = ("upper_leg", "lower_leg", "upper_arm", "forearm")
 # Of these, a model's bones lie a little askew in a body that stands as EllipBody does.
 _TRUNK = ("abdomen", "chest", "neck", "shoulder")
 # Where a part has several joints, the skin turns little by little: those of the trunk go halfway at the first one; the
-# upper limbs go halfway there in twist alone, so that the bone's direction stays; the lower limbs' last joint goes
+# upper limbs go halfway there in twist aframed, so that the bone's direction stays; the lower limbs' last joint goes
 # halfway to the twist of the hand or foot.
 _BENDING = ("abdomen", "chest", "neck")
 _TWISTING_FIRST = ("upper_leg", "upper_arm")
@@ -108,22 +110,34 @@ def rest_turns(model: DetailedModel, rest: Detailed, *, trunk_along: bool = Fals
     identity = torch.eye(3, dtype=like.dtype, device=like.device).expand(len(like), 3, 3)
     directions = torch.from_numpy(template().rest_directions).to(like).expand(len(like), -1, -1)
     known = dict(zip(model.landmark_names, model.landmarks(rest, model.landmark_names).unbind(1), strict=True))
-    turns: list[torch.Tensor] = []
-    for part, (name, parent) in enumerate(zip(PART_NAMES, PARENTS, strict=True)):
-        kind = without_side(name)
-        if kind not in (*aimed, "hand"):
-            turns.append(identity)
-            continue
-        bone = known[JOINT_NAMES[part + 1]] - known[JOINT_NAMES[parent + 1]]
-        pinky, index = (name.replace("hand", finger) for finger in ("pinky", "index"))
-        if kind == "hand" and pinky in known and index in known:
-            across = known[index] - known[pinky]
-            forward = torch.tensor([0.0, 0.0, 1.0]).to(like).expand_as(across)  # EllipBody's palms are down
-            turns.append(_frame(directions[:, part], forward) @ _frame(bone, across).mT)
-        else:
-            inherited = turns[parent]
-            turns.append(rotation_between((inherited @ bone[..., None])[..., 0], directions[:, part]) @ inherited)
+    bones = {part: known[JOINT_NAMES[part + 1]] - known[JOINT_NAMES[PARENTS[part] + 1]] for part in range(NUM_PARTS)}
+    turns = [identity] * NUM_PARTS
+    hands = [
+        (PART_NAMES.index(f"{side}_hand"), known[f"{side}_index"] - known[f"{side}_pinky"])
+        for side in ("left", "right")
+        if {f"{side}_index", f"{side}_pinky"} <= known.keys()
+    ]
+    framed = {part for part, _ in hands}
+    for parts in _levels():
+        some = [part for part in parts if without_side(PART_NAMES[part]) in (*aimed, "hand") and part not in framed]
+        if some:
+            inherited = torch.stack([turns[PARENTS[part]] for part in some])
+            turned = (inherited @ torch.stack([bones[part] for part in some])[..., None])[..., 0]
+            found = rotation_between(turned, directions[:, some].transpose(0, 1)) @ inherited
+            turns = [found[some.index(part)] if part in some else turn for part, turn in enumerate(turns)]
+    for part, across in hands:
+        forward = torch.tensor([0.0, 0.0, 1.0]).to(like).expand_as(across)  # EllipBody's palms are down
+        turns[part] = _frame(directions[:, part], forward) @ _frame(bones[part], across).mT
     return torch.stack(turns, dim=1)
+
+
+@cache
+def _levels() -> list[list[int]]:
+    """Parts by the number of parts between them and the pelvis."""
+    depths: list[int] = []
+    for parent in PARENTS:
+        depths.append(0 if parent < 0 else 1 + depths[parent])
+    return [[part for part, depth in enumerate(depths) if depth == level] for level in range(1 + max(depths))]
 
 
 def _carried_parts(model: DetailedModel) -> dict[int, str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import torch
 
@@ -249,12 +250,7 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
 
     Joints at rest are linear in the shape.
     """
-    weights = model.weights_of(JOINT_NAMES)
-    points = torch.cat([model.rest_vertices, model.rest_joints])
-    directions = torch.cat([model.shape_directions, model.joint_directions], dim=1)
-    joints = weights @ points
-    moves = weights @ directions
-    bones, changes = joints[1:] - joints[BONE_STARTS], moves[:, 1:] - moves[:, BONE_STARTS]
+    bones, changes = _bones_at_rest(model)
     targets = 2 * posed.semi_axes[..., 0]
     shape = bones.new_zeros(len(targets), model.num_shapes)
     regular = _LENGTH_PRIOR * torch.eye(model.num_shapes, dtype=shape.dtype, device=shape.device)
@@ -265,6 +261,16 @@ def shape_from_lengths(model: DetailedModel, posed: Posed) -> torch.Tensor:
         aims = targets - lengths + (slopes @ shape[..., None])[..., 0]
         shape = torch.linalg.solve(slopes.mT @ slopes + regular, slopes.mT @ aims[..., None])[..., 0]
     return shape
+
+
+@lru_cache(maxsize=8)  # a product with the whole model
+def _bones_at_rest(model: DetailedModel) -> tuple[torch.Tensor, torch.Tensor]:
+    """EllipBody's bones [m], shape (20, 3), and their changes by a unit of each shape value, shape (S, 20, 3)."""
+    with torch.inference_mode(False):  # kept for calls outside of it, too
+        weights = model.weights_of(JOINT_NAMES)
+        joints = weights @ torch.cat([model.rest_vertices, model.rest_joints])
+        moves = weights @ torch.cat([model.shape_directions, model.joint_directions], dim=1)
+        return joints[1:] - joints[BONE_STARTS], moves[:, 1:] - moves[:, BONE_STARTS]
 
 
 class _Loss:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
 
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import warp_array
+from ..interop.captured_function import call_captured
 from ..interop.derivatives import differentiate_again, is_transformed
-from ..interop.streams import on_torch_stream
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..kernels import skinning as kernels
 
 
@@ -16,9 +19,18 @@ def blend_skin(
     weights: torch.Tensor, maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor, vertices: torch.Tensor
 ) -> torch.Tensor:
     """Vertices (B, V, 3) that follow maps (B, N, 3, 3) of ``rest`` to ``places``, (B, N, 3), by weights (V, N)."""
+    return carry_skin(weights, map_rows(maps, places, rest), vertices)
+
+
+def map_rows(maps: torch.Tensor, places: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
+    """The same maps by rows of 3 x 4 matrices, shape (B, 12, N)."""
     moves = places - (maps * rest[..., None, :]).sum(-1)
     # Vertices come last, for sums over three or four numbers of each are slow where these lie side by side.
-    rows = torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+    return torch.cat([maps, moves[..., None]], dim=-1).flatten(2).mT.contiguous()
+
+
+def carry_skin(weights: torch.Tensor, rows: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
+    """Vertices (B, V, 3) that follow maps, as ``map_rows`` gives them, by weights (V, N)."""
     own = torch.nn.functional.linear(rows, weights)  # one product for all bodies
     if torch.compiler.is_compiling() or is_transformed(own, vertices):
         return _carry(own, vertices)
@@ -36,22 +48,22 @@ def _carry(maps: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
 class _Carried(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, maps: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
-        own = contiguous(maps), contiguous(vertices)
-        carried = torch.empty_like(own[1])
-        if carried.numel():
-            with on_torch_stream(carried.device):
-                kernels.launch_carry(*map(warp_array, (*own, carried)))
         ctx.save_for_backward(maps, vertices)
-        return carried
+        return call_captured(_prepare, (maps, vertices), (vertices.shape,))[0]
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         maps, vertices = ctx.saved_tensors
         if torch.is_grad_enabled():
             return differentiate_again(_carry, (maps, vertices), adjoints[0])
-        own = contiguous(maps), contiguous(vertices), contiguous(adjoints[0])
-        found = [torch.empty_like(each) for each in own[:2]]
-        if found[1].numel():
-            with on_torch_stream(maps.device):
-                kernels.launch_carry_adjoint(*(warp_array(each) for each in (*own, *found)))
-        return tuple(found)
+        return call_captured(_prepare_adjoint, (maps, vertices, adjoints[0]), (maps.shape, vertices.shape))
+
+
+def _prepare(inputs: Tensors, outputs: Tensors) -> Launch:
+    """Launch that fills carried vertices from maps and vertices."""
+    return partial(kernels.launch_carry, *map(warp_array, (*inputs, *outputs)))
+
+
+def _prepare_adjoint(inputs: Tensors, outputs: Tensors) -> Launch:
+    """Launch that fills gradients of maps and vertices from these and the adjoint of what was carried."""
+    return partial(kernels.launch_carry_adjoint, *map(warp_array, (*inputs, *outputs)))

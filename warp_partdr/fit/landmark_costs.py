@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -10,9 +12,11 @@ from warp import vec2, vec3, vec4
 
 from ..cameras import Camera
 from ..inputs.observation import REFERENCE_SIZE
-from ..interop.arrays import contiguous, warp_array
+from ..interop.arrays import warp_array
+from ..interop.captured_function import Fixed, call_captured
 from ..interop.derivatives import once
-from ..interop.streams import on_torch_stream
+from ..interop.graph_cache import Launch
+from ..interop.layouts import Tensors
 from ..kernels import landmark_costs as kernels
 
 
@@ -45,7 +49,8 @@ def landmark_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) 
         camera: M cameras of crops of ``REFERENCE_SIZE``.
         aims: Of them.
     """
-    costs: torch.Tensor = _LandmarkCosts.apply(landmarks, camera.intrinsics, camera.perspective, *vars(aims).values())
+    own = aims.places, aims.points, aims.votes, aims.depths, aims.depth_weights
+    costs: torch.Tensor = _LandmarkCosts.apply(landmarks, camera.intrinsics, camera.perspective, aims.ends, *own)
     seen, deep = costs.unbind(1)
     return seen, deep
 
@@ -53,34 +58,44 @@ def landmark_costs(landmarks: torch.Tensor, camera: Camera, aims: LandmarkAims) 
 class _LandmarkCosts(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, landmarks: torch.Tensor, cameras: torch.Tensor, perspective: bool, *aims: torch.Tensor
+        ctx: Any,
+        landmarks: torch.Tensor,
+        cameras: torch.Tensor,
+        perspective: bool,
+        ends: torch.Tensor,
+        *aims: torch.Tensor,
     ) -> torch.Tensor:
-        own = tuple(map(contiguous, (landmarks, cameras, *aims)))
-        costs = landmarks.new_empty(*landmarks.shape[:2], 2)
-        if costs.numel():
-            with on_torch_stream(costs.device):
-                kernels.launch_landmark_costs(_inputs(own, perspective), warp_array(costs, vec2))
-        ctx.perspective = perspective
-        ctx.save_for_backward(landmarks, cameras, *own)
-        return costs.sum(1)
+        ctx.options = Fixed(ends), perspective
+        ctx.save_for_backward(landmarks, cameras, *aims)
+        shape = torch.Size((*landmarks.shape[:2], 2))
+        return call_captured(_prepare, (landmarks, cameras, *aims), (shape,), *ctx.options)[0].sum(1)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        landmarks, cameras, *own = ctx.saved_tensors
-        found = [own[0].new_empty(*own[0].shape[:2], width) for width in (3, 4)]
-        if found[0].numel():
-            with on_torch_stream(found[0].device):
-                arrays = [warp_array(each, kind) for each, kind in zip(found, (vec3, vec4), strict=True)]
-                adjoint = warp_array(contiguous(adjoints[0]), vec2)
-                kernels.launch_landmark_costs_adjoint(_inputs(own, ctx.perspective), adjoint, arrays)
-        by_camera = found[1].sum(1) if ctx.needs_input_grad[1] else None
-        gradients = once("landmark_costs", (found[0], by_camera), *adjoints, landmarks, cameras)
-        return *gradients, *[None] * (len(own) - 1)
+        saved = landmarks, cameras, *aims = ctx.saved_tensors
+        shapes = landmarks.shape, torch.Size((*landmarks.shape[:2], 4))
+        found, by_camera = call_captured(_prepare_adjoint, (*saved, adjoints[0]), shapes, *ctx.options)
+        of_cameras = by_camera.sum(1) if ctx.needs_input_grad[1] else None
+        gradients = once("landmark_costs", (found, of_cameras), *adjoints, landmarks, cameras)
+        return *gradients, *[None] * (2 + len(aims))
 
 
-def _inputs(own: tuple[torch.Tensor, ...] | list[torch.Tensor], perspective: bool) -> list[Any]:
-    landmarks, cameras, places, points, *others = own
-    aims = [warp_array(places), warp_array(points, vec2), *map(warp_array, others)]
+def _prepare(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
+    """Launch that fills costs of each landmark from landmarks, cameras and aims."""
+    return partial(kernels.launch_landmark_costs, _arrays(inputs, ends, perspective), warp_array(outputs[0], vec2))
+
+
+def _prepare_adjoint(inputs: Tensors, outputs: Tensors, ends: Fixed, perspective: bool) -> Launch:
+    """Launch that fills gradients of landmarks, and shares of those of cameras, from these and the costs' adjoint."""
+    *own, adjoint = inputs
+    gradients = [warp_array(each, kind) for each, kind in zip(outputs, (vec3, vec4), strict=True)]
+    arrays = _arrays(own, ends, perspective)
+    return partial(kernels.launch_landmark_costs_adjoint, arrays, warp_array(adjoint, vec2), gradients)
+
+
+def _arrays(own: Sequence[torch.Tensor], ends: Fixed, perspective: bool) -> list[Any]:
+    landmarks, cameras, places, points, votes, *depths = own
+    aims = [warp_array(places), warp_array(points, vec2), *map(warp_array, (votes, ends.tensor, *depths))]
     return [
         warp_array(landmarks, vec3),
         warp_array(cameras, vec4),

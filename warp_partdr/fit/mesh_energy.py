@@ -19,7 +19,7 @@ from ..body.pose_prior import FREE_PARTS
 from ..body.template import JOINT_NAMES
 from ..cameras import Camera
 from ..clothing.capsules import Capsules, measure_capsules
-from ..clothing.clothes import CLOTHED, SPREAD, clothes_basis, clothes_offsets
+from ..clothing.clothes import CLOTHED, SPREAD, bounded, clothes_basis, dressed_model
 from ..clothing.joint_merging import merge_joints
 from ..clothing.joint_turns import turn_joints
 from ..clothing.model import Detailed, DetailedModel, detailed_mesh
@@ -140,7 +140,7 @@ class MeshEnergy:
         model: Detailed model that is drawn, of few vertices and joints.
         mesh: Its faces with the labels' groups; None: without labels.
         hides: True if groups can hide one another.
-        basis: Of its clothes, shape (8, V, 3).
+        dressed: The same with thicknesses of clothes [m] behind its shape values.
         turning: Its joints in the whole model, shape (J,), int64.
         free: Those of them that the stage turns, shape (N,), int64.
         first: Vertices before this one carry no landmark.
@@ -153,7 +153,7 @@ class MeshEnergy:
     model: DetailedModel
     mesh: PartMesh | None
     hides: bool
-    basis: torch.Tensor
+    dressed: DetailedModel
     turning: torch.Tensor
     free: torch.Tensor
     first: int
@@ -225,9 +225,10 @@ class MeshEnergy:
 
     def pose(self, people: Posing, unknowns: Unknowns) -> Detailed:
         """The body that is drawn, the pelvis about the origin."""
-        dress = None if self.options.clothes is None else clothes_offsets(self.basis, unknowns.clothes)
         where = self.rotations(people, unknowns.turns), people.translation
-        return self.model.pose(unknowns.shape, *where, offsets=dress)
+        if self.options.clothes is None:
+            return self.model.pose(unknowns.shape, *where)
+        return self.dressed.pose(torch.cat([unknowns.shape, bounded(unknowns.clothes)], dim=1), *where)
 
     def landmarks(self, posed: Detailed) -> torch.Tensor:
         """All of the model's, shape (B, L, 3)."""
@@ -265,7 +266,8 @@ def _mesh_energy(model: DetailedModel, options: MeshOptions, groups: tuple[int, 
         hides = len(set(groups or ()) - {BACKGROUND, IGNORE}) > 1
         weights = reduced.landmark_weights[:, first:].contiguous()
         capsules = measure_capsules(reduced) if options.apart > 0 else None
-        return MeshEnergy(reduced, mesh, hides, basis, turning, free, first, weights, ends, capsules, options)
+        dressed = dressed_model(reduced, basis)
+        return MeshEnergy(reduced, mesh, hides, dressed, turning, free, first, weights, ends, capsules, options)
 
 
 def drawn_vertices(model: DetailedModel, options: MeshOptions) -> int:

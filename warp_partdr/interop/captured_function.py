@@ -3,76 +3,89 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 
+from .arrays import contiguous
 from .graph_cache import CapturedBodies, Launch, graphs
 from .layouts import Shapes, Tensors, split_blocks, total_length
 from .streams import on_torch_stream
 
 Prepare = Callable[..., Launch]  # of inputs, outputs and options; allocates and returns launches that fill the outputs
 
+# [bytes] of arguments and results that are copied faster than launches begin
+_MOST_ON_CPU, _MOST_ON_CUDA = 2**20, 2**26
+_LEAST_TO_SHARE = 2**17  # and from where on they take longer than a thread to start
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed:
+    """A tensor as an option: launches read it where it lies, and another one takes launches of its own."""
+
+    tensor: torch.Tensor
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Fixed) and other.tensor is self.tensor
+
+    def __hash__(self) -> int:
+        return id(self.tensor)
+
 
 def call_captured(prepare: Prepare, tensors: Tensors, outputs: Shapes, *options: Hashable) -> Tensors:
-    """Results of launches for B bodies, by a captured graph where memory has room for its buffers.
+    """Results of launches for B bodies, by a captured graph where that pays and memory has room for its buffers.
 
     Args:
-        prepare: A function of a module; called with views of some bodies' inputs and outputs, and the options.
-        tensors: Inputs of one floating dtype, shapes (B, ...), on one device; copied, so that any strides will do.
+        prepare: A function of a module; called with contiguous inputs and outputs of some bodies, and the options.
+        tensors: Inputs, shapes (B, ...), on one device, of any strides; the first one's dtype is a floating one.
         outputs: Shapes of the results, (B, ...).
         options: Further arguments of ``prepare``.
 
     Returns:
-        The results, of the inputs' dtype: views of one tensor.
+        The results, of the first input's dtype.
     """
     first = tensors[0]
-    batch, device, dtype = first.shape[0], first.device, first.dtype
-    inputs = tuple([tensor.shape for tensor in tensors])
-    if batch == 0:
-        return tuple(first.new_empty(shape) for shape in outputs)
-    key = prepare, options, inputs, outputs, dtype, device
-    size = 2 * first.element_size() * total_length((*inputs, *outputs))  # with what lies in between
-    graph = graphs.find(key, device, size, lambda: _Graph(*key))
-    if graph is not None:
-        return graph(tensors)
-    buffers = _Buffers(inputs, outputs, dtype, device)
-    torch._foreach_copy_(buffers.inputs, tensors)
+    device, dtype, length = first.device, first.dtype, total_length(outputs)
+    if length == 0:
+        return tuple([first.new_empty(shape) for shape in outputs])
+    size = sum([each.nbytes for each in tensors]) + first.element_size() * length
+    if size <= (_MOST_ON_CPU if device.type == "cpu" else _MOST_ON_CUDA):
+        inputs = tuple([(each.shape, each.dtype) for each in tensors])
+        key = prepare, options, inputs, outputs, dtype, device, size >= _LEAST_TO_SHARE
+        graph = graphs.find(key, device, 2 * size, lambda: _Graph(*key))  # with what lies in between
+        if graph is not None:
+            return graph(tensors)
+    found = tuple([first.new_empty(shape) for shape in outputs])
     with on_torch_stream(device):
-        buffers.prepare(slice(0, batch), prepare, options)()
-    return buffers.outputs
-
-
-class _Buffers:
-    """Inputs and outputs of B bodies, one after the other in one tensor each."""
-
-    def __init__(self, inputs: Shapes, outputs: Shapes, dtype: torch.dtype, device: torch.device) -> None:
-        ends = [torch.empty(total_length(each), dtype=dtype, device=device) for each in (inputs, outputs)]
-        self.found = ends[1]
-        self.inputs, self.outputs = split_blocks(ends[0], inputs), split_blocks(ends[1], outputs)
-
-    def prepare(self, part: slice, prepare: Prepare, options: Sequence[Any]) -> Launch:
-        """Launches of some of the bodies."""
-        inputs, outputs = (tuple(tensor[part] for tensor in each) for each in (self.inputs, self.outputs))
-        return prepare(inputs, outputs, *options)
+        prepare(tuple([contiguous(each) for each in tensors]), found, *options)()
+    return found
 
 
 class _Graph:
+    """Launches in fixed buffers: inputs in a tensor each, outputs one after the other in one tensor."""
+
     def __init__(
         self,
         prepare: Prepare,
         options: tuple[Hashable, ...],
-        inputs: Shapes,
+        inputs: Sequence[tuple[torch.Size, torch.dtype]],
         outputs: Shapes,
         dtype: torch.dtype,
         device: torch.device,
+        shared: bool,
     ) -> None:
         self._shapes = outputs
-        self._buffers = buffers = _Buffers(inputs, outputs, dtype, device)
-        self._launches = CapturedBodies(lambda part: buffers.prepare(part, prepare, options), inputs[0][0], device)
+        self._inputs = [torch.empty(shape, dtype=kind, device=device) for shape, kind in inputs]
+        self._found = torch.empty(total_length(outputs), dtype=dtype, device=device)
+        found = split_blocks(self._found, outputs)
+
+        def prepare_part(part: slice) -> Launch:
+            return prepare(*(tuple([each[part] for each in some]) for some in (self._inputs, found)), *options)
+
+        self._launches = CapturedBodies(prepare_part, inputs[0][0][0], device, shared=shared)
 
     def __call__(self, tensors: Tensors) -> Tensors:
         """Copies of the results, for the next call fills the buffers again."""
-        torch._foreach_copy_(self._buffers.inputs, tensors)
+        torch._foreach_copy_(self._inputs, tensors)
         self._launches.replay()
-        return split_blocks(self._buffers.found.clone(), self._shapes)
+        return split_blocks(self._found.clone(), self._shapes)

@@ -50,12 +50,15 @@ class CapturedBodies:
         prepare: Returns the launches of a slice of the bodies; called once for each.
         batch: Number of bodies.
         device: On CUDA, for torch's current stream.
+        shared: False: one thread has all bodies, whose work is short.
     """
 
-    def __init__(self, prepare: Callable[[slice], Launch], batch: int, device: torch.device) -> None:
+    def __init__(
+        self, prepare: Callable[[slice], Launch], batch: int, device: torch.device, *, shared: bool = True
+    ) -> None:
         self._device = device
         self._stream = None if device.type == "cpu" else wp.stream_from_torch(torch.cuda.current_stream(device))
-        self._slices = split_batch(batch, on_cpu=device.type == "cpu")
+        self._slices = split_batch(batch, on_cpu=shared and device.type == "cpu")
         with on_torch_stream(device, torch_memory=True):
             # They are kept, for a graph holds no memory alive.
             self._launches = {part.start: prepare(part) for part in self._slices}
