@@ -57,7 +57,7 @@ class FoundLandmarks:
         low = torch.where(shown, places, torch.inf).amin((1, 2)).cpu().numpy()
         high = torch.where(shown, places, -torch.inf).amax((1, 2)).cpu().numpy()
         found: list[FoundPerson] = []
-        for row, mask in enumerate(masks.cpu().numpy()):
+        for row, mask in enumerate(masks):
             if not np.isfinite(low[row]).all():  # nothing of the person is shown
                 points = np.clip(some.points[row], 0, sizes[row, ::-1])
                 low[row], high[row] = points.min(axis=0), points.max(axis=0)
