@@ -87,6 +87,22 @@ def test_crops_of_several_pictures_keep_their_order(device, rng):
         torch.testing.assert_close(together[row : row + 1], cut_crops(pyramids, crops[row : row + 1], 12))
 
 
+@pytest.mark.parametrize("beyond", ["zeros", "border"])
+def test_crops_are_read_as_torch_reads_them(device, rng, beyond):
+    """Between the four nearest pixels, also where some of them lie beyond the picture, and far outside."""
+    picture = rng.integers(0, 255, (41, 30, 3), dtype=np.uint8)
+    crops = TurnedCrops(
+        rng.uniform(-20, 60, (30, 2)), rng.uniform(2, 22, 30), rng.uniform(-4, 4, 30), np.zeros(30, dtype=np.int64)
+    )
+    cut = cut_crops([Pyramid(picture, device)], crops, (16, 20), beyond=beyond)
+    y, x = np.mgrid[:16, :20]
+    places = np.stack([(x + 0.5) / 20, (y + 0.5) / 16], axis=-1).reshape(1, -1, 2)
+    grid = torch.tensor(crops.to_picture(places.repeat(30, axis=0)) / (30, 41) * 2 - 1).reshape(30, 16, 20, 2)
+    values = torch.tensor(picture / 255).permute(2, 0, 1).expand(30, -1, -1, -1)
+    expected = torch.nn.functional.grid_sample(values, grid, padding_mode=beyond, align_corners=False)
+    torch.testing.assert_close(cut.cpu().double(), expected, rtol=0, atol=2e-5)
+
+
 def person(crop: TurnedCrops, mask: np.ndarray, device: str = "cpu") -> FoundPerson:
     keypoints = Keypoints2D("blazepose33", np.zeros((33, 2), np.float32), np.ones(33, np.float32))
     return FoundPerson(
