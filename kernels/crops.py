@@ -27,9 +27,10 @@ def cut_out(
 ):
     """Each pixel between the four nearest of the picture. One thread a row, or some of its columns."""
     n, row, lane = wp.tid()
-    height, width = sources.sizes[n, 0], sources.sizes[n, 1]
+    height, width = int(sources.sizes[n, 0]), int(sources.sizes[n, 1])
     picture = wp.array(ptr=wp.uint64(sources.pointers[n]), shape=(height * width,), dtype=wp.vec3)
-    across = sources.places[n, 1]
+    # A copy: whatever stands in an array would be read again for each pixel.
+    across = wp.vec2(sources.places[n, 1][0], sources.places[n, 1][1])
     start = sources.places[n, 0] + float(row) * sources.places[n, 2]
     for column in range(lane, crops.shape[3], lanes):
         place = start + float(column) * across

@@ -8,7 +8,19 @@ from typing import Any
 
 import warp as wp
 
-from .own_pixels import NOBODYS, OTHERS, OWN, Bone, PeopleArrays, PixelArrays, group_at, picture_index, squared_distance
+from .lanes import num_lanes
+from .own_pixels import (
+    NOBODYS,
+    OTHERS,
+    OWN,
+    Bone,
+    PeopleArrays,
+    PixelArrays,
+    floor_index,
+    group_at,
+    picture_index,
+    squared_distance,
+)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -38,8 +50,8 @@ def find_missing_limbs(
     if k < limbs.num_limbs[n]:
         line = limbs.lines[n, k]
         for s in range(shares.shape[0]):
-            column = int(wp.floor(line[0] + shares[s] * line[2]))
-            row = int(wp.floor(line[1] + shares[s] * line[3]))
+            column = floor_index(line[0] + shares[s] * line[2])
+            row = floor_index(line[1] + shares[s] * line[3])
             if row >= 0 and row < people.windows[n, 0] and column >= 0 and column < people.windows[n, 1]:
                 group = group_at(people, n, picture_index(people, n, 0, row), picture_index(people, n, 1, column))
                 found += wp.where(group == NOBODYS, 1, 0)
@@ -58,19 +70,10 @@ def along_missing_limb(limbs: LimbArrays, n: int, row: int, column: int) -> bool
 
 
 @wp.func
-def group_in_window(people: PeopleArrays, limbs: LimbArrays, pixels: PixelArrays, n: int, row: int, column: int):
-    """Group of a pixel of the window: the person's own, without what is not theirs and along missing limbs."""
-    area_row, area_column = row - people.areas[n, 0], column - people.areas[n, 1]
-    group = OTHERS
-    height, width = people.areas[n, 2], people.areas[n, 3]
-    if area_row >= 0 and area_row < height and area_column >= 0 and area_column < width:
-        group = pixels.groups[people.first_pixels[n] + area_row * width + area_column]
-    else:
-        group = group_at(people, n, picture_index(people, n, 0, row), picture_index(people, n, 1, column))
-        group = wp.where(group == OWN, OTHERS, group)
-    if group == NOBODYS and along_missing_limb(limbs, n, row, column):
-        return OTHERS
-    return group
+def others_group(people: PeopleArrays, n: int, row: int, column: int) -> wp.uint8:
+    """Group of a pixel of a picture that can't be the person's."""
+    group = group_at(people, n, row, column)
+    return wp.where(group == OWN, OTHERS, group)
 
 
 @wp.kernel
@@ -81,32 +84,55 @@ def draw_targets(
     crops: wp.array2d[wp.float64],  # (N, 4) top and left in the picture, height and width of a crop's pixel
     zooms: wp.array[wp.float64],  # (N,) pixels of the window a pixel of the picture
     first: int,  # person of the first thread
+    lanes: int,
     targets: wp.array3d[wp.uint8],  # (N, S, S)  OUTPUT
 ):
-    """Groups in the crops. One thread a row."""
-    part, row = wp.tid()
+    """Groups in the crops; in the window without what is not the person's and along missing limbs.
+
+    One thread a row, or some of its columns.
+    """
+    part, row, lane = wp.tid()
     n = first + part
     half = wp.float64(0.5)
+    # Copies: whatever stands in an array would be read again for each pixel.
+    zoom, window_left = wp.float64(zooms[n]), wp.float64(people.boxes[n, 1])
+    left, step = wp.float64(crops[n, 1]), wp.float64(crops[n, 3])
     place = crops[n, 0] + (wp.float64(row) + half) * crops[n, 2]
-    picture_row = int(wp.floor(place))
-    window_row = int(wp.floor((place - people.boxes[n, 0]) * zooms[n]))
-    row_inside = window_row >= 0 and window_row < people.windows[n, 0]
-    for column in range(targets.shape[2]):
-        place = crops[n, 1] + (wp.float64(column) + half) * crops[n, 3]
-        window_column = int(wp.floor((place - people.boxes[n, 1]) * zooms[n]))
-        if row_inside and window_column >= 0 and window_column < people.windows[n, 1]:
-            targets[n, row, column] = group_in_window(people, limbs, pixels, n, window_row, window_column)
+    picture_row = floor_index(place)
+    window_row, window_width = floor_index((place - people.boxes[n, 0]) * zoom), int(people.windows[n, 1])
+    area_row, area_left, area_width = window_row - people.areas[n, 0], int(people.areas[n, 1]), int(people.areas[n, 3])
+    begin = people.first_pixels[n] + area_row * area_width - area_left
+    if area_row < 0 or area_row >= people.areas[n, 2]:
+        area_width = 0
+    if window_row < 0 or window_row >= people.windows[n, 0]:
+        window_width = 0
+    some_missing = int(0)
+    for k in range(limbs.num_limbs[n]):
+        some_missing += int(limbs.missing[n, k])
+    for column in range(lane, targets.shape[2], lanes):
+        place = left + (wp.float64(column) + half) * step
+        window_column = floor_index((place - window_left) * zoom)
+        group = OTHERS
+        if window_column >= 0 and window_column < window_width:
+            if window_column >= area_left and window_column < area_left + area_width:
+                group = pixels.groups[begin + window_column]
+            else:
+                source_row = picture_index(people, n, 0, window_row)
+                group = others_group(people, n, source_row, picture_index(people, n, 1, window_column))
+            if some_missing > 0 and group == NOBODYS and along_missing_limb(limbs, n, window_row, window_column):
+                group = OTHERS
         else:
-            group = group_at(people, n, picture_row, int(wp.floor(place)))
-            targets[n, row, column] = wp.where(group == OWN, OTHERS, group)
+            group = others_group(people, n, picture_row, floor_index(place))
+        targets[n, row, column] = group
 
 
 def launch_targets(
     people: Any, limbs: Any, pixels: Any, crops: Sequence[wp.array], targets: wp.array, part: slice
 ) -> None:
     """Fill targets of some of the people from crops and zooms."""
-    inputs = [people, limbs, pixels, *crops, part.start, targets]
-    wp.launch(draw_targets, (part.stop - part.start, targets.shape[1]), inputs, device=targets.device)
+    lanes = num_lanes(targets.device)
+    inputs = [people, limbs, pixels, *crops, part.start, lanes, targets]
+    wp.launch(draw_targets, (part.stop - part.start, targets.shape[1], lanes), inputs, device=targets.device)
 
 
 def launch_limbs(people: Any, shares: wp.array, least: float, limbs: Any) -> None:

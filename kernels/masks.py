@@ -75,10 +75,11 @@ def draw_owners(
         down = row - masks.windows[n, 0]
         if down >= 0 and row < masks.windows[n, 1]:
             image = wp.array(ptr=masks.maps[n].ptr, shape=(side * side,), dtype=float)
-            left = masks.windows[n, 2]
-            across = masks.places[n, 1]
+            left, right = int(masks.windows[n, 2]), int(masks.windows[n, 3])
+            # A copy: whatever stands in an array would be read again for each pixel.
+            across = wp.vec2(masks.places[n, 1][0], masks.places[n, 1][1])
             start = masks.places[n, 0] + float(down) * masks.places[n, 2]
-            for column in range(left, masks.windows[n, 3]):
+            for column in range(left, right):
                 place = start + float(column - left) * across
                 if wp.abs(place[0]) <= 1.0 and wp.abs(place[1]) <= 1.0:
                     strength = between_four(image, side, place)

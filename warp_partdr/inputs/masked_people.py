@@ -5,9 +5,9 @@ Of each the same, to the bit, as ``weigh_evidence`` and ``crop_evidence`` of a m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import compress, pairwise
 from typing import Any, NamedTuple
 
@@ -214,11 +214,11 @@ class _Work:
         of_people = [np.array(shown), windows.sizes, windows.areas, self._rows, ends[:-1]]
         owners = packed[0] if len(packed) == 1 else torch.cat(packed)
         numbers = [self._array(each.astype(np.int32)) for each in of_people]
-        self._people = own_pixels.gather(
+        shown_people = own_pixels.gather(
             own_pixels.PeopleArrays, [warp_array(owners), *numbers[:2], self._array(boxes), *numbers[2:]]
         )
         strides = np.maximum(np.ceil(windows.sizes.max(axis=1) / COARSE), 1).astype(np.int32)
-        self._bodies = own_pixels.gather(
+        bodies = own_pixels.gather(
             own_pixels.BodyArrays,
             [
                 self._array(lines.bones, own_pixels.Bone),
@@ -231,8 +231,9 @@ class _Work:
         )
         count = int(ends[-1])
         kinds = (torch.uint8, torch.uint8, torch.int32, torch.uint8)
-        self._held = [torch.empty(count, dtype=kind, device=device) for kind in kinds]
-        self._pixels = own_pixels.gather(own_pixels.PixelArrays, [warp_array(each) for each in self._held])
+        held = [torch.empty(count, dtype=kind, device=device) for kind in kinds]
+        pixels = own_pixels.gather(own_pixels.PixelArrays, [warp_array(each) for each in held])
+        self._arrays = shown_people, bodies, pixels
         self._parts = split_batch(len(people), on_cpu=where.is_cpu)
         if len(self._parts) > 1:
             for module in (own_pixels, mask_targets):
@@ -241,43 +242,29 @@ class _Work:
     def _array(self, values: np.ndarray, kind: Any = None) -> wp.array:
         return warp_array(torch.from_numpy(np.ascontiguousarray(values)).to(self._device), kind)
 
-    def _rows_of(self, part: slice) -> slice:
-        return slice(int(self._rows[part.start]), int(self._rows[part.stop]))
+    def _launch(self, launch: Callable[[slice], None]) -> None:
+        """Launch on the rows of each thread's people."""
+        run_slices(lambda part: launch(slice(int(self._rows[part.start]), int(self._rows[part.stop]))), self._parts)
 
     def measured(self) -> np.ndarray:
         """Find the people's own pixels, and measure them: ``own_pixels.NUM_COUNTS`` of each."""
-        run_slices(
-            lambda part: own_pixels.launch_own(self._people, self._bodies, self._pixels, self._rows_of(part)),
-            self._parts,
-        )
+        self._launch(partial(own_pixels.launch_own, *self._arrays))
         return self._counts()
 
     def without_stray(self, chosen: np.ndarray) -> np.ndarray:
         """Ignore stray pixels of chosen people, and measure again."""
-        flags = self._array(chosen.astype(np.uint8))
-        run_slices(
-            lambda part: own_pixels.launch_stray(
-                self._people, self._bodies, STRAY, flags, self._pixels, self._rows_of(part)
-            ),
-            self._parts,
-        )
+        self._launch(partial(own_pixels.launch_stray, *self._arrays, STRAY, self._array(chosen.astype(np.uint8))))
         return self._counts()
 
     def _counts(self) -> np.ndarray:
-        counts = torch.tensor([[_NEVER, -1] * 2 + [0] * 4] * len(self._lines.heights), dtype=torch.int32).to(
-            self._device
-        )
-        array = warp_array(counts)
-        run_slices(
-            lambda part: own_pixels.launch_counts(
-                self._people, self._bodies, self._pixels, (FAR, STRAY), array, self._rows_of(part)
-            ),
-            self._parts,
-        )
+        start = np.array([_NEVER, -1] * 2 + [0] * (own_pixels.NUM_COUNTS - 4), dtype=np.int32)
+        counts = torch.from_numpy(np.tile(start, (len(self._windows.zooms), 1))).to(self._device)
+        self._launch(partial(own_pixels.launch_counts, *self._arrays, (FAR, STRAY), warp_array(counts)))
         return counts.cpu().numpy()
 
     def targets(self, corners: np.ndarray, sides: np.ndarray) -> torch.Tensor:
         """Labels in crops with these corners (x, y) and sides, shape (N, S, S), uint8."""
+        people, _, pixels = self._arrays
         lines, count = self._lines, len(sides)
         missing = torch.empty(lines.around.shape[:2], dtype=torch.uint8, device=self._device)
         limbs = own_pixels.gather(
@@ -289,15 +276,13 @@ class _Work:
                 warp_array(missing),
             ],
         )
-        mask_targets.launch_limbs(self._people, self._array(np.linspace(0, 1, LIMB_SAMPLES)), MISSING_SHARE, limbs)
+        mask_targets.launch_limbs(people, self._array(np.linspace(0, 1, LIMB_SAMPLES)), MISSING_SHARE, limbs)
         steps = ((corners + sides[:, None]) - corners) / LABEL_SIZE
         crops = [
             self._array(np.concatenate([corners[:, ::-1], steps[:, ::-1]], axis=1)),
             self._array(self._windows.zooms),
         ]
         drawn = torch.empty(count, LABEL_SIZE, LABEL_SIZE, dtype=torch.uint8, device=self._device)
-        array = warp_array(drawn)
-        run_slices(
-            lambda part: mask_targets.launch_targets(self._people, limbs, self._pixels, crops, array, part), self._parts
-        )
+        launch = partial(mask_targets.launch_targets, people, limbs, pixels, crops, warp_array(drawn))
+        run_slices(launch, self._parts)
         return drawn
