@@ -25,10 +25,9 @@ from warp_partdr.detection.asset import PeopleNetworks, packaged_people_networks
 from warp_partdr.detection.crops import Pyramid
 from warp_partdr.detection.detector import detect_people
 from warp_partdr.detection.look import look
-from warp_partdr.detection.masks import instance_map
+from warp_partdr.detection.masks import instance_maps
 from warp_partdr.detection.people import find_people_in
-from warp_partdr.fit.photo import person_evidence
-from warp_partdr.inputs.observation import crop_evidence
+from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.network.checkpoint import packaged_network
 from warp_partdr.network.predict import predict_bodies
@@ -87,12 +86,11 @@ def timed(pictures: list[np.ndarray], device: str) -> dict[str, float]:
     people = stage("masks", lambda: found.people(rows, found.presence, sizes))
     seconds["so far"] = sum(seconds.values())
     stage("all of these: find_people_in", lambda: find_people_in(pictures, device=device))
-    owners = stage("instance maps", lambda: [instance_map([each], (side, side)) for each in people])
-    points = [each.keypoints for each in people]
-    seen = stage("evidence", lambda: [person_evidence(*each, 0) for each in zip(points, owners, strict=True)])
-    cut = stage("its crops", lambda: [crop_evidence(each, device=device)[0] for each in seen])
-    stage("label network", lambda: predict_bodies(cut, network))
-    names = ("all of these: find_people_in", "instance maps", "evidence", "its crops", "label network")
+    owners = stage("whom each pixel shows", lambda: instance_maps([[each] for each in people], sizes.tolist()))
+    masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
+    cut = stage("evidence and crops", lambda: cut_masks(masked, device))
+    stage("label network", lambda: predict_bodies([observation for _, observation, _ in cut], network))
+    names = ("all of these: find_people_in", "whom each pixel shows", "evidence and crops", "label network")
     seconds["from pictures to bodies"] = sum(seconds[name] for name in names)
     return seconds
 

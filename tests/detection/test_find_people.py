@@ -62,7 +62,8 @@ def test_the_mask_is_the_person(device):
     shown = np.asarray(Image.open(EXAMPLE / "parts.png")) > 0
     mask = draw_mask(person, shown.shape)
     assert ((mask > 0.5) & shown).sum() > 0.9 * ((mask > 0.5) | shown).sum()
-    assert (instance_map([person], shown.shape) == (mask > 0.5)).all()
+    clear = abs(mask - 0.5) > 1e-4  # else a matter of rounding
+    assert (instance_map([person], shown.shape) == (mask > 0.5))[clear].all()
     rows, columns = np.nonzero(mask > 0.5)
     box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
     np.testing.assert_allclose(person.box, box, atol=3)

@@ -8,7 +8,7 @@ import torch
 
 from warp_partdr.detection.crops import Pyramid, TurnedCrops, crops_of_people, cut_crops
 from warp_partdr.detection.heat import refine_landmarks
-from warp_partdr.detection.masks import draw_mask, instance_map
+from warp_partdr.detection.masks import draw_mask, instance_map, instance_maps
 from warp_partdr.detection.person import FoundPerson
 from warp_partdr.inputs.keypoints import Keypoints2D
 
@@ -87,9 +87,27 @@ def test_crops_of_several_pictures_keep_their_order(device, rng):
         torch.testing.assert_close(together[row : row + 1], cut_crops(pyramids, crops[row : row + 1], 12))
 
 
-def person(crop: TurnedCrops, mask: np.ndarray) -> FoundPerson:
+@pytest.mark.parametrize("beyond", ["zeros", "border"])
+def test_crops_are_read_as_torch_reads_them(device, rng, beyond):
+    """Between the four nearest pixels, also where some of them lie beyond the picture, and far outside."""
+    picture = rng.integers(0, 255, (41, 30, 3), dtype=np.uint8)
+    crops = TurnedCrops(
+        rng.uniform(-20, 60, (30, 2)), rng.uniform(2, 22, 30), rng.uniform(-4, 4, 30), np.zeros(30, dtype=np.int64)
+    )
+    cut = cut_crops([Pyramid(picture, device)], crops, (16, 20), beyond=beyond)
+    y, x = np.mgrid[:16, :20]
+    places = np.stack([(x + 0.5) / 20, (y + 0.5) / 16], axis=-1).reshape(1, -1, 2)
+    grid = torch.tensor(crops.to_picture(places.repeat(30, axis=0)) / (30, 41) * 2 - 1).reshape(30, 16, 20, 2)
+    values = torch.tensor(picture / 255).permute(2, 0, 1).expand(30, -1, -1, -1)
+    expected = torch.nn.functional.grid_sample(values, grid, padding_mode=beyond, align_corners=False)
+    torch.testing.assert_close(cut.cpu().double(), expected, rtol=0, atol=2e-5)
+
+
+def person(crop: TurnedCrops, mask: np.ndarray, device: str = "cpu") -> FoundPerson:
     keypoints = Keypoints2D("blazepose33", np.zeros((33, 2), np.float32), np.ones(33, np.float32))
-    return FoundPerson(keypoints, 1.0, (0.0, 0.0, 1.0, 1.0), crop, mask.astype(np.float32), crop)
+    return FoundPerson(
+        keypoints, 1.0, (0.0, 0.0, 1.0, 1.0), crop, torch.tensor(mask, dtype=torch.float32, device=device), crop
+    )
 
 
 def test_masks_come_back_where_they_were_cut():
@@ -117,6 +135,24 @@ def test_a_pixel_belongs_to_the_strongest_mask():
     assert instance_map([], (3, 4)).shape == (3, 4)
     with pytest.raises(TypeError, match=r"people\[0\]: str; expected FoundPerson"):
         instance_map(["nobody"], (3, 4))
+
+
+def test_owners_of_many_pictures_are_those_that_their_masks_drawn_say(device, rng):
+    """Pictures of several sizes, some empty, crops that reach beyond: as ``draw_mask``, up to ties within rounding."""
+    sizes = [(70, 50), (3, 90), (64, 64), (40, 200)]
+    masks = rng.uniform(0, 1, (13, 256, 256))
+    masks[:, [0, 1, -2, -1]] = masks[:, :, [0, 1, -2, -1]] = 0.0  # the crops' edges are ties, too
+    crops = [one_crop(*rng.uniform(-20, 120, 2), rng.uniform(5, 120), rng.uniform(-4, 4)) for _ in masks]
+    everyone = [person(crop, mask, device) for crop, mask in zip(crops, masks, strict=True)]
+    people = [everyone[:3], [], everyone[3:9], everyone[9:]]
+    for some, size, owners in zip(people, sizes, instance_maps(people, sizes), strict=True):
+        assert owners.device == torch.device(device, 0 if device == "cuda" else None)
+        drawn = np.stack([np.full(size, 0.5, np.float32), *(draw_mask(each, size) for each in some)])
+        first, second = np.sort(drawn, axis=0)[::-1][:2] if some else (drawn[0], drawn[0] - 1)
+        clear = first - second > 1e-4  # of white noise
+        assert clear.mean() > 0.99
+        np.testing.assert_array_equal(owners.cpu().numpy()[clear], drawn.argmax(axis=0)[clear])
+    assert (owners > 0).any()
 
 
 def test_landmarks_follow_the_heat_near_them(device):

@@ -24,7 +24,7 @@ LSP6 = label_set("lsp6")
 
 def person(x: float, y: float, height: float, angle: float = 0.0) -> FoundPerson:
     """Somebody about a place, 0.4 of the height wide, turned."""
-    mask = np.zeros((256, 256), dtype=np.float32)
+    mask = torch.zeros(256, 256)
     mask[28:228, 88:168] = 1.0  # 200 x 80 of 256 x 256
     crop = TurnedCrops(
         np.array([[x, y]]), np.array([height * 256 / 200]), np.array([angle]), np.zeros(1, dtype=np.int64)
@@ -105,7 +105,7 @@ def test_others_pixels_are_ignored() -> None:
     ids = np.zeros(SIZE, dtype=np.uint8)
     ids[20:100, 84:116], ids[20:100, 116:150] = 3, 6
     one, other = person(100, 60, 80), person(134, 60, 80)
-    weak = other.mask.copy()
+    weak = other.mask.clone()
     weak[28:228, 78:88] = 0.1  # its edge, beyond the half
     people = [one, replace(other, mask=weak)]
     first, second = (parts_of(picture_of(ids), people, PartNetwork(LSP6, (96, 96), by_colour)).of(k) for k in (0, 1))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from ..errors import InputError, shown
 from ..files.disk import file_sha256
@@ -163,7 +164,7 @@ def _text_runs(text: str) -> list[int]:
     return runs
 
 
-def _owners(masks: Sequence[np.ndarray | None], size: tuple[int, int]) -> np.ndarray | None:
+def _owners(masks: Sequence[np.ndarray | None], size: tuple[int, int]) -> torch.Tensor | None:
     """Whom each pixel shows; where masks overlap, the smaller is before the larger. None if a mask is missing."""
     known = [mask for mask in masks if mask is not None]
     if not known or len(known) < len(masks):
@@ -171,4 +172,4 @@ def _owners(masks: Sequence[np.ndarray | None], size: tuple[int, int]) -> np.nda
     owners = np.zeros(size, dtype=np.int32)
     for index in sorted(range(len(known)), key=lambda index: -int(known[index].sum())):
         owners[known[index]] = index + 1
-    return owners
+    return torch.from_numpy(owners)

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -15,15 +16,15 @@ from ..body.skeletons import skeleton
 from ..cameras import Perspective
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
-from ..detection.masks import instance_map
+from ..detection.masks import instance_maps
 from ..detection.people import find_people_in
 from ..detection.person import SKELETON
 from ..errors import InputError
 from ..fit.mesh_stage import refine_meshes
 from ..fit.options import FitOptions
-from ..fit.photo import person_evidence
 from ..fit.together import CutPerson, fit_together
 from ..inputs.evidence import weigh_evidence
+from ..inputs.masked_people import MaskedPerson, cut_masks
 from ..inputs.observation import crop_evidence
 from ..inputs.person import check_inside
 from ..interop.torch_threads import one_torch_thread
@@ -113,14 +114,16 @@ class PeopleFitter:
     def find(self, pictures: Sequence[SourcePicture]) -> list[SourcePicture]:
         """Pictures with their people, found in one batch."""
         with one_torch_thread():
-            everyone = find_people_in([each.pixels for each in pictures], device=self.device, min_score=self.min_score)
+            pixels = [each.pixels for each in pictures]
+            everyone = find_people_in(pixels, device=self.device, min_score=self.min_score)
+            owners = instance_maps(everyone, [(each.shape[0], each.shape[1]) for each in pixels])
         return [
             replace(
                 picture,
                 people=tuple(KnownPerson(each.keypoints, each.score, each.box) for each in people),
-                owners=instance_map(people, picture.pixels.shape[:2]) if people else None,
+                owners=shown,
             )
-            for picture, people in zip(pictures, everyone, strict=True)
+            for picture, people, shown in zip(pictures, everyone, owners, strict=True)
         ]
 
     def bodies(self, people: Sequence[CutPerson]) -> list[Row]:
@@ -209,6 +212,7 @@ def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
     """Rows of pictures and their people, and the people cut out, for a fit."""
     rows: dict[Key, Row] = {}
     people: list[tuple[Key, CutPerson]] = []
+    masked: list[tuple[Key, MaskedPerson]] = []
     unknown = [place for place, (_, _, seen) in enumerate(held) if seen.people is None]
     found = dict(zip(unknown, attempt(how.find, [held[place][2] for place in unknown]), strict=True))
     for place, (index, name, seen) in enumerate(held):
@@ -231,10 +235,19 @@ def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
             try:
                 if seen.people is not None:
                     check_inside(person.keypoints, (row["height"], row["width"]))
-                people.append((key, _cut_person(known, number, camera, how.device)))
+                if known.parts is None and known.owners is not None:
+                    masked.append((key, MaskedPerson(person.keypoints, known.owners, number + 1, camera)))
+                else:
+                    people.append((key, _cut_person(known, number, camera, how.device)))
             except _FAULTS as error:
                 rows[key]["error"] = one_line(error)
-    return rows, people
+    cut = attempt(partial(cut_masks, device=how.device), [person for _, person in masked])
+    for (key, _), each in zip(masked, cut, strict=True):
+        if isinstance(each, Exception):
+            rows[key]["error"] = one_line(each)
+        else:
+            people.append((key, CutPerson(*each)))
+    return rows, sorted(people, key=lambda each: each[0])
 
 
 def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, device: str) -> CutPerson:
@@ -243,10 +256,8 @@ def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, d
     if known.parts is not None:
         others = [each.keypoints for place, each in enumerate(known.people) if place != number]
         evidence = weigh_evidence(keypoints, known.parts, others)[0]
-    elif known.owners is None:
-        evidence = weigh_evidence(keypoints)[0]
     else:
-        evidence = person_evidence(keypoints, known.owners, number)
+        evidence = weigh_evidence(keypoints)[0]
     observation, crop = crop_evidence(evidence, device=device, camera=camera)
     slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
     return CutPerson(slim, observation, crop)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import torch
 
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels, PhotoFile
@@ -47,7 +48,7 @@ class SourcePicture:
 
     pixels: np.ndarray
     people: tuple[KnownPerson, ...] | None = None
-    owners: np.ndarray | None = None
+    owners: torch.Tensor | None = None
     parts: PartLabels | None = None
 
 

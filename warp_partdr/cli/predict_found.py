@@ -234,25 +234,26 @@ class _Run:
     ) -> None:
         """Cut people out of a picture, who then wait for the network."""
         from ..detection.film_people import SEEN, seen_values
-        from ..detection.masks import instance_map
-        from ..fit.photo import person_evidence
-        from ..inputs.observation import crop_evidence
+        from ..detection.masks import instance_maps
+        from ..inputs.masked_people import MaskedPerson, cut_masks
         from ..results.predictions import ROW
 
         if not chosen:
             return
         size = (picture.shape[0], picture.shape[1])
         camera = self.view.read(size, None if source.film else source.path)
-        owners = instance_map(list(found.values()), size)
-        for index, (number, person) in enumerate(found.items()):
-            if number not in chosen:
-                continue
-            evidence = person_evidence(person.keypoints, owners, index)
-            cut = crop_evidence(evidence, device=self.device, camera=camera)
+        (owners,) = instance_maps([list(found.values())], [size])
+        masked = {
+            number: MaskedPerson(person.keypoints, owners, place, camera)
+            for place, (number, person) in enumerate(found.items(), start=1)
+            if number in chosen
+        }
+        cuts = cut_masks(list(masked.values()), self.device)
+        for number, (_, observation, crop) in zip(masked, cuts, strict=True):
             row = np.zeros(1, ROW)
-            for name, value in zip(SEEN, seen_values(person, frame, at), strict=True):
+            for name, value in zip(SEEN, seen_values(found[number], frame, at), strict=True):
                 row[name] = value
-            self._waiting.append(_Seen(source, number, row, size, cut))
+            self._waiting.append(_Seen(source, number, row, size, (observation, crop)))
             if len(self._waiting) >= people_at_a_time(self.choice.batch, self.device):
                 self._predict()
 

@@ -74,7 +74,8 @@ def average_boxes(boxes: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, np
     while len(left):
         same = overlap(boxes[left[0]], boxes[left]) > SAME
         same[0] = True  # also a box without an area
-        means.append(np.average(boxes[left[same]], axis=0, weights=scores[left[same]])[None])
+        weights = scores[left[same], None, None]
+        means.append((boxes[left[same]] * weights).sum(axis=0, keepdims=True) / weights.sum(axis=0))
         best.append(scores[left[0]])
         left = left[~same]
     return np.concatenate(means), np.array(best)

@@ -16,8 +16,12 @@ from typing import TypeVar
 import numpy as np
 import torch
 import torch.nn.functional as F
+import warp as wp
 
+from ..interop.arrays import warp_array
+from ..interop.streams import on_torch_stream
 from ..interop.torch_threads import one_torch_thread
+from ..kernels.crops import launch_crops
 from ..kernels.launch import get_num_threads, run_slices
 
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
@@ -155,13 +159,15 @@ class Pyramid:
         return torch.cat(strips, dim=2)
 
     def level(self, wanted: int) -> tuple[torch.Tensor, int]:
-        """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number."""
+        """Level ``wanted``, whose pixels are 2**level wide in the picture, or the finest there is, and its number.
+
+        Shape (1, 3, h, w); the colours of a pixel lie side by side in memory.
+        """
         wanted = max(wanted, self._first)
         with self._lock:
-            if not self._levels:
-                self._levels.append(self._finest)
             while len(self._levels) <= wanted - self._first:
-                self._levels.append(_halved(self._levels[-1]))
+                made = _halved(self._levels[-1]) if self._levels else self._finest
+                self._levels.append(made.contiguous(memory_format=torch.channels_last))
         return self._levels[wanted - self._first], wanted
 
 
@@ -195,29 +201,20 @@ def cut_crops(
         return torch.zeros(0, 3, height, width, device=device)
     coarsest = crops.sides * max(1 / height, crops.aspect / width)  # pixels of the picture to one of a crop
     levels = np.floor(np.log2(np.maximum(coarsest, 2**_SHARPER)) - _SHARPER).astype(int)
-    # Those of one picture and level lie side by side: a launch for each, and none of them waits for the device.
-    order = np.lexsort((levels, crops.pictures))
-    steps = np.flatnonzero(np.diff(crops.pictures[order]) | np.diff(levels[order])) + 1
-    groups = np.split(order, steps)
-    sources = [pyramids[crops.pictures[rows[0]]].level(int(levels[rows[0]])) for rows in groups]
-    extents = [(values.shape[-1] << level, values.shape[-2] << level) for values, level in sources]
-    counts = [len(rows) for rows in groups]
-    grids = _grids(crops[order], (height, width), np.repeat(extents, counts, axis=0), device).split(counts)
-    cut = torch.cat(
-        [
-            F.grid_sample(values.expand(len(grid), -1, -1, -1), grid, padding_mode=beyond, align_corners=False)
-            for (values, _), grid in zip(sources, grids, strict=True)
-        ]
+    wanted = zip(crops.pictures.tolist(), levels.tolist(), strict=True)
+    sources = [pyramids[picture].level(level) for picture, level in wanted]
+    scales = 2.0 ** np.array([level for _, level in sources])
+    centres = (np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) / (width, height)
+    places = crops.to_picture(np.broadcast_to(centres, (len(crops), 3, 2))) / scales[:, None, None]
+    places[:, 1:] -= places[:, :1]
+    tables = (
+        np.array([values.data_ptr() for values, _ in sources]),
+        np.array([values.shape[-2:] for values, _ in sources], dtype=np.int32),
+        places.astype(np.float32),
     )
-    if (order[1:] > order[:-1]).all():
-        return cut
-    return cut[torch.from_numpy(np.argsort(order)).to(device)]
-
-
-def _grids(crops: TurnedCrops, size: tuple[int, int], extents: np.ndarray, device: torch.device) -> torch.Tensor:
-    """Places of the pixels of crops of (H, W), from -1 to 1 across ``extents`` (N, 2) [px], shape (N, H, W, 2)."""
-    corners = crops.to_picture(np.broadcast_to([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], (len(crops), 3, 2)))
-    places = torch.from_numpy((corners / extents[:, None] * 2 - 1).astype(np.float32)).to(device)
-    down_steps, across_steps = ((torch.arange(count, device=device) + 0.5) / count for count in size)
-    start, across, down = places[:, None, None].unbind(-2)
-    return start + (across - start) * across_steps[:, None] + (down - start) * down_steps[:, None, None]
+    pointers, sizes, steps = (torch.from_numpy(each).to(device) for each in tables)
+    cut = torch.empty(len(crops), 3, height, width, device=device)
+    with on_torch_stream(device):
+        arrays = [warp_array(pointers), warp_array(sizes), warp_array(steps, wp.vec2)]
+        launch_crops(arrays, beyond == "zeros", warp_array(cut))
+    return cut

@@ -61,18 +61,16 @@ def detect_people(
     """
     size = networks.detector.size
     views = join_crops([no_crops(), *(tiles(pyramids[index].size, levels, size, index) for index in pictures)])
-    found, best = [no_crops()], [np.zeros(0)]
 
     def find(part: TurnedCrops) -> list[tuple[np.ndarray, np.ndarray]]:
         said = networks.detector(cut_crops(pyramids, part, size) * 2 - 1)
         return decode(said["boxes"], said["scores"][..., 0], size, min_score)
 
-    for row, boxes in enumerate(chain.from_iterable(work_on_crops(find, views, networks.device))):
-        if len(boxes[1]):
-            means, scores = average_boxes(*boxes)
-            view = views[np.full(len(means), row)]
-            points = view.to_picture(means[:, 2:4] / size)
-            found.append(crops_of_people(points[:, 0], points[:, 1], view.pictures))
-            best.append(scores)
+    boxes = [average_boxes(*each) for each in chain.from_iterable(work_on_crops(find, views, networks.device))]
+    if not boxes:
+        return no_crops(), np.zeros(0)
+    means, scores = (np.concatenate(each) for each in zip(*boxes, strict=True))
+    view = views[np.repeat(np.arange(len(boxes)), [len(each) for each, _ in boxes])]
+    points = view.to_picture(means[:, 2:4] / size)
     # Larger tiles, which show people whole, come first.
-    return distinct_crops(join_crops(found), np.concatenate(best))
+    return distinct_crops(crops_of_people(points[:, 0], points[:, 1], view.pictures), scores)

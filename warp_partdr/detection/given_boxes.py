@@ -137,7 +137,8 @@ def find_people_in_boxes(network: BoxNetwork, picture: Pyramid, min_score: float
         else:
             taken.append(person)
     return [
-        person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1]) for row, person in enumerate(chosen)
+        person or _only_box(boxes[row], float(scores[row]), crops[row : row + 1], picture.device)
+        for row, person in enumerate(chosen)
     ]
 
 
@@ -145,13 +146,13 @@ def _seen(landmarks: FoundLandmarks, scores: np.ndarray, size: tuple[int, int]) 
     return landmarks.people(np.arange(len(scores)), scores, np.tile(np.array(size), (len(scores), 1)))
 
 
-def _only_box(box: np.ndarray, score: float, crop: TurnedCrops) -> FoundPerson:
+def _only_box(box: np.ndarray, score: float, crop: TurnedCrops, device: torch.device) -> FoundPerson:
     """Somebody of whom no landmark and no pixel is known."""
     points = np.tile(crop.centres, (NUM_LANDMARKS, 1)).astype(np.float32)
     keypoints = Keypoints2D(SKELETON, points, np.zeros(NUM_LANDMARKS, np.float32))
     left, top, right, bottom = box.tolist()
     edges: Box = (left, top, right, bottom)
-    return FoundPerson(keypoints, score, edges, crop, np.zeros((256, 256), np.float32), crop)
+    return FoundPerson(keypoints, score, edges, crop, torch.zeros(256, 256, device=device), crop)
 
 
 def _overlap(box: np.ndarray, other: np.ndarray) -> float:

@@ -56,20 +56,16 @@ class FoundLandmarks:
         shown = (masks > 0.5)[..., None]
         low = torch.where(shown, places, torch.inf).amin((1, 2)).cpu().numpy()
         high = torch.where(shown, places, -torch.inf).amax((1, 2)).cpu().numpy()
-        found: list[FoundPerson] = []
-        for row, mask in enumerate(masks.cpu().numpy()):
-            if not np.isfinite(low[row]).all():  # nothing of the person is shown
-                points = np.clip(some.points[row], 0, sizes[row, ::-1])
-                low[row], high[row] = points.min(axis=0), points.max(axis=0)
-            (left, top), (right, bottom) = low[row].tolist(), high[row].tolist()
-            values = some.points[row].astype(np.float32), some.confidence[row].astype(np.float32)
-            one, box = slice(row, row + 1), (left, top, right, bottom)
-            found.append(
-                FoundPerson(
-                    Keypoints2D(SKELETON, *values), float(scores[row]), box, some.crops[one], mask, some.next_crops[one]
-                )
-            )
-        return found
+        lost = ~np.isfinite(low).all(axis=1)  # nothing of the person is shown
+        points = np.clip(some.points[lost], 0, sizes[lost, None, ::-1])
+        low[lost], high[lost] = points.min(axis=1, initial=np.inf), points.max(axis=1, initial=-np.inf)
+        boxes = np.concatenate([low, high], axis=1).tolist()
+        values = zip(some.points.astype(np.float32), some.confidence.astype(np.float32), strict=True)
+        ones = [slice(row, row + 1) for row in range(len(rows))]
+        return [
+            FoundPerson(Keypoints2D(SKELETON, *each), score, box, some.crops[one], mask, some.next_crops[one])
+            for each, score, box, one, mask in zip(values, scores.tolist(), map(tuple, boxes), ones, masks, strict=True)
+        ]
 
 
 def look(networks: PeopleNetworks, pyramids: Sequence[Pyramid], crops: TurnedCrops) -> FoundLandmarks:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
+import torch
 
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.person import Box
@@ -22,8 +22,8 @@ class FoundPerson:
         score: Confidence that there is a person, 0 to 1.
         box: Left, top, right and bottom of the mask, or else of the keypoints, within the picture [px].
         crop: The one crop, turned upright, that the landmarks were found in.
-        mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32;
-            ``draw_mask`` and ``instance_map`` bring it into the picture.
+        mask: Probability that a pixel of the crop shows the person, 0 beyond the picture, shape (256, 256), float32,
+            on the device that found it; ``draw_mask`` and ``instance_map`` bring it into the picture.
         next_crop: The crop that the landmarks place about the person, for the next picture of a film.
     """
 
@@ -31,7 +31,7 @@ class FoundPerson:
     score: float
     box: Box
     crop: TurnedCrops
-    mask: np.ndarray
+    mask: torch.Tensor
     next_crop: TurnedCrops
 
     @property

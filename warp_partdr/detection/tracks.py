@@ -121,7 +121,8 @@ def _shown(person: FoundPerson, places: np.ndarray) -> np.ndarray:
     side = len(person.mask)
     column, row = np.floor(person.crop.from_picture(places[None])[0] * side).astype(int).T
     inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < side)
-    return inside & (person.mask[row.clip(0, side - 1), column.clip(0, side - 1)] > 0.5)
+    pixels = torch.from_numpy(row.clip(0, side - 1)), torch.from_numpy(column.clip(0, side - 1))
+    return inside & (person.mask[pixels] > 0.5).cpu().numpy()
 
 
 def _followed(person: FoundPerson, last: FoundPerson) -> float:

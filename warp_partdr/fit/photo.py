@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..body.labels import BACKGROUND, IGNORE, label_set
+from ..body.labels import BACKGROUND, IGNORE
 from ..cameras import Perspective, zoomed
 from ..clothing.model import DetailedModel
 from ..detection import MIN_SCORE
@@ -25,6 +25,7 @@ from ..detection.person import FoundPerson
 from ..errors import InputError, check_type, check_whole, told_as
 from ..inputs.evidence import Evidence, weigh_evidence
 from ..inputs.keypoints import Keypoints2D
+from ..inputs.masked_people import MASK_LABELS
 from ..inputs.part_labels import PartLabels, read_photo, told_focal
 from ..inputs.person import PersonInputs
 from ..predictors.keypoints import find_keypoints
@@ -35,7 +36,6 @@ from .mesh_stage import MeshFit, refine_meshes
 from .options import FitOptions
 from .result import FitResult
 
-MASK_LABELS = label_set("full1")
 PACKAGED = "packaged: BlazePose"  # name of the packaged network
 _COMPARED = 1024  # [px], longer side of the picture in which it is looked for who hides whom
 _HIDDEN = 0.02  # share of a body that shows somebody else, from which on that one hides it

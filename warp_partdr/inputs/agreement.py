@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ LIMBS: dict[str, tuple[str, ...]] = {
     "legs": ("upper_leg", "lower_leg", "foot"),
 }
 
-_COARSE = 192  # [px]
+COARSE = 192  # [px]
 _SAMPLES = 48  # points along a bone
 _JOINT = 0.1  # share of a bone at either end that may show the next part
 _FEWEST = 24  # samples below which nothing is said
@@ -30,12 +30,13 @@ _SWAPPED = 0.75  # share of the samples on either side's label from which on two
 _TRUNK = 0.06  # radius of flesh about the lines between shoulders and hips
 _HEAD = 0.16  # radius of a head and its hair about any point of the face
 _ENDS = {"hand": ("wrist", 0.11), "foot": ("ankle", 0.15)}  # their lengths, any way from the joint
-_FAR = 0.05  # beyond all that
+FAR = 0.05  # beyond all that
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
 _CORNERS = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
 
 Segment = tuple[np.ndarray, np.ndarray, float]  # two ends [px], and a radius as a share of the person's height
+Place = TypeVar("Place")
 
 
 class Agreement(NamedTuple):
@@ -54,7 +55,11 @@ class Agreement(NamedTuple):
 
 def limb_bones(keypoints: Keypoints2D) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Part, start and end [px] of each limb's bone between two confident keypoints."""
-    points = _confident_points(keypoints)
+    yield from limbs_between(_confident_points(keypoints))
+
+
+def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Place]]:
+    """The same between points of any kind by landmark."""
     for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
         if without_side(name) not in _ENDS and (ends := _bone_ends(name, points)):
             yield name, *ends
@@ -66,7 +71,7 @@ def _confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
     return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
 
-def _bone_ends(name: str, points: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+def _bone_ends(name: str, points: Mapping[str, Place]) -> tuple[Place, Place] | None:
     """Start and end of a part's bone; None if a keypoint is missing."""
     part = PART_NAMES.index(name)
     start, end = JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
@@ -103,7 +108,7 @@ def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -
     bones = sum(each.own + each.mirrored + each.other for each in sides)
     distances = [each.distances for each in glances]
     known = sum(len(each) for each in distances)
-    far = sum(np.count_nonzero(each > _FAR) for each in distances)
+    far = sum(np.count_nonzero(each > FAR) for each in distances)
     return (other / bones if bones >= 2 * _FEWEST else 0.0) + 4 * far / max(known, 1)
 
 
@@ -135,7 +140,7 @@ def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) 
     return list(once.values())
 
 
-def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment]:
+def _part_segments(part: str, points: Mapping[str, Place]) -> Iterator[tuple[Place, Place, float]]:
     """Segments near which a part may be; empty if its keypoints are missing."""
     kind = without_side(part)
     side = part.removesuffix(kind)
@@ -156,6 +161,11 @@ def _part_segments(part: str, points: dict[str, np.ndarray]) -> Iterator[Segment
             yield *ends, thickness / (2 * MEAN_STATURE)
 
 
+def segments_of_parts(points: Mapping[str, Place]) -> dict[str, list[tuple[Place, Place, float]]]:
+    """Segments near which each part may be, of which a head or neck needs one, between points of any kind."""
+    return {part: list(_part_segments(part, points)) for part in PART_NAMES}
+
+
 class Beyond(NamedTuple):
     """Distances of a group's N pixels from its bones and their flesh."""
 
@@ -167,8 +177,8 @@ class Beyond(NamedTuple):
 
 
 def coarse(groups: np.ndarray) -> int:
-    """Stride at which a picture has at most ``_COARSE`` pixels a side: enough to see whether something is wrong."""
-    return max(math.ceil(max(groups.shape) / _COARSE), 1)
+    """Stride at which a picture has at most ``COARSE`` pixels a side: enough to see whether something is wrong."""
+    return max(math.ceil(max(groups.shape) / COARSE), 1)
 
 
 def glance(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) -> list[Beyond]:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name, mirror_order, without_side
+from ..body.skeletons import Skeleton
 from ..cameras import Crop
 from ..errors import InputError, check_each, check_type
 from .agreement import LIMBS, compare_sides, disagreement, glance
 from .ignored_labels import ignore_stray_labels
 from .keypoints import LARGEST_PLACE, Keypoints2D
 from .part_labels import PartLabels
-from .person import Box, crop_keypoints, crop_nearest, person_labels, reach_box, select_person
+from .person import Box, crop_keypoints, crop_nearest, person_labels, reach_boxes, select_person
 
 MOST_DISAGREEMENT = 1.0  # see ``agreement.disagreement``
 WINDOW_SIDE = 768  # [px]: more of a person is not looked at; a fit keeps a crop of it, at 512 px
@@ -98,7 +98,7 @@ def weigh_evidence(
     check_type("keypoints", keypoints, Keypoints2D, "one person's, of read_keypoints and choose_person")
     check_type("parts", parts, PartLabels | None, "of read_parts")
     check_each("others", others, Keypoints2D, "of read_keypoints")
-    _check_places(keypoints)
+    check_places(keypoints)
     if parts is None:
         return [Evidence(keypoints, None, Crop(0.0, 0.0, 1.0, (1, 1)), None)]
     if parts.instances is not None:  # then nobody's bones need tell whose a pixel is
@@ -110,19 +110,30 @@ def weigh_evidence(
     groups = select_person(groups, mine, [crop_keypoints(other, box, window.size) for other in others])
     glances = glance(groups, mine, labels)
     groups, names = ignore_stray_labels(groups, mine, labels, glances)
-    warnings = [f"labels: {_join(sorted(names))} also far from any such bone; ignored there"] if names else []
+    warnings = [stray_warning(names)] if names else []
     if names:
         glances = glance(groups, mine, labels)
     agreements = compare_sides(groups, mine, labels)
     if len(names) >= _MANY or disagreement(agreements, glances) > MOST_DISAGREEMENT:
-        warnings.append(f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?")
+        warnings.append(elsewhere_warning(labels))
     seen = Evidence(keypoints, parts, window, groups, tuple(warnings))
     if swapped := [limb for limb, agreement in agreements.items() if agreement.swapped]:
         return list(_either_side(seen, swapped, whole=len(swapped) == len(agreements)))
     return [seen]
 
 
-def _check_places(keypoints: Keypoints2D) -> None:
+def stray_warning(names: Iterable[str]) -> str:
+    """Sentence about groups that ``ignore_stray_labels`` names."""
+    return f"labels: {_join(sorted(names))} also far from any such bone; ignored there"
+
+
+def elsewhere_warning(labels: LabelSet) -> str:
+    """Sentence about labels in ``disagreement`` with the keypoints."""
+    return f"labels: parts lie elsewhere than their bones; are these ids of {labels.name}?"
+
+
+def check_places(keypoints: Keypoints2D) -> None:
+    """Raise InputError unless keypoints are visible, in places that a picture may have, and in different ones."""
     visible = keypoints.visible
     if not visible.any():
         raise InputError("keypoints: none is visible; expected at least one with a confidence above 0")
@@ -134,14 +145,24 @@ def _check_places(keypoints: Keypoints2D) -> None:
 
 def _window(keypoints: Keypoints2D, size: tuple[int, int]) -> Crop:
     """Part of the picture in which the person's labels may be: all of it unless it is large."""
-    height, width = size
-    if max(size) <= WINDOW_SIDE:
-        return Crop(0.0, 0.0, 1.0, (height, width))
-    low_x, low_y, high_x, high_y = reach_box(keypoints)
-    x0, y0 = (math.floor(min(max(low, 0.0), side - 1.0)) for low, side in ((low_x, width), (low_y, height)))
-    x1, y1 = math.ceil(min(max(high_x, x0 + 1.0), width)), math.ceil(min(max(high_y, y0 + 1.0), height))
-    zoom = min(1.0, WINDOW_SIDE / max(x1 - x0, y1 - y0))
-    return Crop(float(x0), float(y0), zoom, (max(int((y1 - y0) * zoom), 1), max(int((x1 - x0) * zoom), 1)))
+    one = keypoints.skeleton, keypoints.points[None], keypoints.confidence[None], np.array([size])
+    starts, zooms, sizes = person_windows(*one)
+    (left, top), (height, width) = starts[0].tolist(), sizes[0].tolist()
+    return Crop(left, top, float(zooms[0]), (height, width))
+
+
+def person_windows(
+    form: str | Skeleton, points: np.ndarray, confidence: np.ndarray, sizes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Windows of N people with one skeleton in pictures of (H, W), shape (N, 2): a crop's corner, zoom and (H, W)."""
+    boxes = reach_boxes(form, points, confidence)
+    limits = sizes[:, ::-1].astype(np.float64)
+    low = np.floor(np.minimum(np.maximum(boxes[:, :2], 0.0), limits - 1.0))
+    high = np.ceil(np.minimum(np.maximum(boxes[:, 2:], low + 1.0), limits))
+    small = sizes.max(axis=1, keepdims=True) <= WINDOW_SIDE
+    low, high = np.where(small, 0.0, low), np.where(small, limits, high)
+    zooms = np.minimum(1.0, WINDOW_SIDE / (high - low).max(axis=1))
+    return low, zooms, np.maximum(((high - low) * zooms[:, None]).astype(np.int64), 1)[:, ::-1]
 
 
 def _box_of(window: Crop) -> Box:

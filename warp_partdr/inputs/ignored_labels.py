@@ -17,12 +17,12 @@ from .agreement import Beyond, coarse, distances_beyond, labels_along, limb_bone
 from .keypoints import Keypoints2D, person_height
 from .person import connected, lower_near
 
-_FAR = 0.1  # of the person's height, beyond a part's bones and flesh: nothing of it reaches there, clothes included
+STRAY = 0.1  # of the person's height, beyond a part's bones and flesh: nothing of it reaches there, clothes included
 _LEAST = 0.01  # of the person's pixels: less does no harm
 _CONFIRMED = 0.25  # pixels about a part's bones for each one far away; with fewer, its keypoints are in doubt
 
-_MISSING = 1 / 3  # share of a bone on background from which on its limb is missing
-_SAMPLES = 64  # points along a bone
+MISSING_SHARE = 1 / 3  # of a bone on background, from which on its limb is missing
+LIMB_SAMPLES = 64  # points along a bone
 _MARGIN = 0.01  # of the person's height: about how far keypoints are off
 
 
@@ -37,18 +37,23 @@ def ignore_stray_labels(
     """
     cleaned, names = groups.copy(), set()
     thin = groups[:: coarse(groups), :: coarse(groups)]
-    least = max(_LEAST * np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE)), 1.0)
+    known = np.count_nonzero((thin != BACKGROUND) & (thin != IGNORE))
     for seen in glances:
-        far = np.count_nonzero(seen.distances > _FAR)
-        if far < least or np.count_nonzero(seen.distances <= 0.0) < _CONFIRMED * far:
+        far, within = np.count_nonzero(seen.distances > STRAY), np.count_nonzero(seen.distances <= 0.0)
+        if not are_stray(np.array(known), np.array(within), np.array(far)):
             continue
         for each in distances_beyond(groups, keypoints, labels, only=seen.group):
             blob, seeds = np.zeros((2, *groups.shape), dtype=bool)
             blob[each.rows, each.columns] = each.distances > 0.0
-            seeds[each.rows, each.columns] = each.distances > _FAR
+            seeds[each.rows, each.columns] = each.distances > STRAY
             cleaned[connected(blob, seeds)] = IGNORE
         names.add(seen.name)
     return cleaned, names
+
+
+def are_stray(known: np.ndarray, within: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """True where, of so many pixels of a person, so many of a group's lie far from its flesh, and within it."""
+    return (far >= np.maximum(_LEAST * known, 1.0)) & (within >= _CONFIRMED * far)
 
 
 def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarray:
@@ -59,16 +64,22 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
     """
-    mean, height = template(), person_height(keypoints)
+    height = person_height(keypoints)
     near = np.zeros(groups.shape, dtype=bool)
     for name, start, end in limb_bones(keypoints):
-        shown = labels_along(groups, start, end, samples=_SAMPLES)
-        if np.count_nonzero(shown == BACKGROUND) / _SAMPLES < _MISSING:
-            continue
-        length, thickness, _ = SHAPE_INDICES[PART_NAMES.index(name)]
-        if name.endswith("forearm"):
-            hand = SHAPE_INDICES[PART_NAMES.index(name.replace("forearm", "hand"))][0]
-            end = end + (end - start) * (mean.mean_lengths[hand] / mean.mean_lengths[length])
-        half = mean.mean_thicknesses[thickness] / (2 * MEAN_STATURE) + _MARGIN
-        lower_near(near, np.concatenate([start, end]), half * height)
+        shown = labels_along(groups, start, end, samples=LIMB_SAMPLES)
+        if np.count_nonzero(shown == BACKGROUND) / LIMB_SAMPLES >= MISSING_SHARE:
+            half, further = limb_extent(name)
+            lower_near(near, np.concatenate([start, end + (end - start) * further]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)
+
+
+def limb_extent(name: str) -> tuple[np.float64, np.float64]:
+    """Half the width of a limb, as a share of the height, and how far it goes on beyond its bone, of whose length."""
+    mean = template()
+    length, thickness, _ = SHAPE_INDICES[PART_NAMES.index(name)]
+    further = np.float64(0.0)
+    if name.endswith("forearm"):
+        hand = SHAPE_INDICES[PART_NAMES.index(name.replace("forearm", "hand"))][0]
+        further = mean.mean_lengths[hand] / mean.mean_lengths[length]
+    return mean.mean_thicknesses[thickness] / (2 * MEAN_STATURE) + _MARGIN, further

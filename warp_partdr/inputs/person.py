@@ -13,17 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE
+from ..body.skeletons import Skeleton, skeleton
 from ..errors import InputError
-from .keypoints import Keypoints2D, person_height
+from .keypoints import Keypoints2D, confident, person_height, person_heights
 from .part_labels import PartLabels
 
 Box = tuple[float, float, float, float]
 
 # Shares of the person's height.
-_SEED_RADIUS = 0.03  # About an arm's half thickness: a labelled pixel so near to a bone is the person's.
-_REACH = 0.25  # Farther than this from any bone, nothing is the person's; half a trunk's width is 0.12.
-_LOOSE_REACH = 0.6  # The same around a joint whose next joint is missing: a whole limb may hang there.
-_MIN_SEED_RADIUS = 1.5  # [px]
+SEED_RADIUS = 0.03  # About an arm's half thickness: a labelled pixel so near to a bone is the person's.
+REACH = 0.25  # Farther than this from any bone, nothing is the person's; half a trunk's width is 0.12.
+LOOSE_REACH = 0.6  # The same around a joint whose next joint is missing: a whole limb may hang there.
+MIN_SEED_RADIUS = 1.5  # [px]
 
 # Shares of the picture's longer side: networks guess that far where the border cuts a person off, not farther.
 _BEYOND = 2.0
@@ -78,17 +79,17 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
         InputError: If no labelled pixel lies along the person's bones.
     """
     height = person_height(keypoints)
-    reach = max(_REACH * height, _MIN_SEED_RADIUS)
+    reach = max(REACH * height, MIN_SEED_RADIUS)
     distances = _bone_distances(keypoints, groups.shape, reach)
     foreground = (groups != BACKGROUND) & (groups != IGNORE)
-    seeds = foreground & (distances <= max(_SEED_RADIUS * height, _MIN_SEED_RADIUS))
+    seeds = foreground & (distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS))
     if not seeds.any():
         raise InputError(
             "keypoints: no labelled pixel along the person's bones; expected keypoints and part labels to agree"
         )
     near = np.isfinite(distances)
-    for x, y in keypoints.points[_loose_ends(keypoints)]:
-        lower_near(near, np.array([x, y, x, y]), _LOOSE_REACH * height)
+    for x, y in keypoints.points[loose_ends(keypoints.skeleton, keypoints.confident[None])[0]]:
+        lower_near(near, np.array([x, y, x, y]), LOOSE_REACH * height)
     for other in others:
         near &= distances <= _bone_distances(other, groups.shape, reach)
     kept = connected(foreground & near, seeds & near)
@@ -118,14 +119,18 @@ def person_labels(parts: PartLabels, keypoints: Keypoints2D) -> PartLabels:
     return PartLabels(parts.label_set, groups.astype(np.uint8))
 
 
-def reach_box(keypoints: Keypoints2D) -> Box:
-    """Box [px] around all that ``select_person`` may keep; it may reach beyond the picture."""
-    height = person_height(keypoints)
-    reach = np.where(_loose_ends(keypoints), _LOOSE_REACH, _REACH) * height
-    reach = np.maximum(reach, _MIN_SEED_RADIUS)[keypoints.confident, None]
-    points = keypoints.points[keypoints.confident].astype(np.float64)
-    (x0, y0), (x1, y1) = (points - reach).min(axis=0), (points + reach).max(axis=0)
-    return float(x0), float(y0), float(x1), float(y1)
+def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Boxes [px] around all that ``select_person`` may keep, which may reach beyond the picture, shape (N, 4).
+
+    Of N people with one skeleton: points (N, J, 2) and confidence (N, J).
+    """
+    sure, heights = confident(confidence), person_heights(form, points, confidence)
+    reach = np.where(loose_ends(form, sure), LOOSE_REACH, REACH) * heights[:, None]
+    reach = np.maximum(reach, MIN_SEED_RADIUS)[..., None]
+    places = points.astype(np.float64)
+    low = np.where(sure[..., None], places - reach, np.inf).min(axis=1)
+    high = np.where(sure[..., None], places + reach, -np.inf).max(axis=1)
+    return np.concatenate([low, high], axis=1)
 
 
 def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float) -> np.ndarray:
@@ -170,13 +175,14 @@ def _clip(value: float, limit: int) -> int:
     return int(min(max(math.floor(value), 0), limit))
 
 
-def _loose_ends(keypoints: Keypoints2D) -> np.ndarray:
-    """Confident joints whose next joint down a limb is not, shape (J,), bool."""
-    sure, landmarks = keypoints.confident, keypoints.format.landmarks
-    loose = np.zeros(len(sure), dtype=bool)
-    for edge in keypoints.format.edges:
+def loose_ends(form: str | Skeleton, sure: np.ndarray) -> np.ndarray:
+    """Confident joints whose next joint down a limb is not, of N people's confident ones (N, J)."""
+    landmarks = skeleton(form).landmarks
+    loose = np.zeros(sure.shape, dtype=bool)
+    for edge in skeleton(form).edges:
         for joint, following in (edge, edge[::-1]):
-            loose[joint] |= sure[joint] and not sure[following] and landmarks[following].endswith(_LIMB_JOINTS)
+            if landmarks[following].endswith(_LIMB_JOINTS):
+                loose[:, joint] |= sure[:, joint] & ~sure[:, following]
     return loose
 
 

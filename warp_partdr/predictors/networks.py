@@ -85,8 +85,8 @@ def upright_crop(person: FoundPerson, size: tuple[int, int], *, stretch: float =
     It is as the person's mask and keypoints lie in that, but made wider or higher until it has the shape of (H, W), or
     is at most ``stretch`` narrower or wider.
     """
-    rows, columns = np.nonzero(person.mask > _SHOWN)
-    shown = np.column_stack([columns + 0.5, rows + 0.5]) / person.mask.shape[::-1]
+    pixels = (person.mask > _SHOWN).nonzero().cpu().numpy()
+    shown = (pixels[:, ::-1] + 0.5) / person.mask.shape[::-1]
     keypoints = person.keypoints
     sure = person.crop.from_picture(keypoints.points[None, keypoints.confident].astype(np.float64))[0]
     places = np.concatenate([shown, sure])
