@@ -19,17 +19,18 @@ from ..detection.masks import instance_map
 from ..detection.people import find_people_in
 from ..detection.person import SKELETON
 from ..errors import InputError
+from ..fit.cut_people import CutPeople, CutPerson, Kind, stack_alike
 from ..fit.mesh_stage import refine_meshes
 from ..fit.options import FitOptions
 from ..fit.photo import person_evidence
-from ..fit.together import CutPerson, fit_together
+from ..fit.together import fit_together
 from ..inputs.evidence import weigh_evidence
 from ..inputs.observation import crop_evidence
 from ..inputs.person import check_inside
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
-from .rows import Row, describe_bodies
+from .rows import Row, RowPart, Rows, describe_bodies, error_part
 from .sources import KnownPerson, SourcePicture
 
 BulkQuality = Literal["network", "fast", "mesh"]
@@ -40,12 +41,12 @@ def no_camera(name: str, size: tuple[int, int]) -> None:
     """None: the camera of no picture is known."""
 
 
-Key = tuple[int, int]  # place of a picture, and number of a person
-_Held = tuple[int, str, SourcePicture]
-_Cut = tuple[dict[Key, Row], list[tuple[Key, CutPerson]]]
+Read = SourcePicture | Exception
+_Held = tuple[str, Read]
+_Cut = tuple[Rows, list[tuple[np.ndarray, CutPeople]]]  # people who are alike, and their rows
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
+Attempted = list[tuple[slice, Sequence[Result] | Exception]]
 
 _PIXELS = 2**24  # of pictures in which people are looked for at a time
 _PICTURES = 32  # the same in number
@@ -84,9 +85,7 @@ class PeopleFitter:
     camera: CameraOf = no_camera
     skeleton: str = SKELETON
 
-    def rows(
-        self, pictures: Iterable[tuple[str, SourcePicture | Exception]], tell: Callable[[str], None] | None = None
-    ) -> list[Row]:
+    def rows(self, pictures: Iterable[tuple[str, Read]], tell: Callable[[str], None] | None = None) -> Rows:
         """Rows of pictures, in their order; the same whatever was fitted before.
 
         Args:
@@ -96,8 +95,8 @@ class PeopleFitter:
         with ThreadPoolExecutor(self.workers, thread_name_prefix="people") as pool:
             taken = _Taken(self, pool)
             try:
-                for index, (name, seen) in enumerate(pictures):
-                    taken.add(index, name, seen)
+                for name, seen in pictures:
+                    taken.add(name, seen)
                     if tell is not None:
                         tell(name)
                 return taken.finish()
@@ -123,16 +122,9 @@ class PeopleFitter:
             for picture, people in zip(pictures, everyone, strict=True)
         ]
 
-    def bodies(self, people: Sequence[CutPerson]) -> list[Row]:
-        """Bodies of people, in one batch of each keypoints' format."""
-        forms = list(dict.fromkeys(person.evidence.keypoints.format.name for person in people))
-        if len(forms) > 1:
-            rows: dict[int, Row] = {}
-            for form in forms:
-                places = [place for place, each in enumerate(people) if each.evidence.keypoints.format.name == form]
-                rows |= zip(places, self.bodies([people[place] for place in places]), strict=True)
-            return [rows[place] for place in range(len(people))]
-        fits = fit_together(people, self.options, self.network)
+    def bodies(self, people: CutPeople) -> list[RowPart]:
+        """Bodies of people, in one batch."""
+        fits = fit_together(people.to(self.device), self.options, self.network)
         if self.model is None:
             return describe_bodies(fits)
         with _MESHES:
@@ -142,7 +134,7 @@ class PeopleFitter:
 
 @dataclass
 class _Taken:
-    """Pictures that were taken so far, and rows by the place of the picture and the number of the person.
+    """Pictures that were taken so far, and their rows.
 
     Groups of pictures, and batches of people, are worked on by threads and come back in order, so that rows depend on
     the pictures alone.
@@ -150,28 +142,26 @@ class _Taken:
 
     how: PeopleFitter
     pool: ThreadPoolExecutor
-    rows: dict[Key, Row] = field(default_factory=dict)
+    rows: Rows = field(default_factory=Rows)
     _held: list[_Held] = field(default_factory=list)
     _cutting: deque[Future[_Cut]] = field(default_factory=deque)
-    _waiting: list[tuple[Key, CutPerson]] = field(default_factory=list)
-    _fitting: deque[tuple[list[Key], Future[list[Row | Exception]]]] = field(default_factory=deque)
+    _waiting: list[_Waiting] = field(default_factory=list)
+    _fitting: deque[tuple[np.ndarray, Future[list[RowPart]]]] = field(default_factory=deque)
 
-    def add(self, index: int, name: str, seen: SourcePicture | Exception) -> None:
+    def add(self, name: str, seen: Read) -> None:
         """Take a picture, and find people when there are some."""
-        if isinstance(seen, Exception):
-            self.rows[index, 0] = {"picture": name, "error": one_line(seen)}
-            return
-        self._held.append((index, name, seen))
-        if len(self._held) >= _PICTURES or sum(each.pixels.size for _, _, each in self._held) >= 3 * _PIXELS:
+        self._held.append((name, seen))
+        there = [each.pixels.size for _, each in self._held if isinstance(each, SourcePicture)]
+        if len(there) >= _PICTURES or sum(there) >= 3 * _PIXELS:
             self._cut()
 
-    def finish(self) -> list[Row]:
+    def finish(self) -> Rows:
         """Wait for all, and give the rows in order."""
         self._cut()
         self._collect_cut(0)
         self._fit(1)
         self._collect_fitted(0)
-        return [self.rows[key] for key in sorted(self.rows)]
+        return self.rows
 
     def _cut(self) -> None:
         held, self._held = self._held, []
@@ -182,62 +172,102 @@ class _Taken:
     def _collect_cut(self, ahead: int) -> None:
         """Take what was cut out, but for so many groups that may still be in work."""
         while len(self._cutting) > ahead:
-            rows, people = self._cutting.popleft().result()
-            self.rows |= rows
-            self._waiting += people
+            rows, cut = self._cutting.popleft().result()
+            numbers = self.rows.extend(rows)
+            for places, people in cut:
+                self._queue(people).add(numbers[places], people)
             self._fit(self.how.batch)
+
+    def _queue(self, people: CutPeople) -> _Waiting:
+        """Those who wait and are alike, for they are fitted together."""
+        for waiting in self._waiting:
+            if waiting.kind == people.kind:
+                return waiting
+        self._waiting.append(_Waiting(people.kind))
+        return self._waiting[-1]
 
     def _fit(self, least: int) -> None:
         """Fit those who wait, in batches of ``least`` people at least."""
-        while len(self._waiting) >= least:
-            some, self._waiting = self._waiting[: self.how.batch], self._waiting[self.how.batch :]
-            work = self.pool.submit(attempt, self.how.bodies, [person for _, person in some])
-            self._fitting.append(([key for key, _ in some], work))
+        for waiting in self._waiting:
+            while waiting.count >= least:
+                places, people = waiting.take(self.how.batch)
+                self._fitting.append((places, self.pool.submit(_fit_people, self.how, people)))
         self._collect_fitted(2 * self.how.workers)
 
     def _collect_fitted(self, ahead: int) -> None:
         while len(self._fitting) > ahead:
-            keys, work = self._fitting.popleft()
-            for key, body in zip(keys, work.result(), strict=True):
-                if isinstance(body, Exception):
-                    self.rows[key]["error"] = one_line(body)
-                else:
-                    self.rows[key] |= body
+            places, work = self._fitting.popleft()
+            self.rows.parts += [part.at(places) for part in work.result()]
+
+
+@dataclass
+class _Waiting:
+    """People of one kind who wait for a batch, and their rows."""
+
+    kind: Kind
+    count: int = 0
+    _parts: list[tuple[np.ndarray, CutPeople]] = field(default_factory=list)
+
+    def add(self, places: np.ndarray, people: CutPeople) -> None:
+        self._parts.append((places, people))
+        self.count += len(people)
+
+    def take(self, most: int) -> tuple[np.ndarray, CutPeople]:
+        """The first ones, so many at most."""
+        places = np.concatenate([rows for rows, _ in self._parts])
+        people = CutPeople.joined([some for _, some in self._parts])
+        self._parts = [(places[most:], people[most:])] if len(places) > most else []
+        self.count = max(self.count - most, 0)
+        return places[:most], people[:most]
+
+
+def _fit_people(how: PeopleFitter, people: CutPeople) -> list[RowPart]:
+    parts: list[RowPart] = []
+    for own, found in attempt(how.bodies, people):
+        some = [error_part(0, one_line(found))] if isinstance(found, Exception) else found
+        parts += [part.at(np.arange(own.start, own.stop)) for part in some]
+    return parts
 
 
 def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
     """Rows of pictures and their people, and the people cut out, for a fit."""
-    rows: dict[Key, Row] = {}
-    people: list[tuple[Key, CutPerson]] = []
-    unknown = [place for place, (_, _, seen) in enumerate(held) if seen.people is None]
-    found = dict(zip(unknown, attempt(how.find, [held[place][2] for place in unknown]), strict=True))
-    for place, (index, name, seen) in enumerate(held):
+    unknown = [place for place, (_, seen) in enumerate(held) if isinstance(seen, SourcePicture) and seen.people is None]
+    found: dict[int, Read] = {}
+    for own, some in attempt(how.find, [held[place][1] for place in unknown]):
+        found |= zip(unknown[own], [some] if isinstance(some, Exception) else some, strict=True)
+    rows: list[Row] = []
+    cut: list[tuple[int, CutPerson]] = []
+    for place, (name, seen) in enumerate(held):
         known = found.get(place, seen)
-        row: Row = {"picture": name, "height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
+        row: Row = {"picture": name}
+        if isinstance(seen, SourcePicture):
+            row |= {"height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
         try:
             if isinstance(known, Exception):
                 raise known
             camera = how.camera(name, (row["height"], row["width"]))
         except _FAULTS as error:
-            rows[index, 0] = row | {"error": one_line(error)}
+            rows.append(row | {"error": one_line(error)})
             continue
         assert known.people is not None
         row["people"] = len(known.people)
         if not known.people:
-            rows[index, 0] = row
+            rows.append(row)
         for number, person in enumerate(known.people):
-            key = index, number
-            rows[key] = row | {"person": number} | _describe(person, how.skeleton)
+            rows.append(row | {"person": number} | _describe(person, how.skeleton))
             try:
-                if seen.people is not None:
+                if place not in found:
                     check_inside(person.keypoints, (row["height"], row["width"]))
-                people.append((key, _cut_person(known, number, camera, how.device)))
+                cut.append((len(rows) - 1, _cut_person(known, number, camera)))
             except _FAULTS as error:
-                rows[key]["error"] = one_line(error)
-    return rows, people
+                rows[-1]["error"] = one_line(error)
+    numbers = np.array([number for number, _ in cut])
+    alike = stack_alike([person for _, person in cut])
+    return Rows.of(rows), [(numbers[places], people) for places, people in alike]
 
 
-def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, device: str) -> CutPerson:
+def _cut_person(known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:
+
     assert known.people is not None
     keypoints = known.people[number].keypoints
     if known.parts is not None:
@@ -247,22 +277,26 @@ def _cut_person(known: SourcePicture, number: int, camera: Perspective | None, d
         evidence = weigh_evidence(keypoints)[0]
     else:
         evidence = person_evidence(keypoints, known.owners, number)
-    observation, crop = crop_evidence(evidence, device=device, camera=camera)
+    observation, crop = crop_evidence(evidence, camera=camera)
     slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
     return CutPerson(slim, observation, crop)
 
 
-def attempt(work: Callable[[Sequence[Item]], Sequence[Result]], items: Sequence[Item]) -> list[Result | Exception]:
-    """Results of a batch; if it fails, of its halves, so that in the end only those that are at fault have an error."""
+def attempt(work: Callable[[Any], Sequence[Result]], items: Sequence[Any], start: int = 0) -> Attempted[Result]:
+    """Results of a batch; if it fails, of its halves, so that in the end only those that are at fault have an error.
+
+    With each, where in the batch it is, whose first item has the number ``start``.
+    """
     if not items:
         return []
+    own = slice(start, start + len(items))
     try:
-        return list(work(items))
+        return [(own, work(items))]
     except _FAULTS as error:
         if len(items) == 1:
-            return [error]
+            return [(own, error)]
     half = len(items) // 2
-    return attempt(work, items[:half]) + attempt(work, items[half:])
+    return [*attempt(work, items[:half], start), *attempt(work, items[half:], start + half)]
 
 
 def one_line(error: Exception) -> str:

@@ -9,12 +9,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
 from ..errors import InputError
-from .people import PeopleFitter
+from .people import PeopleFitter, Read
 from .rows import Column, people_table
 from .shards import Shards, Tally
-from .sources import PictureSource, SourcePicture
+from .sources import PictureSource
 
-Read = SourcePicture | Exception
 _AHEAD = 4  # pictures a thread that are decoded before they are asked for
 
 
@@ -55,8 +54,9 @@ def make_dataset(
             started = time.perf_counter()
             rows = fitter.rows(islice(pictures, count), told)
             about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
-            shards.write(index, people_table(rows, columns, about))
-            tally.add(count, rows)
+            table = people_table(rows, columns, about)
+            shards.write(index, table)
+            tally.add(count, table)
             if written is not None:
                 written(index, tally)
     finally:

@@ -13,6 +13,7 @@ import torch
 from ..body.landmarks import landmark_points
 from ..body.template import NUM_PARTS
 from ..inputs.observation import Observation, resize_nearest
+from ..inputs.stacked import StackedObservations
 from .energy import Energy, split_votes, stack_depth_scales
 from .tables import LANDMARK_NAMES
 
@@ -77,6 +78,32 @@ class Batch:
             lenses=stacked("lens", sure.new_zeros(3)),
             targets=None if labels is None else resize_nearest(labels, energy.size),
             seen=frozenset(name for names in {each.body_points for each in people} for name in names),
+            labels=labels,
+        )
+
+    @classmethod
+    def of_stacked(cls, people: StackedObservations, energy: Energy) -> Batch:
+        """Of people who are stacked already; sizes and depths are the energy's usual ones."""
+        columns, parts = (
+            torch.from_numpy(rows).to(people.points.device) for rows in _places(people.landmarks, people.marks)
+        )
+        sure = people.confidence.new_zeros(len(people), len(LANDMARK_NAMES))
+        sure[:, columns] = people.confidence
+        on_parts = torch.zeros_like(sure, dtype=torch.int64)
+        on_parts[:, columns] = parts
+        points = sure.new_zeros(*sure.shape, 2)
+        points[:, columns] = people.points
+        labels = None if energy.target is None else people.labels
+        return cls(
+            points=points,
+            votes=split_votes(sure, on_parts),
+            lengths=energy.usual_lengths.repeat(len(people), 1),
+            thicknesses=energy.usual_thicknesses.repeat(len(people), 1),
+            depths=sure.new_zeros(len(people), NUM_PARTS),
+            depth_scales=energy.depth_scales.repeat(len(people), 1),
+            lenses=sure.new_zeros(len(people), 3) if people.lens is None else people.lens,
+            targets=None if labels is None else resize_nearest(labels, energy.size),
+            seen=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
             labels=labels,
         )
 
