@@ -1,4 +1,4 @@
-"""Rows of a batch of fits: as of each fit alone, though no fit's own object is made for them."""
+"""PeopleRows of a batch of fits: as of each fit alone, though no fit's own object is made for them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import torch
 from scenes.files import EXAMPLE
 
-from warp_partdr.bulk.rows import RowPart, Rows, columns, describe_bodies, people_table
+from warp_partdr.bulk.rows import PeopleRows, RowPart, columns, describe_bodies, people_table
 from warp_partdr.fit import together
 from warp_partdr.fit.cut_people import CutPeople, CutPerson
 from warp_partdr.fit.options import FitOptions
@@ -36,8 +36,8 @@ def batch(device: str) -> BatchFits:
 
 
 def rows_of(fits: Any) -> list[dict[str, Any]]:
-    """Rows as a data set's readers find them."""
-    rows = Rows(len(fits), describe_bodies(fits))
+    """PeopleRows as a data set's readers find them."""
+    rows = PeopleRows(len(fits), describe_bodies(fits))
     return people_table(rows, columns("coco17"), {}).to_pylist()
 
 
@@ -76,9 +76,9 @@ def test_a_body_that_is_not_finite_is_an_error(batch: BatchFits) -> None:
 
 def test_columns_are_those_of_rows_made_one_by_one() -> None:
     """What is missing is null, also where parts come later; the last one holds."""
-    rows = Rows()
-    assert rows.extend(Rows.of([{"picture": "a", "error": "torn"}])).tolist() == [0]
-    numbers = rows.extend(Rows.of([{"picture": name, "annotation": None, "warnings": []} for name in "bcd"]))
+    rows = PeopleRows()
+    assert rows.extend(PeopleRows.of([{"picture": "a", "error": "torn"}])).tolist() == [0]
+    numbers = rows.extend(PeopleRows.of([{"picture": name, "annotation": None, "warnings": []} for name in "bcd"]))
     lengths = np.arange(24, dtype=np.float32).reshape(2, 12)
     bodies = RowPart(np.array([0, 1]), {"lengths": lengths, "energy": [None, 2.0], "warnings": [["far"], []]})
     rows.parts.append(bodies.at(numbers[[2, 0]]))

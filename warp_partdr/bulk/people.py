@@ -30,7 +30,7 @@ from ..inputs.person import check_inside
 from ..interop.torch_threads import one_torch_thread
 from ..kernels.launch import get_num_threads
 from ..network.label_network import LabelNetwork
-from .rows import Row, RowPart, Rows, describe_bodies, error_part
+from .rows import PeopleRows, Row, RowPart, describe_bodies, error_part
 from .sources import KnownPerson, SourcePicture
 
 BulkQuality = Literal["network", "fast", "mesh"]
@@ -43,7 +43,7 @@ def no_camera(name: str, size: tuple[int, int]) -> None:
 
 Read = SourcePicture | Exception
 _Held = tuple[str, Read]
-_Cut = tuple[Rows, list[tuple[np.ndarray, CutPeople]]]  # people who are alike, and their rows
+_Cut = tuple[PeopleRows, list[tuple[np.ndarray, CutPeople]]]  # people who are alike, and their rows
 
 Result = TypeVar("Result")
 Attempted = list[tuple[slice, Sequence[Result] | Exception]]
@@ -85,7 +85,7 @@ class PeopleFitter:
     camera: CameraOf = no_camera
     skeleton: str = SKELETON
 
-    def rows(self, pictures: Iterable[tuple[str, Read]], tell: Callable[[str], None] | None = None) -> Rows:
+    def rows(self, pictures: Iterable[tuple[str, Read]], tell: Callable[[str], None] | None = None) -> PeopleRows:
         """Rows of pictures, in their order; the same whatever was fitted before.
 
         Args:
@@ -142,7 +142,7 @@ class _Taken:
 
     how: PeopleFitter
     pool: ThreadPoolExecutor
-    rows: Rows = field(default_factory=Rows)
+    rows: PeopleRows = field(default_factory=PeopleRows)
     _held: list[_Held] = field(default_factory=list)
     _cutting: deque[Future[_Cut]] = field(default_factory=deque)
     _waiting: list[_Waiting] = field(default_factory=list)
@@ -155,7 +155,7 @@ class _Taken:
         if len(there) >= _PICTURES or sum(there) >= 3 * _PIXELS:
             self._cut()
 
-    def finish(self) -> Rows:
+    def finish(self) -> PeopleRows:
         """Wait for all, and give the rows in order."""
         self._cut()
         self._collect_cut(0)
@@ -263,7 +263,7 @@ def _cut_people(how: PeopleFitter, held: Sequence[_Held]) -> _Cut:
                 rows[-1]["error"] = one_line(error)
     numbers = np.array([number for number, _ in cut])
     alike = stack_alike([person for _, person in cut])
-    return Rows.of(rows), [(numbers[places], people) for places, people in alike]
+    return PeopleRows.of(rows), [(numbers[places], people) for places, people in alike]
 
 
 def _cut_person(known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:

@@ -102,14 +102,14 @@ def error_part(row: int, error: str) -> RowPart:
 
 
 @dataclass
-class Rows:
+class PeopleRows:
     """So many rows, by columns; where parts overlap, the last one holds, and what no part has is missing."""
 
     count: int = 0
     parts: list[RowPart] = field(default_factory=list)
 
     @classmethod
-    def of(cls, rows: Sequence[Row]) -> Rows:
+    def of(cls, rows: Sequence[Row]) -> PeopleRows:
         """Columns of rows that were made one by one."""
         there: dict[str, list[int]] = {}
         for number, row in enumerate(rows):
@@ -123,7 +123,7 @@ class Rows:
             parts.append(RowPart(np.array(numbers), {name: each}))
         return cls(len(rows), parts)
 
-    def extend(self, other: Rows) -> np.ndarray:
+    def extend(self, other: PeopleRows) -> np.ndarray:
         """Add rows at the end; their numbers."""
         numbers = np.arange(self.count, self.count + other.count)
         self.parts += [part.at(numbers) for part in other.parts]
@@ -284,7 +284,7 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
     )
 
 
-def people_table(rows: Rows, form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
+def people_table(rows: PeopleRows, form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
     """A table of rows, in which what is missing is null, with ``about`` in its schema's metadata."""
     import pyarrow as pa
 
@@ -300,7 +300,7 @@ def people_table(rows: Rows, form: Sequence[Column], about: Mapping[str, Any]) -
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _array(column: Column, rows: Rows) -> pa.Array:
+def _array(column: Column, rows: PeopleRows) -> pa.Array:
     import pyarrow as pa
 
     given = [(part.rows, part.columns[column.name]) for part in rows.parts if column.name in part.columns]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
@@ -149,7 +150,7 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
 
 def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) -> BatchFits:
     first, seen = people.seen[0], people.seen
-    prior = PosePrior().to(first.points.device)
+    prior = _prior(str(first.points.device))
     predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
@@ -195,6 +196,12 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
         uncertainty=said,
         before_outline=before_outline,
     )
+
+
+@lru_cache(maxsize=8)
+def _prior(device: str) -> PosePrior:
+    """Kept, for graphs that are kept read it."""
+    return PosePrior().to(device)
 
 
 def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -111,6 +111,22 @@ class Batch:
         """N."""
         return len(self.votes)
 
+    @property
+    def kind(self) -> Hashable:
+        """Numbers, pictures and landmarks: batches that agree in it can take one another's place in a graph."""
+        return self.seen, tuple((name, tuple(each.shape)) for name, each in self._named().items())
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All that a refinement reads."""
+        return list(self._named().values())
+
+    def copied(self) -> Batch:
+        """Copies of these, which nobody else changes."""
+        return replace(self, labels=None, **{name: each.clone() for name, each in self._named().items()})
+
+    def _named(self) -> dict[str, Any]:
+        return {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
+
     def drawn_at(self, size: int) -> Batch:
         """With label images of ``size`` pixels a side; of 0, nothing is drawn."""
         if self.labels is None or size == 0:
@@ -119,8 +135,7 @@ class Batch:
 
     def select(self, rows: torch.Tensor | slice) -> Batch:
         """Some of the people; one may come several times."""
-        own = {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
-        chosen: dict[str, Any] = {name: each[rows] for name, each in own.items()}
+        chosen: dict[str, Any] = {name: each[rows] for name, each in self._named().items()}
         return replace(self, labels=None, **chosen)  # large, and drawn already
 
 
