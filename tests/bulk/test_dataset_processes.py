@@ -90,5 +90,7 @@ class Deadly:
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_a_process_that_is_killed_is_one_line() -> None:
     (shard,) = read_in_processes(Deadly(), Cutter(), [["a", "b"]], 1)
-    with pytest.raises(InputError, match=r"reading pictures: a process ended \(DataLoader worker .*\); expected memory"):
+    with pytest.raises(
+        InputError, match=r"reading pictures: a process ended \(DataLoader worker .*\); expected memory"
+    ):
         next(shard)
