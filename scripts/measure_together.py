@@ -24,7 +24,8 @@ from warp_partdr.bulk.people import stages_of_quality
 from warp_partdr.bulk.rows import describe_bodies
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit import depth_flips, together
-from warp_partdr.fit.together import CutPerson, fit_together
+from warp_partdr.fit.cut_people import CutPerson
+from warp_partdr.fit.together import fit_together
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import crop_evidence
 from warp_partdr.network import predict

@@ -1,4 +1,4 @@
-"""Rows of a batch of fits: as of each fit alone, though no fit's own object is made for them."""
+"""PeopleRows of a batch of fits: as of each fit alone, though no fit's own object is made for them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import pytest
 import torch
 from scenes.files import EXAMPLE
 
-from warp_partdr.bulk.rows import describe_bodies
+from warp_partdr.bulk.rows import PeopleRows, RowPart, columns, describe_bodies, people_table
 from warp_partdr.fit import together
+from warp_partdr.fit.cut_people import CutPeople, CutPerson
 from warp_partdr.fit.options import FitOptions
-from warp_partdr.fit.together import BatchFits, CutPerson, fit_together
+from warp_partdr.fit.together import BatchFits, fit_together
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.observation import crop_evidence
@@ -34,25 +35,57 @@ def batch(device: str) -> BatchFits:
     return replace(fits, energy={"proj": np.float32([1.5, 2.0]), "seg": np.float32([0.1, 0.2])})
 
 
+def rows_of(fits: Any) -> list[dict[str, Any]]:
+    """PeopleRows as a data set's readers find them."""
+    rows = PeopleRows(len(fits), describe_bodies(fits))
+    return people_table(rows, columns("coco17"), {}).to_pylist()
+
+
 def test_rows_of_a_batch_are_those_of_its_fits(batch: BatchFits, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = describe_bodies(list(batch))
+    expected = rows_of(list(batch))
 
     def made(**given: Any) -> None:
         raise AssertionError("a fit's own object was made")
 
     monkeypatch.setattr(together, "FitResult", made)
-    for row, other in zip(describe_bodies(batch), expected, strict=True):
-        assert row.keys() == other.keys()
-        for name, value in row.items():
-            np.testing.assert_array_equal(value, other[name], err_msg=name)
+    assert rows_of(batch) == expected
+    assert all(row["joints"] for row in expected)
     assert [bool(row["warnings"]) for row in expected] == [False, True]
-    assert expected[0]["energy"] == sum(batch.energy[name][0].item() for name in ("proj", "seg"))
+    assert expected[0]["energy"] == np.float32(sum(batch.energy[name][0].item() for name in ("proj", "seg")))
+
+
+def test_people_stacked_before_are_fitted_alike(batch: BatchFits, device: str) -> None:
+    """Joined of parts, on another device before; and one by one they are who was given."""
+    people = batch.people
+    there = CutPeople.joined([people[:1], people[1:]]).to(device)
+    again = fit_together(there, replace(FitOptions.at("fast"), stages=()), packaged_network(device))
+    assert isinstance(again, BatchFits)
+    assert rows_of(replace(again, energy=batch.energy)) == rows_of(batch)
+    alone = fit_together(list(people), replace(FitOptions.at("fast"), stages=()), packaged_network(device))
+    assert rows_of(replace(alone, energy=batch.energy)) == rows_of(batch)
 
 
 def test_a_body_that_is_not_finite_is_an_error(batch: BatchFits) -> None:
     shift = batch.parameters.shift.clone()
-    shift[1, 0] = torch.nan
-    rows = describe_bodies(replace(batch, parameters=replace(batch.parameters, shift=shift)))
-    assert "joints" in rows[0]
-    assert "error" not in rows[0]
-    assert rows[1] == {"error": "the body holds NaN or infinity; expected finite numbers"}
+    shift[0, 0] = torch.nan
+    first, other = rows_of(replace(batch, parameters=replace(batch.parameters, shift=shift)))
+    assert {name for name, value in first.items() if value is not None} == {"error"}
+    assert first["error"] == "the body holds NaN or infinity; expected finite numbers"
+    assert other == rows_of(batch)[1]
+
+
+def test_columns_are_those_of_rows_made_one_by_one() -> None:
+    """What is missing is null, also where parts come later; the last one holds."""
+    rows = PeopleRows()
+    assert rows.extend(PeopleRows.of([{"picture": "a", "error": "torn"}])).tolist() == [0]
+    numbers = rows.extend(PeopleRows.of([{"picture": name, "annotation": None, "warnings": []} for name in "bcd"]))
+    lengths = np.arange(24, dtype=np.float32).reshape(2, 12)
+    bodies = RowPart(np.array([0, 1]), {"lengths": lengths, "energy": [None, 2.0], "warnings": [["far"], []]})
+    rows.parts.append(bodies.at(numbers[[2, 0]]))
+    found = people_table(rows, columns("coco17"), {}).to_pylist()
+    assert [row["picture"] for row in found] == ["a", "b", "c", "d"]
+    assert [row["error"] for row in found] == ["torn", None, None, None]
+    assert [row["warnings"] for row in found] == [None, [], [], ["far"]]
+    assert [row["energy"] for row in found] == [None, 2.0, None, None]
+    assert [row["lengths"] for row in found] == [None, lengths[1].tolist(), None, lengths[0].tolist()]
+    assert {row["annotation"] for row in found} == {None}

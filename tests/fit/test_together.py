@@ -11,10 +11,11 @@ from scenes.files import EXAMPLE
 
 from warp_partdr.body.labels import label_set
 from warp_partdr.cameras import Perspective
+from warp_partdr.fit.cut_people import CutPerson
 from warp_partdr.fit.fitting import fit_body
 from warp_partdr.fit.options import FitOptions
 from warp_partdr.fit.stages import OUTLINE, Stage
-from warp_partdr.fit.together import CutPerson, fit_together
+from warp_partdr.fit.together import fit_together
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.keypoint_files import read_keypoints
 from warp_partdr.inputs.keypoints import Keypoints2D

@@ -12,7 +12,7 @@ import torch
 from warp_partdr.body.parameters import BodyParameters
 from warp_partdr.body.posing import LandmarkGather, pose
 from warp_partdr.body.skeletons import skeleton
-from warp_partdr.bulk.rows import Row, columns, people_table
+from warp_partdr.bulk.rows import PeopleRows, Row, columns, people_table
 from warp_partdr.bulk.shards import Shards
 from warp_partdr.cameras import Perspective, WeakPerspective
 from warp_partdr.results.body_file import BODY_ARRAYS
@@ -62,4 +62,4 @@ def write_shards(folder: Path, shards: Sequence[Sequence[Row]], **changes: dict[
     for index, rows in enumerate(shards):
         about = made.describe(index) | {"pictures": len(names[index]), "seconds": 0.5}
         about |= {name: each[index] for name, each in changes.items() if index in each}
-        made.write(index, people_table(rows, columns("coco17"), about))
+        made.write(index, people_table(PeopleRows.of(rows), columns("coco17"), about))

@@ -19,7 +19,7 @@ from ..errors import InputError, cause
 from ..kernels.launch import set_num_threads
 from .people import PeopleFitter
 from .rows import Column
-from .run import make_dataset
+from .run import make_dataset, source_readers
 from .shards import Shards, Tally
 from .sources import PictureSource
 
@@ -149,7 +149,8 @@ class _Maker:
 
         set_num_threads(cores)
         self.source, self.shards, self.columns = ray.get(given)
-        self.fitter, self.threads = build(self.source), max(cores, 2)
+        self.fitter = build(self.source)
+        self.readers = source_readers(self.source, self.fitter.device, max(cores, 2))
 
     def __call__(self, batch: dict[str, np.ndarray]) -> dict[str, list[Any]]:
         """Make one shard, and give the numbers of what was written; of a fault, for all, its one line."""
@@ -158,7 +159,7 @@ class _Maker:
             if self.shards.path(index).exists():  # an actor wrote it, and died before it said so
                 tally = self.shards.count_rows(index)
             else:
-                how: dict[str, Any] = {"todo": [index], "threads": self.threads}
+                how: dict[str, Any] = {"todo": [index], **self.readers}
                 tally = make_dataset(self.source, self.shards, self.fitter, self.columns, **how)
         except InputError as error:
             fault = str(error)

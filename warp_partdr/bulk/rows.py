@@ -39,7 +39,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,7 +49,7 @@ from ..body.lens import place_bodies
 from ..body.parameters import BodyParameters
 from ..body.posing import LandmarkGather
 from ..body.rotations import rotation_from_axis_angle
-from ..body.skeletons import skeleton
+from ..body.skeletons import Skeleton, skeleton
 from ..body.template import BODY_SHAPES, JOINT_NAMES, LENGTH_NAMES, PART_NAMES, THICKNESS_NAMES
 from ..cameras import Crop
 from ..clothing.clothes import CLOTHED
@@ -58,7 +58,7 @@ from ..clothing.model import DetailedModel
 from ..fit.mesh_stage import MeshFit
 from ..fit.result import FitResult
 from ..fit.together import BatchFits
-from ..inputs.keypoints import Keypoints2D, confident, person_heights
+from ..inputs.keypoints import confident, person_heights
 from ..inputs.observation import REFERENCE_SIZE
 
 if TYPE_CHECKING:
@@ -68,6 +68,67 @@ FORMAT = "warp-partdr people 1"
 METADATA = b"warp-partdr"  # key in the schema's metadata
 
 Row = dict[str, Any]
+Values = np.ndarray | Sequence[Any]  # arrays (N, ...), or N values, of which some may be None
+
+
+@dataclass(frozen=True)
+class RowPart:
+    """Some columns of some rows.
+
+    Attributes:
+        rows: Numbers of the rows, shape (N,).
+        columns: Their values by the column's name.
+    """
+
+    rows: np.ndarray
+    columns: Mapping[str, Values]
+
+    def at(self, places: np.ndarray) -> RowPart:
+        """The same at other places: row n at ``places[n]``."""
+        return replace(self, rows=places[self.rows])
+
+    def select(self, index: np.ndarray) -> RowPart:
+        """Some of the rows."""
+        own = {
+            name: values[index] if isinstance(values, np.ndarray) else [values[row] for row in index.tolist()]
+            for name, values in self.columns.items()
+        }
+        return RowPart(self.rows[index], own)
+
+
+def error_part(row: int, error: str) -> RowPart:
+    """The error of one row."""
+    return RowPart(np.array([row]), {"error": [error]})
+
+
+@dataclass
+class PeopleRows:
+    """So many rows, by columns; where parts overlap, the last one holds, and what no part has is missing."""
+
+    count: int = 0
+    parts: list[RowPart] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, rows: Sequence[Row]) -> PeopleRows:
+        """Columns of rows that were made one by one."""
+        there: dict[str, list[int]] = {}
+        for number, row in enumerate(rows):
+            for name, value in row.items():
+                if value is not None:
+                    there.setdefault(name, []).append(number)
+        parts = []
+        for name, numbers in there.items():
+            values = [rows[number][name] for number in numbers]
+            each = np.stack(values) if isinstance(values[0], np.ndarray) else values
+            parts.append(RowPart(np.array(numbers), {name: each}))
+        return cls(len(rows), parts)
+
+    def extend(self, other: PeopleRows) -> np.ndarray:
+        """Add rows at the end; their numbers."""
+        numbers = np.arange(self.count, self.count + other.count)
+        self.parts += [part.at(numbers) for part in other.parts]
+        self.count += other.count
+        return numbers
 
 
 @dataclass(frozen=True)
@@ -128,8 +189,8 @@ def columns(form: str, model: DetailedModel | None = None) -> tuple[Column, ...]
 
 
 @torch.no_grad()
-def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
-    """Bodies of people, alike in keypoints' format and camera's kind, as far as a fit knows them.
+def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[RowPart]:
+    """Bodies of people, alike in keypoints' format and camera's kind, as far as a fit knows them, numbered as there.
 
     A body with a number that is NaN or infinite is an ``error`` instead.
     """
@@ -141,7 +202,7 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
     zooms = torch.tensor([each.zoom for each in known.crops], device=device)[:, None]
     corners = torch.tensor([[each.left, each.top] for each in known.crops], device=device)
     intrinsics = camera.intrinsics
-    gather = LandmarkGather(known.keypoints[0].format.marks, device)
+    gather = LandmarkGather(skeleton(known.skeleton).marks, device)
     seen = camera.project(gather(posed))[..., :2] / zooms[:, None] + corners[:, None]
     arrays = {
         "global_orient": bodies.global_orient(),
@@ -165,17 +226,18 @@ def describe_bodies(fits: Sequence[FitResult] | Sequence[MeshFit]) -> list[Row]:
         }
     numbers = {name: values.cpu().numpy() for name, values in arrays.items()}
     fine = np.all([np.isfinite(each.reshape(len(fits), -1)).all(axis=1) for each in numbers.values()], axis=0)
-    others = {
-        "camera_perspective": [lenses is not None] * len(fits),
-        "keypoint_error": _keypoint_errors(known.keypoints, seen.cpu().numpy()),
+    columns: dict[str, Values] = {
+        **numbers,
+        "camera_perspective": np.full(len(fits), lenses is not None),
+        "keypoint_error": _keypoint_errors(known, seen.cpu().numpy()),
         "energy": known.energies,
         "warnings": known.warnings,
     }
-    names, columns = (*numbers, *others), (*numbers.values(), *others.values())
-    rows: list[Row] = [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
-    for index in np.flatnonzero(~fine):
-        rows[index] = {"error": "the body holds NaN or infinity; expected finite numbers"}
-    return rows
+    every = RowPart(np.arange(len(fits)), columns)
+    if fine.all():
+        return [every]
+    told = "the body holds NaN or infinity; expected finite numbers"
+    return [every.select(np.flatnonzero(fine)), *(error_part(row, told) for row in np.flatnonzero(~fine).tolist())]
 
 
 @dataclass(frozen=True)
@@ -185,8 +247,10 @@ class _Known:
     bodies: BodyParameters
     lenses: torch.Tensor | None
     joint_spreads: torch.Tensor
-    crops: list[Crop]
-    keypoints: list[Keypoints2D]
+    crops: Sequence[Crop]
+    skeleton: str | Skeleton
+    points: np.ndarray  # keypoints (N, J, 2) [px]
+    confidence: np.ndarray
     energies: Sequence[float | None]
     warnings: list[list[str]]
 
@@ -197,32 +261,36 @@ def _known_of(fits: Sequence[FitResult] | Sequence[MeshFit]) -> _Known:
             fits.parameters,
             fits.lenses,
             fits.uncertainty.depths,
-            [each.crop for each in fits.people],
-            [each.evidence.keypoints for each in fits.people],
+            fits.people.crops,
+            fits.people.skeleton,
+            fits.people.points,
+            fits.people.confidence,
             fits.losses() or [None] * len(fits),
             [list(fits.warnings(row)) for row in range(len(fits))],
         )
     results = [each.ellipbody if isinstance(each, MeshFit) else each for each in fits]
+    keypoints = [each.evidence.keypoints for each in results]
     lenses = [lens for each in results if (lens := each.observation.lens) is not None]
     return _Known(
         BodyParameters.joined([each.parameters for each in results]),
         torch.stack(lenses) if lenses else None,
         torch.cat([each.uncertainty.depths for each in results if each.uncertainty is not None]),
         [each.crop for each in results],
-        [each.evidence.keypoints for each in results],
+        keypoints[0].skeleton,
+        np.stack([each.points for each in keypoints]),
+        np.stack([each.confidence for each in keypoints]),
         [sum(each.energy.values()) if each.energy else None for each in results],
         [list(each.warnings) for each in results],
     )
 
 
-def people_table(rows: Sequence[Row], form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
+def people_table(rows: PeopleRows, form: Sequence[Column], about: Mapping[str, Any]) -> pa.Table:
     """A table of rows, in which what is missing is null, with ``about`` in its schema's metadata."""
     import pyarrow as pa
 
     arrays, fields = [], []
     for column in form:
-        values = [row.get(column.name) for row in rows]
-        array = _array(column, values)
+        array = _array(column, rows)
         said = {"shape": json.dumps(column.shape)} if column.shape else {}
         said |= {"unit": column.unit} if column.unit else {}
         said |= {"names": json.dumps(column.names)} if column.names else {}
@@ -232,27 +300,32 @@ def people_table(rows: Sequence[Row], form: Sequence[Column], about: Mapping[str
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _array(column: Column, values: Sequence[Any]) -> pa.Array:
+def _array(column: Column, rows: PeopleRows) -> pa.Array:
     import pyarrow as pa
 
-    if column.kind == "strings":
-        return pa.array(values, pa.list_(pa.string()))
-    kind = pa.type_for_alias(column.kind)
-    if not column.shape:
-        return pa.array(values, kind)
+    given = [(part.rows, part.columns[column.name]) for part in rows.parts if column.name in part.columns]
+    if column.kind in ("string", "strings"):
+        texts: list[Any] = [None] * rows.count
+        for places, values in given:
+            for place, value in zip(places.tolist(), values, strict=True):
+                texts[place] = value
+        return pa.array(texts, pa.string() if column.kind == "string" else pa.list_(pa.string()))
     size = math.prod(column.shape)
-    missing = np.array([value is None for value in values], dtype=bool)
-    numbers = np.zeros((len(values), size), dtype=column.kind)
-    if not missing.all():
-        numbers[~missing] = np.stack([value for value in values if value is not None]).reshape(-1, size)
+    missing, numbers = np.ones(rows.count, dtype=bool), np.zeros((rows.count, size), dtype=column.kind)
+    for places, values in given:
+        if not isinstance(values, np.ndarray):
+            there = [place for place, value in enumerate(values) if value is not None]
+            places, values = places[there], np.array([values[place] for place in there], dtype=column.kind)
+        numbers[places], missing[places] = values.reshape(-1, size), False
+    if not column.shape:
+        return pa.array(numbers[:, 0], mask=missing)
     return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), size, mask=pa.array(missing))
 
 
-def _keypoint_errors(given: Sequence[Keypoints2D], points: np.ndarray) -> list[float | None]:
+def _keypoint_errors(known: _Known, points: np.ndarray) -> list[float | None]:
     """Mean distance of each body's points (N, J, 2) [px] from sure keypoints, as a share of the person's height."""
-    places, confidence = np.stack([each.points for each in given]), np.stack([each.confidence for each in given])
-    sure, heights = confident(confidence), person_heights(given[0].skeleton, places, confidence)
-    distances = np.linalg.norm(points - places, axis=2).astype(np.float64)
+    sure, heights = confident(known.confidence), person_heights(known.skeleton, known.points, known.confidence)
+    distances = np.linalg.norm(points - known.points, axis=2).astype(np.float64)
     means = np.where(sure, distances, 0.0).sum(axis=1) / sure.sum(axis=1)
     return [
         mean / height if height > 0 else None for mean, height in zip(means.tolist(), heights.tolist(), strict=True)

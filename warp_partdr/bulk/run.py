@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
-from ..errors import InputError
+from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
+from .processes import read_in_processes
 from .rows import Column, people_table
 from .shards import Shards, Tally
-from .sources import PictureSource, SourcePicture
+from .sources import PictureSource
 
-Read = SourcePicture | Exception
 _AHEAD = 4  # pictures a thread that are decoded before they are asked for
 
 
@@ -26,6 +26,7 @@ def make_dataset(
     *,
     todo: Sequence[int],
     threads: int = 2,
+    processes: int = 0,
     told: Callable[[str], None] | None = None,
     written: Callable[[int, Tally], None] | None = None,
 ) -> Tally:
@@ -40,6 +41,7 @@ def make_dataset(
         columns: Of the rows.
         todo: The shards to make, such as all but ``shards.done()``.
         threads: Threads that decode pictures while people are fitted.
+        processes: Instead, so many processes that cut out those who are known, too.
         told: Called with each picture's name.
         written: Called after each shard with its index and the numbers so far.
 
@@ -49,14 +51,18 @@ def make_dataset(
     tally = Tally()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
     try:
-        pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
-        for index in todo:
-            count = len(shards.pictures(index))
+        if processes:
+            taken = read_in_processes(source, fitter.cutter, [shards.pictures(index) for index in todo], processes)
+        else:
+            pictures = _read_ahead(source, (name for index in todo for name in shards.pictures(index)), pool, threads)
+            taken = (islice(pictures, len(shards.pictures(index))) for index in todo)
+        for index, each in zip(todo, taken, strict=True):
             started = time.perf_counter()
-            rows = fitter.rows(islice(pictures, count), told)
+            rows = fitter.rows(each, told)
             about = shards.describe(index) | {"seconds": round(time.perf_counter() - started, 3)}
-            shards.write(index, people_table(rows, columns, about))
-            tally.add(count, rows)
+            table = people_table(rows, columns, about)
+            shards.write(index, table)
+            tally.add(len(shards.pictures(index)), table)
             if written is not None:
                 written(index, tally)
     finally:
@@ -64,22 +70,22 @@ def make_dataset(
     return tally
 
 
-def _read_ahead(
-    source: PictureSource, names: Iterator[str], pool: ThreadPoolExecutor, threads: int
-) -> Iterator[tuple[str, Read]]:
+def source_readers(source: PictureSource, device: str, cores: int) -> dict[str, int]:
+    """Threads and processes of ``make_dataset`` on so many cores.
+
+    A GPU waits for pictures: where people are known, processes cut them out. Pictures in which they have to be found
+    stay in one process, for they are large.
+    """
+    return {"threads": cores, "processes": cores if device != "cpu" and source.digest is not None else 0}
+
+
+def _read_ahead(source: PictureSource, names: Iterator[str], pool: ThreadPoolExecutor, threads: int) -> Iterator[Held]:
     """Pictures in order, a few of them decoded ahead."""
     waiting: deque[tuple[str, Future[Read]]] = deque()
     while True:
         for name in islice(names, _AHEAD * threads - len(waiting)):
-            waiting.append((name, pool.submit(_read, source, name)))
+            waiting.append((name, pool.submit(read_picture, source, name)))
         if not waiting:
             return
         name, picture = waiting.popleft()
         yield name, picture.result()
-
-
-def _read(source: PictureSource, name: str) -> Read:
-    try:
-        return source.read(name)
-    except (InputError, OSError, ValueError, MemoryError) as error:
-        return error

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, cause
 from ..files.disk import sync
 from ..results.result_sets import scratch_folder
-from .rows import FORMAT, METADATA, Row
+from .rows import FORMAT, METADATA
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,14 +35,15 @@ class Tally:
     errors: int = 0
     first_error: str = ""
 
-    def add(self, pictures: int, rows: Sequence[Row]) -> None:
-        """Count a shard of so many pictures."""
-        faults = [(row["picture"], row["error"]) for row in rows if row.get("error")]
+    def add(self, pictures: int, table: pa.Table) -> None:
+        """Count a shard of so many pictures, by its columns picture, error and camera_scale."""
+        faults = table.filter(table["error"].is_valid())
         self.shards += 1
         self.pictures += pictures
-        self.people += sum(row.get("camera_scale") is not None for row in rows)
-        self.errors += len(faults)
-        for name, error in faults[:1]:
+        self.people += table.num_rows - table["camera_scale"].null_count
+        self.errors += faults.num_rows
+        if faults.num_rows:
+            name, error = (faults[column][0].as_py() for column in ("picture", "error"))
             self.first_error = self.first_error or (error if error.startswith(name) else f"{name}: {error}")
 
 
@@ -147,7 +148,7 @@ class Shards:
 
         tally = Tally()
         table = pq.read_table(self.path(index), columns=["picture", "error", "camera_scale"])
-        tally.add(len(self.pictures(index)), table.to_pylist())
+        tally.add(len(self.pictures(index)), table)
         return tally
 
 

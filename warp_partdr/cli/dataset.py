@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from ..bulk.people import PeopleFitter
     from ..bulk.shards import Shards, Tally
     from ..bulk.sources import PictureSource
+    from ..cameras import Perspective
     from ..clothing.model import DetailedModel
     from ..fit.options import FitOptions
 
@@ -164,6 +165,17 @@ class ClusterOptions:
 
 
 @dataclass(frozen=True)
+class _Cameras:
+    """Cameras of a source's pictures, also in another process."""
+
+    view: CameraOptions
+    source: PictureSource
+
+    def __call__(self, name: str, size: tuple[int, int]) -> Perspective | None:
+        return self.view.read(size, self.source.photo(name))
+
+
+@dataclass(frozen=True)
 class FitterSetup:
     """Options of a fitter, which may be made in another process."""
 
@@ -179,7 +191,8 @@ class FitterSetup:
 
     def __call__(self, source: PictureSource, detailed: DetailedModel | None = None) -> PeopleFitter:
         """Make the fitter, and load its kernels."""
-        from ..bulk.people import PeopleFitter, no_camera, stages_of_quality
+        from ..bulk.cutting import Cutter, no_camera
+        from ..bulk.people import PeopleFitter, stages_of_quality
         from ..network.checkpoint import load_label_network
 
         detailed = detailed or self.model()
@@ -190,8 +203,7 @@ class FitterSetup:
             self.device,
             people_at_a_time(self.batch, self.device) if self.device == "cpu" else self.batch or 256,
             self.how.min_score,
-            camera=(lambda name, size: self.view.read(size, source.photo(name))) if self.view.given else no_camera,
-            skeleton=source.skeleton,
+            cutter=Cutter(_Cameras(self.view, source) if self.view.given else no_camera, source.skeleton),
         )
         load_kernels(self.device, stages_of_quality("mesh"), with_labels=True)
         if detailed is not None:
@@ -263,7 +275,7 @@ class _Work:
     def run(self, setup: FitterSetup, cluster: ClusterOptions) -> None:
         """Make them, here or on a cluster, and tell how it goes."""
         from ..bulk.rows import columns
-        from ..bulk.run import make_dataset
+        from ..bulk.run import make_dataset, source_readers
         from .progress import PictureProgress
 
         source, shards = self.source, self.shards
@@ -294,7 +306,8 @@ class _Work:
                     detailed = setup.model()
                     fitter = setup(source, detailed)
                     started = time.perf_counter()
-                    how = {"todo": self.todo, "threads": os.cpu_count() or 2, "told": progress, "written": written}
+                    how = {"todo": self.todo, "told": progress, "written": written}
+                    how |= source_readers(source, setup.device, os.cpu_count() or 2)
                     tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
             except KeyboardInterrupt:
                 there = f"{len(shards.done())} of {shards.count} shards"

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
 import torch
 
-from ..body.labels import LabelSet
 from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
-from ..cameras import Crop
 from ..errors import check_each, check_type
-from ..inputs.evidence import Evidence
 from ..inputs.observation import Observation
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
@@ -29,6 +27,7 @@ from ..network.uncertainty import Uncertainty
 from ..refinement.batch import Batch
 from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
+from .cut_people import CutPeople, CutPerson, stack_alike
 from .depth_flips import DepthOrder, repair_depth_orders
 from .options import FitOptions
 from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
@@ -36,21 +35,6 @@ from .result import FitResult
 from .stages import OUTLINE, Stage
 
 _JUDGED = 128  # [px], side of the crop in which bodies are compared with labels in the end
-
-
-@dataclass(frozen=True)
-class CutPerson:
-    """One person as ``crop_evidence`` cuts them out of a picture.
-
-    Attributes:
-        evidence: Keypoints and warnings; its labels aren't looked at and may be left out, to save memory.
-        observation: Keypoints and labels in the crop; no probabilities.
-        crop: Place of the crop in the picture.
-    """
-
-    evidence: Evidence
-    observation: Observation
-    crop: Crop
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +55,7 @@ class BatchFits(Sequence[FitResult]):
         before_outline: Bodies where the outline stage began, B = N; None without that stage.
     """
 
-    people: Sequence[CutPerson]
+    people: CutPeople
     stages: tuple[Stage, ...]
     parameters: BodyParameters
     lenses: torch.Tensor | None
@@ -117,7 +101,7 @@ class BatchFits(Sequence[FitResult]):
 
     def warnings(self, row: int) -> tuple[str, ...]:
         """Faults of one person's input or body, a sentence each."""
-        return (*self.people[row].evidence.warnings, *self.told.get(row, ()))
+        return (*self.people.warnings[row], *self.told.get(row, ()))
 
     def losses(self) -> list[float] | None:
         """Energies at the end, the sums of their terms; None without stages."""
@@ -145,44 +129,38 @@ def fit_together(people: Sequence[CutPerson], options: FitOptions, network: Labe
         TypeError: If an argument is of another type.
         ValueError: If the options ask for a search, or somebody's labels are probabilities.
     """
-    check_each("people", people, CutPerson, "of crop_evidence")
+    if not isinstance(people, CutPeople):
+        check_each("people", people, CutPerson, "of crop_evidence")
     check_type("options", options, FitOptions, "such as FitOptions.at('fast')")
     if options.start != "network":
         raise ValueError(f"options.start: {options.start!r}; expected 'network'")
-    alike: list[tuple[tuple[LabelSet | None, bool], list[int]]] = []  # label sets can't be keys
-    for place, person in enumerate(people):
-        seen = person.observation
-        if seen.maps is not None:
-            raise ValueError(f"people[{place}]: probabilities of labels; expected labels")
-        kind = seen.label_set, seen.lens is None
-        places = next((those for each, those in alike if each == kind), None)
-        if places is None:
-            alike.append((kind, places := []))
-        places.append(place)
-    if len(alike) == 1:
+    if isinstance(people, CutPeople):
         return _fit_alike(people, options, network)
+    for place, person in enumerate(people):
+        if person.observation.maps is not None:
+            raise ValueError(f"people[{place}]: probabilities of labels; expected labels")
+    stacked = stack_alike(people)
+    if len(stacked) == 1:
+        return _fit_alike(stacked[0][1], options, network)
     found: dict[int, FitResult] = {}
-    for _, places in alike:
-        found |= zip(places, _fit_alike([people[place] for place in places], options, network), strict=True)
+    for places, some in stacked:
+        found |= zip(places, _fit_alike(some, options, network), strict=True)
     return [found[place] for place in range(len(people))]
 
 
-def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelNetwork) -> BatchFits:
-    """Fit people with labels of one set, or all without; and with cameras, or all without."""
-    first = people[0].observation
-    device = first.points.device
-    prior = PosePrior().to(device)
-    given = [person.observation for person in people]
-    predicted = ask_network(given, network, mirror=options.mirror, half=options.half)
+def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) -> BatchFits:
+    first, seen = people.seen[0], people.seen
+    prior = _prior(str(first.points.device))
+    predicted = ask_network(seen, network, mirror=options.mirror, half=options.half)
     said = predicted.uncertainty
     assert said is not None
     bodies = predicted.parameters()
-    if first.lens is not None:
-        bodies = turn_to_rays(bodies, torch.stack([each.lens for each in given if each.lens is not None]))
+    if seen.lens is not None:
+        bodies = turn_to_rays(bodies, seen.lens)
     lengths, thicknesses = bodies.lengths, bodies.thicknesses
     first = replace(first, lengths=lengths[0], thicknesses=thicknesses[0])
-    # Stacked once; of a person alone, what is drawn differs from stage to stage.
-    everyone = replace(Batch.of(given, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
+    # Of a person alone, what is drawn differs from stage to stage.
+    everyone = replace(Batch.of_stacked(seen, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
     stages = options.stages
     if first.label_set is None:
         stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
@@ -209,7 +187,7 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
         people=people,
         stages=stages,
         parameters=bodies,
-        lenses=None if first.lens is None else everyone.lenses,
+        lenses=seen.lens,
         hints={"lengths": lengths, "thicknesses": thicknesses, "depths": depths, "depth_spreads": spreads},
         energy={name: term.cpu().numpy() for name, term in terms.items()},
         history=history,
@@ -218,6 +196,12 @@ def _fit_alike(people: Sequence[CutPerson], options: FitOptions, network: LabelN
         uncertainty=said,
         before_outline=before_outline,
     )
+
+
+@lru_cache(maxsize=8)
+def _prior(device: str) -> PosePrior:
+    """Kept, for graphs that are kept read it."""
+    return PosePrior().to(device)
 
 
 def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:

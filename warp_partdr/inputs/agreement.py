@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple, TypeVar
 
@@ -35,7 +36,7 @@ FAR = 0.05  # beyond all that
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head", "head_top")
 _CORNERS = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
 
-Segment = tuple[np.ndarray, np.ndarray, float]  # two ends [px], and a radius as a share of the person's height
+Segment = tuple[str, str, float]  # landmarks at both ends, and a radius as a share of the person's height
 Place = TypeVar("Place")
 
 
@@ -71,10 +72,15 @@ def _confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
     return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
 
+def _bone_joints(name: str) -> tuple[str, str]:
+    """Joints at both ends of a part's bone."""
+    part = PART_NAMES.index(name)
+    return JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
+
+
 def _bone_ends(name: str, points: Mapping[str, Place]) -> tuple[Place, Place] | None:
     """Start and end of a part's bone; None if a keypoint is missing."""
-    part = PART_NAMES.index(name)
-    start, end = JOINT_NAMES[PARENTS[part] + 1], JOINT_NAMES[part + 1]
+    start, end = _bone_joints(name)
     return (points[start], points[end]) if start in points and end in points else None
 
 
@@ -119,51 +125,60 @@ def labels_along(
 
     ``margin`` is the share of the bone that is left out at either end.
     """
-    along = np.linspace(margin, 1 - margin, samples)[:, None]
+    along = _evenly(samples, margin)
     columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     return groups[rows[inside], columns[inside]]
 
 
-def _group_segments(name: str, labels: LabelSet, points: dict[str, np.ndarray]) -> list[Segment] | None:
-    """Segments near which a group may be, on either side; None if keypoints of one of its parts are missing."""
-    found: list[Segment] = []
-    for group in {name, mirror_name(name)} & set(labels.group_names):
-        for part in labels.groups[group]:
-            segments = list(_part_segments(part, points))
-            if not segments:
-                return None
-            found += segments
-    # Parts share segments, those of the trunk and head most of all: each is measured once.
-    once = {(*start.tolist(), *end.tolist(), radius): (start, end, radius) for start, end, radius in found}
-    return list(once.values())
+@lru_cache
+def _evenly(samples: int, margin: float) -> np.ndarray:
+    """Shares of a bone at its samples, shape (N, 1)."""
+    return np.linspace(margin, 1 - margin, samples)[:, None]
 
 
-def _part_segments(part: str, points: Mapping[str, Place]) -> Iterator[tuple[Place, Place, float]]:
+@lru_cache(maxsize=1024)
+def _segments(parts: tuple[str, ...], known: frozenset[str]) -> tuple[Segment, ...] | None:
+    """Segments near which a group of parts may be; None if keypoints of one of its parts are missing."""
+    found: dict[Segment, None] = {}  # parts share them, those of the trunk and head most of all
+    for part in parts:
+        segments = list(_part_segments(part, known))
+        if not segments:
+            return None
+        found |= dict.fromkeys(segments)
+    return tuple(found)
+
+
+def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
     """Segments near which a part may be; empty if its keypoints are missing."""
     kind = without_side(part)
     side = part.removesuffix(kind)
     if kind in ("hip", "abdomen", "chest", "shoulder"):
-        if points.keys() >= set(_CORNERS):
+        if known >= set(_CORNERS):
             for start, end in combinations(_CORNERS, 2):
-                yield points[start], points[end], _TRUNK
+                yield start, end, _TRUNK
     elif kind in ("head", "neck"):
-        for name in points.keys() & set(_FACE):
-            yield points[name], points[name], _HEAD
+        for name in known & set(_FACE):
+            yield name, name, _HEAD
     elif kind in _ENDS:
         joint, length = _ENDS[kind]
-        if side + joint in points:
-            yield points[side + joint], points[side + joint], length
+        if side + joint in known:
+            yield side + joint, side + joint, length
     else:
-        if ends := _bone_ends(part, points):
+        start, end = _bone_joints(part)
+        if known >= {start, end}:
             thickness = float(template().mean_thicknesses[SHAPE_INDICES[PART_NAMES.index(part)][1]])
-            yield *ends, thickness / (2 * MEAN_STATURE)
+            yield start, end, thickness / (2 * MEAN_STATURE)
 
 
 def segments_of_parts(points: Mapping[str, Place]) -> dict[str, list[tuple[Place, Place, float]]]:
     """Segments near which each part may be, of which a head or neck needs one, between points of any kind."""
-    return {part: list(_part_segments(part, points)) for part in PART_NAMES}
+    known = frozenset(points)
+    return {
+        part: [(points[start], points[end], radius) for start, end, radius in _part_segments(part, known)]
+        for part in PART_NAMES
+    }
 
 
 class Beyond(NamedTuple):
@@ -194,16 +209,22 @@ def distances_beyond(
     Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
     """
     height, points = person_height(keypoints), _confident_points(keypoints)
+    known = frozenset(points)
     thin = groups[::stride, ::stride]
     rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
     shown = thin[rows, columns]
     rows, columns = rows * stride, columns * stride
     for group, name in enumerate(labels.group_names, 1):
         mine = np.flatnonzero(shown == group)
-        if mine.size and (segments := _group_segments(name, labels, points)) is not None:
+        if not mine.size:
+            continue
+        either = sorted({name, mirror_name(name)} & set(labels.group_names))
+        segments = _segments(tuple(part for each in either for part in labels.groups[each]), known)
+        if segments is not None:
             x, y = columns[mine] + 0.5, rows[mine] + 0.5
-            nearest = np.full(x.shape, np.inf)
-            for (x0, y0), (x1, y1), radius in segments:
-                distance = np.sqrt(squared_distances(x - x0, y - y0, x1 - x0, y1 - y0))
-                np.minimum(nearest, distance / height - radius, out=nearest)
-            yield Beyond(group, name, rows[mine], columns[mine], nearest)
+            starts = np.array([points[start] for start, _, _ in segments])
+            ends = np.array([points[end] for _, end, _ in segments])
+            (x0, y0), (along_x, along_y) = starts.T[..., None], (ends - starts).T[..., None]
+            distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
+            radii = np.array([radius for _, _, radius in segments])[:, None]
+            yield Beyond(group, name, rows[mine], columns[mine], (distances / height - radii).min(axis=0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -56,7 +56,11 @@ class Keypoints2D:
         """Mask of the keypoints with a confidence above 0, shape (J,), bool."""
         return self.confidence > 0
 
-    @property
+    @cached_property
+    def _height(self) -> float:
+        return float(person_heights(self.skeleton, self.points[None], self.confidence[None])[0])
+
+    @cached_property
     def confident(self) -> np.ndarray:
         """Mask of the keypoints of confidence 0.3 and more, or of all visible ones if none has that, shape (J,)."""
         return confident(self.confidence[None])[0]
@@ -74,7 +78,7 @@ def person_height(keypoints: Keypoints2D) -> float:
     A bone seen at an angle looks shorter than it is, so the upper quartile of the bones' estimates counts, and a bent
     or cut-off person is not taken for a small one. Without two keypoints of any bone: the extent of the keypoints.
     """
-    return float(person_heights(keypoints.skeleton, keypoints.points[None], keypoints.confidence[None])[0])
+    return keypoints._height
 
 
 def person_heights(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray) -> np.ndarray:

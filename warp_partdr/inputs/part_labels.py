@@ -228,7 +228,8 @@ def _read_png(path: PhotoFile) -> np.ndarray:
     with _opened(path, "a PNG of part labels") as image:
         if image.mode not in ("1", "L", "P", "I", "I;16", "I;16B"):
             raise InputError(f"{path}: {image.mode} picture; expected one channel of label ids (grayscale or palette)")
-        return np.array(image).astype(np.int32)
+        array = np.array(image)
+        return array if array.dtype == np.uint8 else array.astype(np.int32)
 
 
 def _read_npy(path: str | Path, channels: int) -> np.ndarray:
@@ -311,13 +312,14 @@ def parts_from_maps(maps: np.ndarray, labels: LabelSet) -> PartLabels:
 
 def _check_content(parts: PartLabels, where: str) -> None:
     """Refuse labels that show nobody, or one part only: no more than a silhouette, and likely a mistake."""
-    counts = np.bincount(parts.groups.ravel(), minlength=256)
-    shown = [group for group in range(1, parts.label_set.num_groups + 1) if counts[group]]
+    there = np.zeros(256, dtype=bool)
+    there[parts.groups] = True
+    shown = [group for group in range(1, parts.label_set.num_groups + 1) if there[group]]
     if not shown:
         raise InputError(
             f"{where}: empty, no pixel of a body part; expected a person in the labels of {parts.label_set.name}"
         )
-    if len(shown) == 1 and parts.label_set.num_groups > 1 and not counts[IGNORE]:
+    if len(shown) == 1 and parts.label_set.num_groups > 1 and not there[IGNORE]:
         name = parts.label_set.group_names[shown[0] - 1]
         raise InputError(
             f"{where}: one part only ({name}); expected several of {parts.label_set.name}, or the label set full1"

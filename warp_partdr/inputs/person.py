@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,19 +81,24 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
     """
     height = person_height(keypoints)
     reach = max(REACH * height, MIN_SEED_RADIUS)
-    distances = _bone_distances(keypoints, groups.shape, reach)
     foreground = (groups != BACKGROUND) & (groups != IGNORE)
-    seeds = foreground & (distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS))
+    keys = np.flatnonzero(foreground)  # few of all pixels
+    pixels = _Pixels(*np.divmod(keys, groups.shape[1]))
+    distances = pixels.bone_distances(keypoints, reach)
+    seeds = distances <= max(SEED_RADIUS * height, MIN_SEED_RADIUS)
     if not seeds.any():
         raise InputError(
             "keypoints: no labelled pixel along the person's bones; expected keypoints and part labels to agree"
         )
     near = np.isfinite(distances)
     for x, y in keypoints.points[loose_ends(keypoints.skeleton, keypoints.confident[None])[0]]:
-        lower_near(near, np.array([x, y, x, y]), LOOSE_REACH * height)
+        near |= pixels.squared_distances((x, y), (x, y)) <= (LOOSE_REACH * height) ** 2
     for other in others:
-        near &= distances <= _bone_distances(other, groups.shape, reach)
-    kept = connected(foreground & near, seeds & near)
+        near &= distances <= pixels.bone_distances(other, reach)
+    mask, start = np.zeros((2, *groups.shape), dtype=bool)
+    mask.flat[keys[near]] = True
+    start.flat[keys[near & seeds]] = True
+    kept = connected(mask, start)
     return np.where(foreground & ~kept, IGNORE, groups).astype(np.uint8)
 
 
@@ -133,16 +139,28 @@ def reach_boxes(form: str | Skeleton, points: np.ndarray, confidence: np.ndarray
     return np.concatenate([low, high], axis=1)
 
 
-def _bone_distances(keypoints: Keypoints2D, size: tuple[int, ...], reach: float) -> np.ndarray:
-    """Distance [px] of each pixel's centre to the nearest bone or keypoint, inf beyond ``reach``, (H, W) float32."""
-    squares = np.full(size, np.inf, dtype=np.float32)  # one root at the end, not one a bone
-    sure = keypoints.confident
-    bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
-    alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
-    for start, end in [*bones, *((joint, joint) for joint in alone)]:
-        lower_near(squares, np.concatenate([keypoints.points[start], keypoints.points[end]]), reach)
-    squares[squares > reach**2] = np.inf
-    return np.sqrt(squares, out=squares)
+class _Pixels:
+    """Some pixels of a picture, by their rows and columns."""
+
+    def __init__(self, rows: np.ndarray, columns: np.ndarray) -> None:
+        self._v, self._u = rows.astype(np.float32) + 0.5, columns.astype(np.float32) + 0.5
+
+    def squared_distances(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
+        """Squared distances [px²] of their centres to a segment between two points (x, y)."""
+        (x0, y0), (x1, y1) = (map(float, point) for point in (start, end))
+        return squared_distances(self._u - x0, self._v - y0, x1 - x0, y1 - y0)
+
+    def bone_distances(self, keypoints: Keypoints2D, reach: float) -> np.ndarray:
+        """Distances [px] of their centres to the nearest bone or keypoint, inf beyond ``reach``, float32."""
+        squares = np.full(len(self._u), np.inf, dtype=np.float32)  # one root at the end, not one a bone
+        sure = keypoints.confident
+        bones = [edge for edge in keypoints.format.edges if sure[edge[0]] and sure[edge[1]]]
+        alone = set(np.flatnonzero(sure).tolist()) - {joint for edge in bones for joint in edge}
+        for start, end in [*bones, *((joint, joint) for joint in alone)]:
+            found = self.squared_distances(keypoints.points[start], keypoints.points[end])
+            np.minimum(squares, found, out=squares)
+        squares[squares > reach**2] = np.inf
+        return np.sqrt(squares, out=squares)
 
 
 def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
@@ -164,11 +182,15 @@ def lower_near(image: np.ndarray, segment: np.ndarray, reach: float) -> None:
         np.minimum(part, squared, out=part)
 
 
-def squared_distances(u: np.ndarray, v: np.ndarray, along_x: float, along_y: float) -> np.ndarray:
-    """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``."""
-    share = (u * along_x + v * along_y) / max(along_x**2 + along_y**2, 1e-12)
+def squared_distances(u: np.ndarray, v: np.ndarray, along_x: Any, along_y: Any) -> np.ndarray:
+    """Squared distances of places (u, v), seen from a line segment's start, to the segment, whose end is ``along``.
+
+    Of several segments with their places, ``along`` are arrays.
+    """
+    share = (u * along_x + v * along_y) / np.maximum(along_x**2 + along_y**2, 1e-12)
     share = np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)  # a third of the time of np.clip
-    return (u - share * along_x) ** 2 + (v - share * along_y) ** 2
+    across, down = u - share * along_x, v - np.multiply(share, along_y, out=share)
+    return np.add(np.square(across, out=across), np.square(down, out=down), out=across)
 
 
 def _clip(value: float, limit: int) -> int:
@@ -192,11 +214,11 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     Works on runs, the unbroken stretches of a row, of which there are few: two runs of neighbouring rows touch if they
     overlap or meet at a corner, and those that touch one run are consecutive.
     """
-    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    rows, starts = np.nonzero(steps == 1)
-    ends = np.nonzero(steps == -1)[1]  # Exclusive; both in reading order, so they belong together.
     stride = mask.shape[1] + 2  # Positions in reading order, with a gap between rows.
-    start_keys, end_keys = rows * stride + starts, rows * stride + ends
+    flat = np.zeros((mask.shape[0], stride), dtype=bool)
+    flat[:, 1:-1] = mask
+    edges = np.flatnonzero(flat.ravel()[1:] != flat.ravel()[:-1])  # of runs, starts and exclusive ends in turn
+    start_keys, end_keys = edges[::2], edges[1::2]
     touching = [
         (
             np.searchsorted(end_keys, start_keys + offset, side="left").tolist(),
@@ -204,8 +226,9 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
         )
         for offset in (-stride, stride)
     ]
-    seed_counts = np.pad(np.cumsum(seeds & mask, axis=1), ((0, 0), (1, 0)))
-    reached = seed_counts[rows, ends] > seed_counts[rows, starts]
+    flat[:, 1:-1] &= seeds
+    seed_keys = np.flatnonzero(flat) - 1
+    reached = np.searchsorted(seed_keys, end_keys) > np.searchsorted(seed_keys, start_keys)
     stack = np.flatnonzero(reached).tolist()
     flags = reached.tolist()
     while stack:
@@ -215,11 +238,10 @@ def connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
                 if not flags[other]:
                     flags[other] = True
                     stack.append(other)
-    kept = np.zeros((mask.shape[0], mask.shape[1] + 1), dtype=np.int8)
     chosen = np.array(flags, dtype=bool)
-    kept[rows[chosen], starts[chosen]] = 1
-    kept[rows[chosen], ends[chosen]] = -1
-    return np.cumsum(kept, axis=1, dtype=np.int8)[:, :-1].astype(bool)
+    turns = np.zeros(flat.size, dtype=np.int8)
+    turns[start_keys[chosen] + 1], turns[end_keys[chosen] + 1] = 1, -1
+    return np.cumsum(turns, dtype=np.int8).view(bool).reshape(flat.shape)[:, 1:-1]
 
 
 def person_crop(keypoints: Keypoints2D, groups: np.ndarray, margin: float = 0.1) -> tuple[int, int, int, int]:

@@ -46,8 +46,31 @@ def stack_keypoints(
     rows = np.stack([_rows(tuple(each)) for each in names])
     rows = np.where(rows < 0, starts[-1], rows + starts[:-1, None])  # the last one is of what is missing
     known = torch.cat([torch.cat(list(points)), torch.cat(list(confidence))[:, None]], dim=1)
+    return _taken(known, rows)
+
+
+def format_keypoints(
+    names: tuple[str, ...], visible: np.ndarray, points: torch.Tensor, confidence: torch.Tensor
+) -> torch.Tensor:
+    """The same of N people with J keypoints of one format, of which some are ``visible``, shape (N, J)."""
+    rows = np.stack([_visible_rows(names, each.tobytes()) for each in visible])
+    starts = np.arange(len(rows))[:, None] * len(names)
+    known = torch.cat([points, confidence[..., None]], dim=2).flatten(0, 1)
+    return _taken(known, np.where(rows < 0, len(known), rows + starts))
+
+
+def _taken(known: torch.Tensor, rows: np.ndarray) -> torch.Tensor:
+    """Rows of keypoints (M, 3), of which number M is of what is missing."""
     found = torch.cat([known, known.new_zeros(1, 3)])[torch.from_numpy(rows).to(known.device)]
     return torch.where(found[..., 2:] > 0, found, 0.0)
+
+
+@lru_cache(maxsize=4096)
+def _visible_rows(names: tuple[str, ...], visible: bytes) -> np.ndarray:
+    """Column of each of ``LANDMARKS`` among a format's names, -1 where it is not visible."""
+    columns = np.flatnonzero(np.frombuffer(visible, dtype=bool))
+    rows = _rows(tuple(names[column] for column in columns))
+    return np.where(rows < 0, -1, np.append(columns, -1)[rows])
 
 
 @lru_cache(maxsize=256)

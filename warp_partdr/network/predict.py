@@ -6,19 +6,28 @@ from collections.abc import Hashable, Iterable, Sequence
 
 import torch
 
+from ..body.labels import LabelSet
 from ..body.parameters import BodyParameters
 from ..errors import check_each, check_type
 from ..inputs.observation import Observation, resize_nearest
+from ..inputs.stacked import StackedObservations
 from ..interop.torch_threads import one_torch_thread
 from .label_network import NUM_CHANNELS, LabelNetwork, label_shares, label_table, lens_rays, map_shares
-from .landmarks import stack_keypoints
+from .landmarks import format_keypoints, stack_keypoints
 from .mirror import mean_bodies, mirror_bodies, mirror_inputs
 from .predicted import Predicted
 from .upright import leans, turn_inputs, turn_predicted
 
 
-def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def network_inputs(
+    seen: Sequence[Observation] | StackedObservations, size: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Input of a label network for N people: shares (N, 22, size, size), keypoints (N, 24, 3) and rays (N, 4)."""
+    if isinstance(seen, StackedObservations):
+        keypoints = format_keypoints(seen.landmarks, seen.visible, seen.points, seen.confidence)
+        lenses = keypoints.new_ones(len(seen), 3) if seen.lens is None else seen.lens
+        known = torch.full((len(seen),), seen.lens is not None, device=lenses.device)
+        return _stacked_pictures(seen, size), keypoints, lens_rays(lenses, known)
     keypoints = stack_keypoints(
         [each.landmarks for each in seen], [each.points for each in seen], [each.confidence for each in seen]
     )
@@ -26,6 +35,26 @@ def network_inputs(seen: Sequence[Observation], size: int) -> tuple[torch.Tensor
     lenses = torch.stack([unknown if each.lens is None else each.lens for each in seen])
     known = torch.tensor([each.lens is not None for each in seen]).to(lenses.device)
     return _network_pictures(seen, size), keypoints, lens_rays(lenses, known)
+
+
+def _stacked_pictures(seen: StackedObservations, size: int) -> torch.Tensor:
+    """Shares of people with labels of one set, or of all without."""
+    if seen.labels is None or seen.label_set is None:
+        return _no_labels(seen.points.device).expand(len(seen), -1, size, size)
+    return _label_shares(seen.labels, seen.label_set, size)
+
+
+def _no_labels(device: torch.device) -> torch.Tensor:
+    """Shares of a person without labels, shape (1, 22, 1, 1)."""
+    shares = torch.zeros(1, NUM_CHANNELS, 1, 1, device=device)
+    shares[:, -1] = 1.0
+    return shares
+
+
+def _label_shares(labels: torch.Tensor, label_set: LabelSet, size: int) -> torch.Tensor:
+    table = label_table(label_set).to(labels.device)
+    which = torch.zeros(len(labels), dtype=torch.int64, device=labels.device)
+    return label_shares(resize_nearest(labels, size), table[None], which)
 
 
 def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
@@ -39,8 +68,7 @@ def _network_pictures(seen: Sequence[Observation], size: int) -> torch.Tensor:
     for key, rows in alike.items():
         some = [seen[row] for row in rows]
         if key is None:
-            found = torch.zeros(1, NUM_CHANNELS, 1, 1, device=seen[0].points.device)
-            found[:, -1] = 1.0
+            found = _no_labels(seen[0].points.device)
         else:
             found = _shares_of(some, size)
         if len(rows) == len(seen):
@@ -56,16 +84,15 @@ def _shares_of(seen: Sequence[Observation], size: int) -> torch.Tensor:
     """Shares of people with labels of one set and size, all with probabilities or none."""
     first = seen[0]
     assert first.label_set is not None
-    table = label_table(first.label_set).to(first.points.device)
 
     def together(pictures: Iterable[torch.Tensor | None]) -> torch.Tensor:
         return torch.stack([resize_nearest(each, size) for each in pictures if each is not None])
 
     if first.maps is not None and first.known is not None:
+        table = label_table(first.label_set).to(first.points.device)
         return map_shares(together(each.maps for each in seen), together(each.known for each in seen), table)
     labels = torch.stack([each.labels for each in seen if each.labels is not None])
-    which = torch.zeros(len(labels), dtype=torch.int64, device=labels.device)
-    return label_shares(resize_nearest(labels, size), table[None], which)
+    return _label_shares(labels, first.label_set, size)
 
 
 @one_torch_thread()
@@ -93,7 +120,11 @@ def predict_bodies(observations: Sequence[Observation], network: LabelNetwork) -
 
 @torch.no_grad()
 def ask_network(
-    observations: Sequence[Observation], network: LabelNetwork, *, mirror: bool = True, half: bool = False
+    observations: Sequence[Observation] | StackedObservations,
+    network: LabelNetwork,
+    *,
+    mirror: bool = True,
+    half: bool = False,
 ) -> Predicted:
     """Bodies as of ``predict_bodies``, and how sure they are: halfway between a picture's and its mirror image's.
 

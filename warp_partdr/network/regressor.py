@@ -118,7 +118,7 @@ class _Layer(nn.Module):
         return activated
 
 
-@torch.compiler.disable  # kernels pose bodies faster than what is traced
+@torch.compiler.disable  # type: ignore[untyped-decorator]  # kernels pose bodies faster than what is traced
 @torch.no_grad()
 def _misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
     """Ways from the bodies' landmarks to the keypoints, 0 to those that are missing, shape (B, 48).

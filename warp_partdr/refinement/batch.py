@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -13,6 +13,7 @@ import torch
 from ..body.landmarks import landmark_points
 from ..body.template import NUM_PARTS
 from ..inputs.observation import Observation, resize_nearest
+from ..inputs.stacked import StackedObservations
 from .energy import Energy, split_votes, stack_depth_scales
 from .tables import LANDMARK_NAMES
 
@@ -80,9 +81,51 @@ class Batch:
             labels=labels,
         )
 
+    @classmethod
+    def of_stacked(cls, people: StackedObservations, energy: Energy) -> Batch:
+        """Of people who are stacked already; sizes and depths are the energy's usual ones."""
+        columns, parts = (
+            torch.from_numpy(rows).to(people.points.device) for rows in _places(people.landmarks, people.marks)
+        )
+        sure = people.confidence.new_zeros(len(people), len(LANDMARK_NAMES))
+        sure[:, columns] = people.confidence
+        on_parts = torch.zeros_like(sure, dtype=torch.int64)
+        on_parts[:, columns] = parts
+        points = sure.new_zeros(*sure.shape, 2)
+        points[:, columns] = people.points
+        labels = None if energy.target is None else people.labels
+        return cls(
+            points=points,
+            votes=split_votes(sure, on_parts),
+            lengths=energy.usual_lengths.repeat(len(people), 1),
+            thicknesses=energy.usual_thicknesses.repeat(len(people), 1),
+            depths=sure.new_zeros(len(people), NUM_PARTS),
+            depth_scales=energy.depth_scales.repeat(len(people), 1),
+            lenses=sure.new_zeros(len(people), 3) if people.lens is None else people.lens,
+            targets=None if labels is None else resize_nearest(labels, energy.size),
+            seen=frozenset(np.array(people.marks)[people.visible.any(axis=0)].tolist()),
+            labels=labels,
+        )
+
     def __len__(self) -> int:
         """N."""
         return len(self.votes)
+
+    @property
+    def kind(self) -> Hashable:
+        """Numbers, pictures and landmarks: batches that agree in it can take one another's place in a graph."""
+        return self.seen, tuple((name, tuple(each.shape)) for name, each in self._named().items())
+
+    def tensors(self) -> list[torch.Tensor]:
+        """All that a refinement reads."""
+        return list(self._named().values())
+
+    def copied(self) -> Batch:
+        """Copies of these, which nobody else changes."""
+        return replace(self, labels=None, **{name: each.clone() for name, each in self._named().items()})
+
+    def _named(self) -> dict[str, Any]:
+        return {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
 
     def drawn_at(self, size: int) -> Batch:
         """With label images of ``size`` pixels a side; of 0, nothing is drawn."""
@@ -92,8 +135,7 @@ class Batch:
 
     def select(self, rows: torch.Tensor | slice) -> Batch:
         """Some of the people; one may come several times."""
-        own = {name: each for name, each in vars(self).items() if torch.is_tensor(each) and name != "labels"}
-        chosen: dict[str, Any] = {name: each[rows] for name, each in own.items()}
+        chosen: dict[str, Any] = {name: each[rows] for name, each in self._named().items()}
         return replace(self, labels=None, **chosen)  # large, and drawn already
 
 

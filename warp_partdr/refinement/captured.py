@@ -15,6 +15,7 @@ from ..body.template import LOCKED_PARTS, NUM_PARTS
 from ..errors import check_whole
 from ..interop.arrays import warp_array
 from ..interop.checks import check_steps, check_tensor
+from ..interop.graph_cache import BYTES_PER_PIXEL, graphs
 from ..interop.streams import capture_graph, on_torch_stream
 from ..kernels.ellipsoids.forces import NUM_SUMS
 from ..kernels.launch import launch_side_by_side, run_slices, split_batch
@@ -40,6 +41,8 @@ from .stepper import LEARNING_RATE, SHAPE_RATE, SIZES, Refined, rate_share, size
 from .tables import LANDMARK_NAMES, bone_arrays, landmark_arrays, mixture_arrays, rule_arrays
 
 _WIDTHS = [math.prod(shape) for shape in ROW.values()]  # of a body's parameters as they follow one another in a row
+
+_BYTES_PER_BODY = 2**15  # of a kept graph, beside pictures, on the CPU, where nobody counts
 
 
 class CapturedRefinement:
@@ -83,7 +86,7 @@ class CapturedRefinement:
             raise ValueError(f"energies: {energy.renderer}; expected exact ellipsoids, ``refine`` takes others")
         for other in energies:
             _check_alike(energy, other)
-        people = people or Batch.of([each.observation for each in energies], energy)
+        self._people = people = people or Batch.of([each.observation for each in energies], energy)
 
         # What the host reads or writes, in torch's memory.
         buffer = partial(torch.zeros, device=self._device)
@@ -177,6 +180,11 @@ class CapturedRefinement:
             self._renderer.launch()
 
     @torch.no_grad()
+    def take(self, people: Batch) -> None:
+        """Take other people from now on, who are alike: as many, with the same landmarks and pictures' size."""
+        torch._foreach_copy_(self._people.tensors(), people.tensors())
+
+    @torch.no_grad()
     def _put(self, bodies: BodyParameters) -> None:
         """Write bodies into the rows of parameters."""
         rows = [tensor.reshape(-1, width) for tensor, width in zip(bodies.tensors().values(), _WIDTHS, strict=True)]
@@ -247,35 +255,70 @@ def refine_captured(
 ) -> Refined:
     """Refine by captured graphs, a thread's bodies by one; ``rule`` are arguments of ``CapturedRefinement``.
 
-    Of ``people``, each body has its own.
+    Of ``people``, each body has its own; then graphs are kept for the next batch that is alike.
     """
-    device = start.shift.device
+    device, count = start.shift.device, start.batch_size
+    if people is not None and (size := _rounded(count)) > count:
+        rows = torch.arange(size, device=device).clamp_max(count - 1)
+        start, people = start.select(rows), people.select(rows)
     made: dict[int, tuple[CapturedRefinement, BodyParameters]] = {}
     done: dict[int, Refined] = {}
     slices = split_batch(start.batch_size, on_cpu=device.type == "cpu")
     for part in slices:
         bodies = start.select(torch.arange(part.start, part.stop, device=device))
-        own = None if people is None else people.select(part)
-        made[part.start] = CapturedRefinement(energy, bodies.batch_size, people=own, **rule), bodies
+        if people is None:
+            captured = CapturedRefinement(energy, bodies.batch_size, **rule)
+        else:
+            captured = _find_captured(energy, people.select(part), rule, part.start)
+        made[part.start] = captured, bodies
 
     def work(part: slice) -> None:
         captured, bodies = made[part.start]
         done[part.start] = captured.refine(bodies, on_iteration=on_iteration if part is slices[0] else None)
 
     run_slices(work, slices)
-    return _join([done[part.start] for part in slices])
+    return _join([done[part.start] for part in slices], count)
 
 
-def _join(parts: Sequence[Refined]) -> Refined:
-    """Concatenate results of slices of a batch."""
-    if len(parts) == 1:
-        return parts[0]
+def _rounded(count: int) -> int:
+    """Size of a batch that has a graph: rounded up by an eighth at most, so that few sizes occur."""
+    step = 1 << max(count.bit_length() - 4, 0)
+    return -(-count // step) * step
+
+
+def _find_captured(energy: Energy, people: Batch, rule: dict[str, Any], start: int) -> CapturedRefinement:
+    """Refinement of a body of each person, captured before or now; ``start`` is the slice's, for each has its own."""
+    labels, count, device = energy.observation.label_set, len(people), people.votes.device
+    kind = (
+        *(energy.size, energy.weights, energy.prior, energy.renderer, energy.observation.lens is None),
+        None if labels is None else tuple(labels.part_groups.tolist()),
+        tuple(term.applies(energy) for term in TERMS),
+    )
+    key = CapturedRefinement, start, kind, people.kind, tuple(sorted(rule.items()))
+    num_bytes = count * (_BYTES_PER_BODY + (0 if people.targets is None else BYTES_PER_PIXEL * energy.size**2))
+    captured = graphs.find(
+        key,
+        device,
+        num_bytes,
+        lambda: CapturedRefinement(energy, count, people=people.copied(), **rule),
+        at_once=True,
+    )
+    if captured is None:
+        return CapturedRefinement(energy, count, people=people, **rule)
+    captured.take(people)
+    return captured
+
+
+def _join(parts: Sequence[Refined], count: int) -> Refined:
+    """Concatenate results of slices of a batch, of which the first so many bodies count."""
     names = parts[0].parameters.tensors()
     return Refined(
-        BodyParameters(**{name: torch.cat([part.parameters.tensors()[name] for part in parts]) for name in names}),
-        torch.cat([part.energy for part in parts]),
-        {name: torch.cat([part.terms[name] for part in parts]) for name in parts[0].terms},
-        torch.cat([part.history for part in parts], dim=1),
+        BodyParameters(
+            **{name: torch.cat([part.parameters.tensors()[name] for part in parts])[:count] for name in names}
+        ),
+        torch.cat([part.energy for part in parts])[:count],
+        {name: torch.cat([part.terms[name] for part in parts])[:count] for name in parts[0].terms},
+        torch.cat([part.history for part in parts], dim=1)[:, :count],
     )
 
 

@@ -1,0 +1,96 @@
+"""Pictures read, and their people cut out, in processes: the same rows as by threads."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from scenes import commands
+from scenes.commands import Run
+from scenes.datasets import write_coco
+from scenes.shards import members, write_tar
+
+from warp_partdr.bulk import run as bulk_run
+from warp_partdr.bulk.cutting import Cutter
+from warp_partdr.bulk.opening import open_source
+from warp_partdr.bulk.processes import read_in_processes
+from warp_partdr.bulk.run import source_readers
+from warp_partdr.bulk.sources import SourcePicture
+from warp_partdr.errors import InputError
+
+pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
+pytest.importorskip("webdataset", reason="needs webdataset, the extra dataset")
+
+run = commands.run  # fixture
+HOW = "--quality network --device cpu --fov 50"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def by_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bulk_run, "source_readers", lambda *given: {"threads": 1, "processes": 1})
+
+
+def test_rows_are_those_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With broken pictures, without labels, people who are to be found, a camera, and shards of half a group."""
+    torn = members("001")
+    torn["001.jpg"] = torn["001.jpg"][:200]
+    found = members("003", keypoints=False, parts=False)
+    write_tar(Path("s/a.tar"), {**members("000"), **torn, **members("002", parts=False), **found, **members("004")})
+    line = f"dataset s --labels cdcl14 {HOW} --shard 3"
+    assert run(f"{line} --out threads")[0] == 0
+    by_processes(monkeypatch)
+    code, said, _ = run(f"{line} --out processes")
+    assert code == 0
+    assert "4 people in 5 pictures" in said
+    assert pq.read_table("processes").equals(pq.read_table("threads"))
+
+
+def test_so_are_those_of_annotations(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_coco(Path("coco"))
+    line = f"dataset coco/people.json {HOW}"
+    assert run(f"{line} --out threads")[0] == 0
+    by_processes(monkeypatch)
+    assert run(f"{line} --out processes")[0] == 0
+    assert pq.read_table("processes").equals(pq.read_table("threads"))
+
+
+def test_a_gpu_has_them_where_people_are_known() -> None:
+    write_tar(Path("known.tar"), members("000"))
+    write_tar(Path("unknown.tar"), members("000", keypoints=False, parts=False))
+    known, unknown = open_source(Path("known.tar"), labels="cdcl14"), open_source(Path("unknown.tar"))
+    assert source_readers(known, "cuda", 16) == {"threads": 16, "processes": 16}
+    assert source_readers(known, "cpu", 16)["processes"] == source_readers(unknown, "cuda", 16)["processes"] == 0
+
+
+@dataclass(frozen=True)
+class Deadly:
+    """A source that ends the process that reads it."""
+
+    names: Sequence[str] = ("a", "b")
+    skeleton: str = "coco17"
+    digest: str | None = "0"
+    finds: bool = False
+
+    def photo(self, name: str) -> Path:
+        raise AssertionError
+
+    def read(self, name: str) -> SourcePicture:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_a_process_that_is_killed_is_one_line() -> None:
+    (shard,) = read_in_processes(Deadly(), Cutter(), [["a", "b"]], 1)
+    with pytest.raises(
+        InputError, match=r"reading pictures: a process ended \(DataLoader worker .*\); expected memory"
+    ):
+        next(shard)

@@ -1,0 +1,175 @@
+"""People cut out of pictures for fits, with what their rows say of them already. What fails is an error in its row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..body.skeletons import skeleton
+from ..cameras import Perspective
+from ..detection.person import SKELETON
+from ..errors import InputError
+from ..fit.cut_people import CutPeople, CutPerson, stack_alike
+from ..inputs.evidence import weigh_evidence
+from ..inputs.masked_people import MaskedPerson, cut_masks
+from ..inputs.observation import crop_evidence
+from ..inputs.person import check_inside
+from .rows import PeopleRows, Row
+from .sources import KnownPerson, PictureSource, SourcePicture
+
+CameraOf = Callable[[str, tuple[int, int]], Perspective | None]
+Read = SourcePicture | Exception  # a picture, or why it can't be read
+Held = tuple[str, Read]  # with its name
+
+Result = TypeVar("Result")
+Attempted = list[tuple[slice, Sequence[Result] | Exception]]
+
+FAULTS = (ValueError, RuntimeError, MemoryError)  # of single pictures; torch's and Warp's, too
+
+
+def no_camera(name: str, size: tuple[int, int]) -> None:
+    """None: the camera of no picture is known."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """People cut out of some pictures.
+
+    Attributes:
+        pictures: Their names.
+        rows: Of these.
+        people: Those who are alike together, with their rows' numbers.
+    """
+
+    pictures: tuple[str, ...]
+    rows: PeopleRows
+    people: list[tuple[np.ndarray, CutPeople]]
+
+
+@dataclass(frozen=True)
+class Cutter:
+    """Cuts people out of pictures.
+
+    Attributes:
+        camera: The camera of a picture by its name and (H, W), if it is known; of all pictures or of none.
+        skeleton: Format of keypoints in rows; those of other formats lose what it has not.
+    """
+
+    camera: CameraOf = no_camera
+    skeleton: str = SKELETON
+
+    def cut(self, held: Sequence[Held], found: Mapping[int, Read]) -> Cut:
+        """Cut people out; ``found`` are pictures with the people who were found in them, by their place."""
+        rows: list[Row] = []
+        cut: list[tuple[int, CutPerson]] = []
+        masked: list[tuple[int, MaskedPerson]] = []
+        for place, (name, seen) in enumerate(held):
+            known = found.get(place, seen)
+            row: Row = {"picture": name}
+            if isinstance(seen, SourcePicture):
+                row |= {"height": seen.pixels.shape[0], "width": seen.pixels.shape[1]}
+            try:
+                if isinstance(known, Exception):
+                    raise known
+                camera = self.camera(name, (row["height"], row["width"]))
+            except FAULTS as error:
+                rows.append(row | {"error": one_line(error)})
+                continue
+            assert known.people is not None
+            row["people"] = len(known.people)
+            if not known.people:
+                rows.append(row)
+            for number, person in enumerate(known.people):
+                rows.append(row | {"person": number} | _describe(person, self.skeleton))
+                try:
+                    if place not in found:
+                        check_inside(person.keypoints, (row["height"], row["width"]))
+                    if known.parts is None and known.owners is not None:
+                        masked.append((len(rows) - 1, MaskedPerson(person.keypoints, known.owners, number + 1, camera)))
+                    else:
+                        cut.append((len(rows) - 1, _cut_person(known, number, camera)))
+                except FAULTS as error:
+                    rows[-1]["error"] = one_line(error)
+        for own, some in attempt(_cut_masked, [person for _, person in masked]):
+            places = [number for number, _ in masked[own]]
+            if isinstance(some, Exception):
+                rows[places[0]]["error"] = one_line(some)
+            else:
+                cut += zip(places, some, strict=True)
+        cut.sort(key=lambda each: each[0])
+        numbers = np.array([number for number, _ in cut])
+        alike = stack_alike([person for _, person in cut])
+        return Cut(
+            tuple(name for name, _ in held),
+            PeopleRows.of(rows),
+            [(numbers[places], people) for places, people in alike],
+        )
+
+
+def _cut_person(known: SourcePicture, number: int, camera: Perspective | None) -> CutPerson:
+    assert known.people is not None
+    keypoints = known.people[number].keypoints
+    if known.parts is not None:
+        others = [each.keypoints for place, each in enumerate(known.people) if place != number]
+        evidence = weigh_evidence(keypoints, known.parts, others)[0]
+    else:
+        evidence = weigh_evidence(keypoints)[0]
+    observation, crop = crop_evidence(evidence, camera=camera)
+    slim = replace(evidence, picture=None, groups=None)  # else each would hold labels of a whole picture
+    return CutPerson(slim, observation, crop)
+
+
+def _cut_masked(people: Sequence[MaskedPerson]) -> list[CutPerson]:
+    """People of masks that are all on one device, where they are cut out, too."""
+    return [CutPerson(*each) for each in cut_masks(people, people[0].owners.device)]
+
+
+def read_picture(source: PictureSource, name: str) -> Read:
+    """Read a picture; of one that can't be read, why."""
+    try:
+        return source.read(name)
+    except (InputError, OSError, ValueError, MemoryError) as error:
+        return error
+
+
+def one_line(error: Exception) -> str:
+    """An error as one line of at most 300 characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return (text if isinstance(error, InputError) else f"{type(error).__name__}: {text}")[:300]
+
+
+def _describe(person: KnownPerson, form: str) -> dict[str, Any]:
+    given = person.keypoints
+    keypoints = np.column_stack([given.points, given.confidence])
+    if given.format.name != form:
+        own = given.format.landmarks
+        missing = np.zeros(3, dtype=np.float32)
+        order = [own.index(name) if name in own else None for name in skeleton(form).landmarks]
+        keypoints = np.stack([missing if place is None else keypoints[place] for place in order])
+    return {
+        "annotation": person.annotation,
+        "score": person.score,
+        "box": np.array(person.box),
+        "keypoints": keypoints,
+        "warnings": [],
+    }
+
+
+def attempt(work: Callable[[Any], Sequence[Result]], items: Sequence[Any], start: int = 0) -> Attempted[Result]:
+    """Results of a batch; if it fails, of its halves, so that in the end only those that are at fault have an error.
+
+    With each, where in the batch it is, whose first item has the number ``start``.
+    """
+    if not items:
+        return []
+    own = slice(start, start + len(items))
+    try:
+        return [(own, work(items))]
+    except FAULTS as error:
+        if len(items) == 1:
+            return [(own, error)]
+    half = len(items) // 2
+    return [*attempt(work, items[:half], start), *attempt(work, items[half:], start + half)]

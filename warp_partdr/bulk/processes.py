@@ -1,0 +1,83 @@
+"""Pictures read, and their people cut out, in processes: in one, Python's lock lets a single core do that."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from itertools import islice
+
+from torch.utils.data import DataLoader, Dataset
+
+from ..errors import InputError, cause
+from .cutting import Cut, Cutter, Held, read_picture
+from .sources import PictureSource, SourcePicture
+
+_GROUP = 32  # pictures that a process reads at a time
+
+Group = Cut | list[Held]
+
+
+class _Groups(Dataset[Group]):
+    """Groups of pictures: people cut out of them, or pictures, if people have to be found in one of them."""
+
+    def __init__(self, source: PictureSource, cutter: Cutter, groups: Sequence[Sequence[str]]) -> None:
+        self.source, self.cutter, self.groups = source, cutter, groups
+
+    def __len__(self) -> int:
+        return len(self.groups)
+
+    def __getitem__(self, index: int) -> Group:
+        held = [(name, read_picture(self.source, name)) for name in self.groups[index]]
+        if any(isinstance(seen, SourcePicture) and seen.people is None for _, seen in held):
+            return held
+        return self.cutter.cut(held, {})
+
+
+def read_in_processes(
+    source: PictureSource, cutter: Cutter, shards: Sequence[Sequence[str]], processes: int
+) -> Iterator[Iterator[Held | Cut]]:
+    """Read pictures in order, some groups ahead, by torch's ``DataLoader``.
+
+    Args:
+        source: Of the pictures.
+        cutter: Of the people.
+        shards: Names of each shard's pictures.
+        processes: So many.
+
+    Returns:
+        What ``PeopleFitter.rows`` takes, of each shard.
+
+    Raises:
+        InputError: If a process ends before its time.
+    """
+    groups = [names[first : first + _GROUP] for names in shards for first in range(0, len(names), _GROUP)]
+    loader = DataLoader(
+        _Groups(source, cutter, groups),
+        batch_size=None,
+        num_workers=processes,
+        collate_fn=_as_it_is,
+        # A fork would inherit CUDA, Warp's and torch's threads half alive.
+        multiprocessing_context=multiprocessing.get_context("spawn"),
+    )
+    read = iter(loader)
+    for names in shards:
+        yield _each(islice(read, -(-len(names) // _GROUP)))
+
+
+def _each(groups: Iterator[Group]) -> Iterator[Held | Cut]:
+    while True:
+        try:
+            group = next(groups, None)
+        except RuntimeError as error:  # the loader's own, for what is at fault in a picture is a row
+            told = f"reading pictures: a process ended ({cause(error)})"
+            raise InputError(f"{told}; expected memory for all of them, in /dev/shm, too") from error
+        if group is None:
+            return
+        if isinstance(group, Cut):
+            yield group
+        else:
+            yield from group
+
+
+def _as_it_is(group: Group) -> Group:
+    return group
