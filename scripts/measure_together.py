@@ -21,10 +21,10 @@ import torch
 import warp as wp
 
 from warp_partdr.bulk.people import stages_of_quality
-from warp_partdr.bulk.rows import describe_bodies
+from warp_partdr.bulk.rows import PeopleRows, columns, describe_bodies, people_table
 from warp_partdr.evaluation.partbench.samples import make_sample
 from warp_partdr.fit import depth_flips, together
-from warp_partdr.fit.cut_people import CutPerson
+from warp_partdr.fit.cut_people import CutPeople, CutPerson
 from warp_partdr.fit.together import fit_together
 from warp_partdr.inputs.evidence import weigh_evidence
 from warp_partdr.inputs.observation import crop_evidence
@@ -40,12 +40,12 @@ def main(*given: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
     device, *counts = [each for each in given if not each.startswith("--")] or ["cpu"]
     how = {"half": "--half" in given, "mirror": "--alone" not in given}
-    some = [cut(index, device) for index in range(_DISTINCT)]
+    some = [cut(index) for index in range(_DISTINCT)]
     network = packaged_network(device)
     for quality in ("network", "fast"):
         options = replace(stages_of_quality(quality), **how)  # type: ignore[arg-type]
         for count in map(int, counts or ("64",)):
-            people = [some[row % _DISTINCT] for row in range(count)]
+            people = CutPeople.of([some[row % _DISTINCT] for row in range(count)]).to(device)
             for _ in range(3):
                 wait(device)
                 began = time.perf_counter()
@@ -57,7 +57,8 @@ def main(*given: str) -> None:
             steps.measure(lambda: fit_together(people, options, network))  # noqa: B023  at once
             steps.print(count)
             began = time.perf_counter()
-            describe_bodies(fits)
+            rows = PeopleRows(count, describe_bodies(fits))
+            people_table(rows, columns("coco17"), {})
             print(f"  {1e6 * (time.perf_counter() - began) / count:8.1f} us a person: rows of a data set, beside it")
 
 
@@ -77,9 +78,9 @@ class Steps:
     def measure(self, work: Callable[[], Any]) -> None:
         """Run it with a clock in each step."""
         steps = (
-            (predict, "network_inputs", "network, its input stacked"),
+            (predict, "network_inputs", "network, its input"),
             (together, "ask_network", "network"),
-            (Batch, "of", "stacking"),
+            (Batch, "of_stacked", "landmarks in their places"),
             (Batch, "drawn_at", "label images resized"),
             (depth_flips, "_propose", "depth flips proposed"),
             (together, "repair_depth_orders", "depth flips chosen"),
@@ -116,11 +117,11 @@ class Steps:
         return clocked
 
 
-def cut(index: int, device: str) -> CutPerson:
+def cut(index: int) -> CutPerson:
     """One person as data sets have them."""
     sample = make_sample(index, "realistic")
     evidence = weigh_evidence(sample.keypoints, sample.parts, sample.others)[0]
-    observation, crop = crop_evidence(evidence, device=device)
+    observation, crop = crop_evidence(evidence)
     return CutPerson(replace(evidence, picture=None, groups=None), observation, crop)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -276,6 +275,7 @@ class _Work:
         """Make them, here or on a cluster, and tell how it goes."""
         from ..bulk.rows import columns
         from ..bulk.run import make_dataset, source_readers
+        from ..kernels.launch import get_num_threads
         from .progress import PictureProgress
 
         source, shards = self.source, self.shards
@@ -307,7 +307,7 @@ class _Work:
                     fitter = setup(source, detailed)
                     started = time.perf_counter()
                     how = {"todo": self.todo, "told": progress, "written": written}
-                    how |= source_readers(source, setup.device, os.cpu_count() or 2)
+                    how |= source_readers(source, setup.device, get_num_threads())
                     tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
             except KeyboardInterrupt:
                 there = f"{len(shards.done())} of {shards.count} shards"

@@ -1,0 +1,152 @@
+"""Measure and print how many people a second ``partdr dataset`` fits from JPEG shards, on one GPU and more; by stage.
+
+    python scripts/measure_shards.py FOLDER [PEOPLE [QUALITY [GPUS...]]]
+
+PartBench's people, 40 of them under PEOPLE names (default 20000), go into tar files in FOLDER as JPEG, keypoints and
+labels. A run for each number of GPUS (default 1; 0: on the CPU) is a process a GPU, which has its share of the shards
+and of the cores; what is made before each one's first shard is written does not count. Then the stages alone, to tell
+what limits: pictures read and people cut out, by one process and by one a core; fits; rows, their table, and Parquet.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import torch
+from measure_dataset import sample
+from PIL import Image
+
+from warp_partdr.bulk.cutting import Cut, Cutter, read_picture
+from warp_partdr.bulk.opening import open_source
+from warp_partdr.bulk.people import PeopleFitter, stages_of_quality
+from warp_partdr.bulk.picture_files import PictureFiles
+from warp_partdr.bulk.processes import read_in_processes
+from warp_partdr.bulk.rows import PeopleRows, columns, people_table
+from warp_partdr.clothing.anny import anny
+from warp_partdr.fit.cut_people import CutPeople
+from warp_partdr.interop.devices import choose_device
+from warp_partdr.kernels.launch import get_num_threads
+from warp_partdr.network.checkpoint import packaged_network
+
+DISTINCT, IN_A_TAR, SHARD, BATCH, SOME = 40, 5_000, 500, 256, 256
+LABELS = "ellipbody20"
+
+
+def main(folder: str, people: str = "20000", quality: str = "fast", *gpus: str) -> None:
+    root, count = Path(folder), int(people)
+    if not (root / "shards").exists():
+        write_shards(root / "shards", count)
+    rates = {}
+    for number in map(int, gpus or ("1",)):
+        rates[number] = run(root, quality, number)
+        print(f"{quality}, {number} GPUs, {get_num_threads()} cores: {rates[number]:.0f} people a second", flush=True)
+    if {1, 2} <= rates.keys():
+        print(f"two GPUs: {rates[2] / rates[1]:.2f} times one")
+    measure_stages(root, quality, "cpu" if set(rates) == {0} else choose_device("auto"))
+
+
+def write_shards(folder: Path, people: int) -> None:
+    folder.mkdir(parents=True)
+    samples = [as_jpeg(sample(index)) for index in range(DISTINCT)]
+    for first in range(0, people, IN_A_TAR):
+        with tarfile.open(folder / f"{first // IN_A_TAR:03}.tar", "w") as tar:
+            for index in range(first, min(first + IN_A_TAR, people)):
+                for ending, data in samples[index % DISTINCT].items():
+                    info = tarfile.TarInfo(f"{index:07}.{ending}")
+                    info.size = len(data)
+                    tar.addfile(info, BytesIO(data))
+
+
+def as_jpeg(files: dict[str, bytes]) -> dict[str, bytes]:
+    buffer = BytesIO()
+    with Image.open(BytesIO(files["png"])) as picture:
+        picture.convert("RGB").save(buffer, "jpeg", quality=90)
+    return {"jpg": buffer.getvalue()} | {ending: data for ending, data in files.items() if ending != "png"}
+
+
+def run(root: Path, quality: str, gpus: int) -> float:
+    """People a second of all processes, each from its first written shard to its last."""
+    cores, out = sorted(os.sched_getaffinity(0)), root / f"out-{quality}-{gpus}"
+    line = [sys.executable, "-m", "warp_partdr", "dataset", str(root / "shards"), "--labels", LABELS]
+    line += ["--quality", quality, "--shard", str(SHARD), "--out", str(out)]
+    line += ["--device", "cuda" if gpus else "cpu", "--batch", str(BATCH if gpus else 16)]
+    count = max(gpus, 1)
+    runs = [
+        subprocess.Popen(
+            [*line, "--share", f"{number}/{count}"],
+            env=os.environ | ({"CUDA_VISIBLE_DEVICES": str(number)} if gpus else {}),
+            stdout=subprocess.DEVNULL,
+            preexec_fn=lambda number=number: os.sched_setaffinity(0, cores[number::count]),
+        )
+        for number in range(count)
+    ]
+    codes = [each.wait() for each in runs]
+    if any(codes):
+        sys.exit("a run failed")
+    rate = 0.0
+    for number in range(count):
+        files = sorted(out.glob("part-*"))[number::count]
+        seconds = files[-1].stat().st_mtime - files[0].stat().st_mtime
+        bodies = [pq.read_table(file, columns=["camera_scale"])["camera_scale"] for file in files[1:]]
+        rate += sum(len(each) - each.null_count for each in bodies) / seconds
+    return rate
+
+
+def measure_stages(root: Path, quality: str, device: str) -> None:
+    """Each stage alone: microseconds a person, and people a second where more than one process works."""
+    source = open_source(root / "shards", labels=LABELS)
+    assert isinstance(source, PictureFiles)
+    cutter, names = Cutter(skeleton=source.skeleton), source.names[:SOME]
+    held = clocked("read, one process", SOME, lambda: [(name, read_picture(source, name)) for name in names])
+    cut = clocked("cut out, one process", SOME, lambda: cutter.cut(held, {}))
+    cores = get_num_threads()
+    many = source.names[: min(len(source.names), 1000 * cores)]
+    measure_reading(source, cutter, many, cores)
+    people = CutPeople.joined([each for _, each in cut.people][:1])
+    model = anny(device) if quality == "mesh" else None
+    how = stages_of_quality(quality)  # type: ignore[arg-type]
+    fitter = PeopleFitter(how, packaged_network(device), model, device, BATCH)
+    clocked("copied to the device", len(people), lambda: people.to(device), device)
+    there = people.to(device)
+    parts = clocked(f"fitted and described, {len(people)} at a time", len(people), lambda: fitter.bodies(there), device)
+    rows = PeopleRows(cut.rows.count, [*cut.rows.parts, *(part.at(cut.people[0][0]) for part in parts)])
+    form = columns(source.skeleton, model)
+    table = clocked("table", len(people), lambda: people_table(rows, form, {}))
+    clocked("Parquet", len(people), lambda: pq.write_table(table, root / "one.parquet", compression="zstd"))
+
+
+def measure_reading(source: PictureFiles, cutter: Cutter, names: Any, processes: int) -> None:
+    (groups,) = read_in_processes(source, cutter, [names], processes)
+    first = next(groups)
+    assert isinstance(first, Cut)
+    began, count = time.perf_counter(), 0
+    for group in groups:
+        assert isinstance(group, Cut)
+        count += len(group.pictures)
+    print(f"  read and cut out by {processes} processes: {count / (time.perf_counter() - began):.0f} people a second")
+
+
+def clocked(what: str, people: int, work: Callable[[], Any], device: str = "cpu") -> Any:
+    """Do it three times; the fastest counts."""
+    seconds = []
+    for _ in range(3):
+        began = time.perf_counter()
+        result = work()
+        if device != "cpu":
+            torch.cuda.synchronize()
+        seconds.append(time.perf_counter() - began)
+    print(f"  {1e6 * min(seconds) / people:8.1f} us a person: {what}", flush=True)
+    return result
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
