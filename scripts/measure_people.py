@@ -3,7 +3,8 @@
     python scripts/measure_people.py [DEVICE] [PEOPLE] [SIDE]
 
 Pictures of SIDE pixels (default 384) show the packaged example's person, a bit elsewhere in each; as many as PEOPLE,
-256 unless told. Medians of five runs after one that loads and captures. Below, the landmark network alone, on CUDA also
+256 unless told. Medians of five runs after one that loads and captures: milliseconds, people a second, and milliseconds
+until the host had nothing more to do than to wait for the device. Below, the landmark network alone, on CUDA also
 launch by launch and with convolutions rounded to TF32, which changes its results.
 """
 
@@ -41,9 +42,10 @@ def main(device: str = "cpu", count: str = "256", side: str = "384") -> None:
     pictures = example_pictures(int(count), int(side))
     timed(pictures, device)
     passes = [timed(pictures, device) for _ in range(RUNS)]
-    print(f"{count} people in pictures of {side} px, {name_of(device)}: ms and people a second")
+    print(f"{count} people in pictures of {side} px, {name_of(device)}: ms, people a second, ms of the host")
     for stage in passes[0]:
-        report(stage, float(np.median([each[stage] for each in passes])), len(pictures))
+        seconds, host = np.median([each[stage] for each in passes], axis=0).tolist()
+        report(stage, seconds, len(pictures), host)
     networks = packaged_people_networks(device)
     for batch in (1, 16, 256) if device != "cpu" else (1, 4):
         measure_landmarks(networks, batch)
@@ -62,16 +64,17 @@ def example_pictures(count: int, side: int) -> list[np.ndarray]:
 
 
 @torch.no_grad()
-def timed(pictures: list[np.ndarray], device: str) -> dict[str, float]:
-    """Seconds of each stage."""
-    seconds: dict[str, float] = {}
+def timed(pictures: list[np.ndarray], device: str) -> dict[str, np.ndarray]:
+    """Seconds of each stage, and those of the host."""
+    seconds: dict[str, np.ndarray] = {}
 
     def stage(name: str, work: Callable[[], Any]) -> Any:
         synchronize(device)
         started = time.perf_counter()
         found = work()
+        host = time.perf_counter() - started
         synchronize(device)
-        seconds[name] = time.perf_counter() - started
+        seconds[name] = np.array([time.perf_counter() - started, host])
         return found
 
     networks, network = packaged_people_networks(device), packaged_network(str(torch.device(device)))
@@ -84,14 +87,14 @@ def timed(pictures: list[np.ndarray], device: str) -> dict[str, float]:
     first = stage("landmarks, first look", lambda: look(networks, pyramids, crops))
     found = stage("landmarks, second look", lambda: look(networks, pyramids, first.next_crops))
     people = stage("masks", lambda: found.people(rows, found.presence, sizes))
-    seconds["so far"] = sum(seconds.values())
+    seconds["so far"] = np.sum(list(seconds.values()), axis=0)
     stage("all of these: find_people_in", lambda: find_people_in(pictures, device=device))
     owners = stage("whom each pixel shows", lambda: instance_maps([[each] for each in people], sizes.tolist()))
     masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
     cut = stage("evidence and crops", lambda: cut_masks(masked, device))
     stage("label network", lambda: predict_bodies([observation for _, observation, _ in cut], network))
     names = ("all of these: find_people_in", "whom each pixel shows", "evidence and crops", "label network")
-    seconds["from pictures to bodies"] = sum(seconds[name] for name in names)
+    seconds["from pictures to bodies"] = np.sum([seconds[name] for name in names], axis=0)
     return seconds
 
 
@@ -135,8 +138,9 @@ def name_of(device: str) -> str:
     return torch.cuda.get_device_name(device) if device != "cpu" else f"CPU, {torch.get_num_threads()} threads"
 
 
-def report(name: str, seconds: float, people: int) -> None:
-    print(f"{name:45s} {1000 * seconds:9.1f} {people / seconds:9.0f}")
+def report(name: str, seconds: float, people: int, host: float | None = None) -> None:
+    told = "" if host is None else f" {1000 * host:9.1f}"
+    print(f"{name:45s} {1000 * seconds:9.1f} {people / seconds:9.0f}{told}")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import warp as wp
 from ..interop.arrays import warp_array
 from ..interop.streams import on_torch_stream
 from ..interop.torch_threads import one_torch_thread
-from ..kernels.crops import launch_crops
+from ..kernels import crops as crop_kernels
 from ..kernels.launch import get_num_threads, run_slices
 
 _MARGIN = 1.25  # side of a person's crop, the circle about the person being 1
@@ -125,6 +125,8 @@ def work_on_crops(work: Callable[[TurnedCrops], Result], crops: TurnedCrops, dev
             results[index].append(work(parts[index]))
 
     threads = max(min(cores, len(parts)), 1)
+    if threads > 1:
+        wp.load_module(crop_kernels, device="cpu")  # which each would build, were it missing
     run_slices(share, [slice(first, None, threads) for first in range(threads)])
     return [result for (result,) in results]
 
@@ -216,5 +218,5 @@ def cut_crops(
     cut = torch.empty(len(crops), 3, height, width, device=device)
     with on_torch_stream(device):
         arrays = [warp_array(pointers), warp_array(sizes), warp_array(steps, wp.vec2)]
-        launch_crops(arrays, beyond == "zeros", warp_array(cut))
+        crop_kernels.launch_crops(arrays, beyond == "zeros", warp_array(cut))
     return cut
