@@ -18,7 +18,7 @@ import torch
 import torch.nn.functional as F
 import warp as wp
 
-from ..interop.arrays import warp_array
+from ..interop.arrays import tensor_over, warp_array
 from ..interop.streams import on_torch_stream
 from ..interop.torch_threads import one_torch_thread
 from ..kernels import crops as crop_kernels
@@ -142,7 +142,7 @@ class Pyramid:
     def __init__(self, picture: np.ndarray, device: torch.device | str) -> None:
         self.size = picture.shape[0], picture.shape[1]
         self._first = max(0, math.ceil(math.log2(max(self.size) / _LARGEST)))
-        self._bytes = torch.from_numpy(np.require(picture, requirements=["C", "W"])).to(device).permute(2, 0, 1)[None]
+        self._bytes = tensor_over(picture).to(device).permute(2, 0, 1)[None]
         self.device = self._bytes.device
         self._levels: list[torch.Tensor] = []
         self._lock = threading.Lock()  # several threads may ask for a level that isn't there yet

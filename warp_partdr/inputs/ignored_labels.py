@@ -70,7 +70,8 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
         shown = labels_along(groups, start, end, samples=LIMB_SAMPLES)
         if np.count_nonzero(shown == BACKGROUND) / LIMB_SAMPLES >= MISSING_SHARE:
             half, further = limb_extent(name)
-            lower_near(near, np.concatenate([start, end + (end - start) * further]), half * height)
+            beyond = (end - start).astype(np.float64) * further  # NumPy 1 would stay in float32
+            lower_near(near, np.concatenate([start, end + beyond]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 import warp as wp
 
@@ -22,3 +23,12 @@ def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
         dtype: Warp's type; by default the tensor's scalars.
     """
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
+
+
+def tensor_over(array: np.ndarray) -> torch.Tensor:
+    """A tensor on the CPU over an array's memory, which is only to be read: the array may be read-only.
+
+    Torch would warn of those, and copying them takes as long as an upload to a GPU.
+    """
+    tensor: torch.Tensor = wp.to_torch(wp.array(np.ascontiguousarray(array), copy=False, device="cpu"))
+    return tensor

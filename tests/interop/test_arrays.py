@@ -1,0 +1,39 @@
+"""Tensors over the memory of arrays."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+import weakref
+
+import numpy as np
+import torch
+
+from warp_partdr.interop.arrays import tensor_over
+
+
+class Owner(np.ndarray):
+    """An array that a weak reference can watch."""
+
+
+def test_a_tensor_over_an_array_keeps_it_and_lets_it_go():
+    array = Owner((40, 30, 3), dtype=np.uint8)
+    array[:] = np.arange(3)
+    array.flags.writeable = False
+    watched = weakref.ref(array)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tensor = tensor_over(array)
+    assert tensor.data_ptr() == array.ctypes.data
+    del array
+    gc.collect()
+    assert watched() is not None
+    assert torch.equal(tensor, torch.arange(3, dtype=torch.uint8).expand(40, 30, 3))
+    del tensor
+    gc.collect()
+    assert watched() is None
+
+
+def test_an_array_of_other_strides_is_copied():
+    array = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)[:, ::-1]
+    np.testing.assert_array_equal(tensor_over(array).numpy(), array)
