@@ -29,7 +29,7 @@ from warp_partdr.bulk.cutting import Cut, Cutter, read_picture
 from warp_partdr.bulk.opening import open_source
 from warp_partdr.bulk.people import PeopleFitter, stages_of_quality
 from warp_partdr.bulk.picture_files import PictureFiles
-from warp_partdr.bulk.processes import read_in_processes
+from warp_partdr.bulk.processes import read_in_processes, shared_memory
 from warp_partdr.bulk.rows import PeopleRows, columns, people_table
 from warp_partdr.clothing.anny import anny
 from warp_partdr.fit.cut_people import CutPeople
@@ -45,6 +45,7 @@ def main(folder: str, people: str = "20000", quality: str = "fast", *gpus: str) 
     root, count = Path(folder), int(people)
     if not (root / "shards").exists():
         write_shards(root / "shards", count)
+    print(f"memory to share: {shared_memory() / 2**20:.0f} MiB free")
     rates = {}
     for number in map(int, gpus or ("1",)):
         rates[number] = run(root, quality, number)

@@ -14,10 +14,11 @@ from scenes.commands import Run
 from scenes.datasets import write_coco
 from scenes.shards import members, write_tar
 
+from warp_partdr.bulk import processes
 from warp_partdr.bulk import run as bulk_run
 from warp_partdr.bulk.cutting import Cutter
 from warp_partdr.bulk.opening import open_source
-from warp_partdr.bulk.processes import read_in_processes
+from warp_partdr.bulk.processes import read_in_processes, shared_memory
 from warp_partdr.bulk.run import source_readers
 from warp_partdr.bulk.sources import SourcePicture
 from warp_partdr.errors import InputError
@@ -62,12 +63,25 @@ def test_so_are_those_of_annotations(run: Run, monkeypatch: pytest.MonkeyPatch) 
     assert pq.read_table("processes").equals(pq.read_table("threads"))
 
 
-def test_a_gpu_has_them_where_people_are_known() -> None:
+def test_a_gpu_has_them_where_people_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And where memory to share is enough: a container has 64 MB by default."""
     write_tar(Path("known.tar"), members("000"))
     write_tar(Path("unknown.tar"), members("000", keypoints=False, parts=False))
     known, unknown = open_source(Path("known.tar"), labels="cdcl14"), open_source(Path("unknown.tar"))
-    assert source_readers(known, "cuda", 16) == {"threads": 16, "processes": 16}
-    assert source_readers(known, "cpu", 16)["processes"] == source_readers(unknown, "cuda", 16)["processes"] == 0
+    monkeypatch.setattr(bulk_run, "shared_memory", lambda: 2**30)
+    assert source_readers(known, "cuda", 256, 16) == {"threads": 16, "processes": 16}
+    assert source_readers(known, "cpu", 256, 16) == {"threads": 16, "processes": 0}
+    assert source_readers(unknown, "cuda", 256, 16) == {"threads": 16, "processes": 0}
+    assert source_readers(known, "cuda", 4096, 16) == {"threads": 16, "processes": 0}
+    monkeypatch.setattr(bulk_run, "shared_memory", lambda: 2**26)
+    assert source_readers(known, "cuda", 256, 16) == {"threads": 16, "processes": 0}
+
+
+def test_free_memory_is_known_where_it_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(processes, "_SHARED", str(tmp_path))
+    assert 0 < shared_memory() < 2**60
+    monkeypatch.setattr(processes, "_SHARED", str(tmp_path / "nothing"))
+    assert shared_memory() > 2**60
 
 
 @dataclass(frozen=True)

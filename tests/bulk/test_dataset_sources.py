@@ -15,6 +15,7 @@ from scenes.commands import Run
 from scenes.datasets import photo, write_coco
 from scenes.shards import members, write_beside, write_tar
 
+from warp_partdr.bulk import picture_files
 from warp_partdr.bulk.coco import decode_runs
 from warp_partdr.bulk.containers import Latest
 from warp_partdr.bulk.opening import open_source
@@ -288,3 +289,21 @@ def test_files_are_opened_once_and_few_stay_open() -> None:
     for name in "aabacab":
         assert latest.open(Path(name)) == name
     assert opened == ["a", "b", "c", "b"]
+
+
+def test_headers_of_tar_files_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """When the source is opened: a copy in another process knows where all files are."""
+    write_tar(Path("s/a.tar"), {**members("000"), **members("001", parts=False)})
+    write_tar(Path("s/b.tar"), members("002", keypoints=False))
+    given = open_source(Path("s"), labels="cdcl14")
+    monkeypatch.setattr(picture_files, "index_tar", None)
+    source = pickle.loads(pickle.dumps(given))
+    pictures = [source.read(name) for name in given.names]
+    assert [(each.people is None, each.parts is None) for each in pictures] == [
+        (False, False),
+        (False, True),
+        (True, False),
+    ]
+    assert source.beside("a.tar#001.jpg", "parts.png") is None
+    with pytest.raises(InputError, match=r"a.tar#9.jpg: not there; expected it in s.a.tar"):
+        source.photo("a.tar#9.jpg")

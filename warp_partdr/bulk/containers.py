@@ -12,12 +12,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from ..errors import InputError, cause
 from ..inputs.films import check_pyav, is_film
 from ..inputs.part_labels import PHOTO_SUFFIXES
 
 TAR_SUFFIX = ".tar"
 KEYPOINTS, PARTS = "keypoints.json", "parts.png"  # endings of files that lie beside a photo, after its key and a point
+ENDINGS = ("", KEYPOINTS, PARTS)  # of a photo itself, and beside it
 
 _BLOCK = tarfile.BLOCKSIZE
 
@@ -59,26 +62,31 @@ class TarPictures:
     samples: dict[str, dict[str, Member]]
     fault: str | None
 
-    def open(self, photo: str, ending: str, name: str) -> NamedBytes | None:
-        """A photo, of ending "", or a file beside it, which messages call by a name; None if there is none.
+    def spans(self) -> np.ndarray:
+        """Start and size of each photo and of what lies beside it, by ``ENDINGS``, -1 without, shape (N, 3, 2)."""
+        missing = Member("", -1, -1)
+        found = [
+            [(member.start, member.size) for member in (files.get(ending, missing) for ending in ENDINGS)]
+            for files in self.samples.values()
+        ]
+        return np.array(found, dtype=np.int64).reshape(-1, len(ENDINGS), 2)
 
-        Raises:
-            InputError: If it can't be read.
-        """
-        member = self.samples.get(photo, {}).get(ending)
-        if member is None:
-            if ending:
-                return None
-            raise InputError(f"{name}: not there; expected it in {self.path}")
-        try:
-            with self.path.open("rb") as file:
-                file.seek(member.start)
-                data = file.read(member.size)
-        except OSError as error:
-            raise InputError(f"{name}: {cause(error)}; expected a tar file") from error
-        if len(data) < member.size:
-            raise InputError(f"{name}: {len(data)} of {member.size} bytes; expected a whole tar file")
-        return NamedBytes(data, f"{name}: {ending}" if ending else name)
+
+def read_member(path: Path, start: int, size: int, name: str) -> NamedBytes:
+    """The bytes of a file in a tar file, which messages call by a name.
+
+    Raises:
+        InputError: If it can't be read.
+    """
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            data = file.read(size)
+    except OSError as error:
+        raise InputError(f"{name}: {cause(error)}; expected a tar file") from error
+    if len(data) < size:
+        raise InputError(f"{name}: {len(data)} of {size} bytes; expected a whole tar file")
+    return NamedBytes(data, name)
 
 
 def index_tar(path: Path) -> TarPictures:

@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,17 @@ from ..inputs.keypoint_files import parse_keypoints, read_keypoints
 from ..inputs.keypoints import Keypoints2D
 from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo
 from ..inputs.person import Box
-from .containers import KEYPOINTS, PARTS, Latest, NamedBytes, TarPictures, check_container, index_tar
+from .containers import (
+    ENDINGS,
+    KEYPOINTS,
+    PARTS,
+    Latest,
+    NamedBytes,
+    TarPictures,
+    check_container,
+    index_tar,
+    read_member,
+)
 from .sources import KnownPerson, SourcePicture
 
 Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
@@ -44,6 +55,8 @@ class PictureFiles:
         skeleton: Format of the first keypoints; without any, that of people who are found.
         digest: SHA-256 of names and sizes of the files beside photos, and of the label set; None without such files.
         labels: What the ids of part labels mean.
+        spans: Of photos in tar files, where these and the files beside them are: start and size by ``ENDINGS``, -1
+            where there is none, shape (number of names, 3, 2). Whoever has a copy need not read the tar files' headers.
     """
 
     folder: Path
@@ -53,18 +66,23 @@ class PictureFiles:
     digest: str | None = None
     labels: LabelSet | None = None
     finds: bool = True
+    spans: np.ndarray = field(default_factory=lambda: np.zeros((0, len(ENDINGS), 2), dtype=np.int64), compare=False)
     _films: Latest[FilmFrames] = field(default_factory=lambda: Latest(FilmFrames), compare=False)
-    _tars: Latest[TarPictures] = field(default_factory=lambda: Latest(index_tar), compare=False)
+
+    @cached_property
+    def _rows(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}
 
     def photo(self, name: str) -> PhotoFile:
         """The file of a photo; films have none."""
-        container, inside = self._split(name)
+        container, _ = self._split(name)
         if container is None:
             return self.folder / name
         if is_film(container):
             raise InputError(f"{name}: of a film, without EXIF data; expected --focal PX or --fov")
-        photo = self._tars.open(self.folder / container).open(inside, "", name)
-        assert photo is not None
+        photo = self._member(container, name, "")
+        if photo is None:
+            raise InputError(f"{name}: not there; expected it in {self.folder / container}")
         return photo
 
     def read(self, name: str) -> SourcePicture:
@@ -72,7 +90,8 @@ class PictureFiles:
         container, inside = self._split(name)
         try:
             if container is not None and not inside:  # a file that is not whole
-                opened = (self._films if is_film(container) else self._tars).open(self.folder / container)
+                path = self.folder / container
+                opened = self._films.open(path) if is_film(container) else index_tar(path)
                 raise InputError(opened.fault or f"{name}: changed meanwhile; expected the same file")
             if container is not None and is_film(container):
                 return SourcePicture(self._films.open(self.folder / container).read(int(inside)))
@@ -86,11 +105,18 @@ class PictureFiles:
 
     def beside(self, name: str, ending: str) -> PhotoFile | None:
         """The file of an ending beside a photo; None without."""
-        container, inside = self._split(name)
+        container, _ = self._split(name)
         if container is not None:
-            return None if is_film(container) else self._tars.open(self.folder / container).open(inside, ending, name)
+            return None if is_film(container) else self._member(container, name, ending)
         path = (self.folder / name).with_suffix(f".{ending}")
         return path if path.is_file() else None
+
+    def _member(self, container: str, name: str, ending: str) -> NamedBytes | None:
+        """A photo of a tar file, or a file beside it; None if there is none."""
+        row = self._rows.get(name)
+        start, size = (-1, -1) if row is None else self.spans[row, ENDINGS.index(ending)].tolist()
+        told = f"{name}: {ending}" if ending else name
+        return None if start < 0 else read_member(self.folder / container, start, size, told)
 
     def _read_labels(self, name: str, size: tuple[int, int]) -> PartLabels | None:
         file = None if self.labels is None else self.beside(name, PARTS)
@@ -122,6 +148,7 @@ def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> Pict
     names: list[str] = []
     containers: list[str] = []
     beside: list[Beside] = []
+    spans: dict[int, np.ndarray] = {}  # by the number of a tar file's first photo
     listings: dict[Path, dict[str, int]] = {}
     for entry in entries:
         path = folder / entry
@@ -140,6 +167,7 @@ def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> Pict
             names.append(entry)
             continue
         if isinstance(opened, TarPictures):
+            spans[len(names)] = opened.spans()
             names += (f"{entry}#{photo}" for photo in opened.samples)
             for photo, members in opened.samples.items():
                 beside += ((f"{entry}#{photo}", end, member.size) for end, member in members.items() if end)
@@ -147,7 +175,10 @@ def open_files(folder: Path, entries: Iterable[str], labels: str | None) -> Pict
             names += (f"{entry}#{index}" for index in range(len(opened)))
         if opened.fault is not None:
             names.append(entry)
-    source = PictureFiles(folder, tuple(names), frozenset(containers))
+    every = np.full((len(names) if spans else 0, len(ENDINGS), 2), -1, dtype=np.int64)
+    for first, each in spans.items():
+        every[first : first + len(each)] = each
+    source = PictureFiles(folder, tuple(names), frozenset(containers), spans=every)
     return _with_labels(source, beside, labels) if beside or labels is not None else source
 
 

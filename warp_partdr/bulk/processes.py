@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import multiprocessing
+import shutil
+import sys
 from collections.abc import Iterator, Sequence
 from itertools import islice
 
 from torch.utils.data import DataLoader, Dataset
 
 from ..errors import InputError, cause
+from ..inputs.observation import LABEL_SIZE
 from .cutting import Cut, Cutter, Held, read_picture
 from .sources import PictureSource, SourcePicture
 
+_SHARED = "/dev/shm"  # of Linux
 _GROUP = 32  # pictures that a process reads at a time
 
 Group = Cut | list[Held]
@@ -62,6 +66,19 @@ def read_in_processes(
     read = iter(loader)
     for names in shards:
         yield _each(islice(read, -(-len(names) // _GROUP)))
+
+
+def needed_memory(processes: int, batch: int) -> int:
+    """Bytes of shared memory that hold people with labels: two groups of each process, and batches that wait."""
+    return (2 * processes * _GROUP + 4 * batch) * LABEL_SIZE**2
+
+
+def shared_memory() -> int:
+    """Bytes of shared memory that are free; where nothing says so, enough."""
+    try:
+        return shutil.disk_usage(_SHARED).free
+    except OSError:
+        return sys.maxsize
 
 
 def _each(groups: Iterator[Group]) -> Iterator[Held | Cut]:

@@ -10,7 +10,7 @@ from itertools import islice
 
 from .cutting import Held, Read, read_picture
 from .people import PeopleFitter
-from .processes import read_in_processes
+from .processes import needed_memory, read_in_processes, shared_memory
 from .rows import Column, people_table
 from .shards import Shards, Tally
 from .sources import PictureSource
@@ -70,13 +70,14 @@ def make_dataset(
     return tally
 
 
-def source_readers(source: PictureSource, device: str, cores: int) -> dict[str, int]:
+def source_readers(source: PictureSource, device: str, batch: int, cores: int) -> dict[str, int]:
     """Threads and processes of ``make_dataset`` on so many cores.
 
     A GPU waits for pictures: where people are known, processes cut them out. Pictures in which they have to be found
-    stay in one process, for they are large.
+    stay in one process, for they are large; all do where little memory may be shared, as in containers by default.
     """
-    return {"threads": cores, "processes": cores if device != "cpu" and source.digest is not None else 0}
+    apart = device != "cpu" and source.digest is not None and shared_memory() >= needed_memory(cores, batch)
+    return {"threads": cores, "processes": cores if apart else 0}
 
 
 def _read_ahead(source: PictureSource, names: Iterator[str], pool: ThreadPoolExecutor, threads: int) -> Iterator[Held]:

@@ -307,7 +307,7 @@ class _Work:
                     fitter = setup(source, detailed)
                     started = time.perf_counter()
                     how = {"todo": self.todo, "told": progress, "written": written}
-                    how |= source_readers(source, setup.device, get_num_threads())
+                    how |= source_readers(source, setup.device, fitter.batch, get_num_threads())
                     tally = make_dataset(source, shards, fitter, columns(source.skeleton, detailed), **how)
             except KeyboardInterrupt:
                 there = f"{len(shards.done())} of {shards.count} shards"
