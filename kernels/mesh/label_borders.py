@@ -62,32 +62,34 @@ def push_label_borders(
     threads: int,  # of one body
     mesh: MeshArrays,
     images: ImageArrays,
+    each: int,  # words of four pixels that a thread looks at: one, or a row of them
     gradient: Any,
     grad_vertices: wp.array3d[float],  # (B, V, 3)  MODIFIED: x and y are added to
 ):
-    """Gradient in x and y from the borders of four pixels with their neighbours to the right and below."""
+    """Gradient in x and y from the borders of pixels with their neighbours to the right and below."""
     thread = wp.tid()
     b = first_body + thread // threads
     height = images.labels.shape[1]
     width = images.labels.shape[2]
     quads = (width + QUAD - 1) // QUAD
-    row = thread % threads // quads
-    column = thread % threads % quads * QUAD
+    row = thread % threads * each // quads
+    first = thread % threads * each % quads
     in_words = are_words(images.labels)
     picture = images.labels[b]
-    here = load_word(picture, row, column, in_words)
-    below = load_word(picture, row + 1, column, in_words)
-    next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
-    right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
-    to_right = unequal_bytes(here, right)
-    to_below = unequal_bytes(here, below)
-    if (to_right | to_below) == wp.uint32(0):
-        return
-    for i in range(QUAD):
-        if column + i + 1 < width and byte_of(to_right, i) != 0:
-            push_border_between(mesh, images, gradient, b, row, column + i, 0, grad_vertices)
-        if column + i < width and row + 1 < height and byte_of(to_below, i) != 0:
-            push_border_between(mesh, images, gradient, b, row, column + i, 1, grad_vertices)
+    for quad in range(first, first + each):
+        column = quad * QUAD
+        here = load_word(picture, row, column, in_words)
+        below = load_word(picture, row + 1, column, in_words)
+        next_pixel = wp.uint32(flat(picture)[row * width + wp.min(column + QUAD, width - 1)])
+        right = (here >> wp.uint32(8)) | (next_pixel << wp.uint32(24))
+        to_right = unequal_bytes(here, right)
+        to_below = unequal_bytes(here, below)
+        if (to_right | to_below) != wp.uint32(0):
+            for i in range(QUAD):
+                if column + i + 1 < width and byte_of(to_right, i) != 0:
+                    push_border_between(mesh, images, gradient, b, row, column + i, 0, grad_vertices)
+                if column + i < width and row + 1 < height and byte_of(to_below, i) != 0:
+                    push_border_between(mesh, images, gradient, b, row, column + i, 1, grad_vertices)
 
 
 overload_gradients(push_label_borders)
@@ -95,6 +97,9 @@ overload_gradients(push_label_borders)
 
 def launch_push_label_borders(mesh: MeshArrays, images: ImageArrays, gradient: Any, grad: wp.array) -> None:
     """Add the gradient to the vertices' ``grad``, by a LabelTarget or DenseGradient; images are contiguous."""
+    device = mesh.vertices.device
     batch, height, width = images.labels.shape
-    threads = height * (-(-width // int(QUAD)))
-    launch_bodies(push_label_borders, batch, threads, [mesh, images, gradient], [grad], mesh.vertices.device)
+    quads = -(-width // int(QUAD))
+    each = quads if device.is_cpu else 1  # a thread of the CPU takes as long to begin as a word
+    inputs = [mesh, images, each, gradient]
+    launch_bodies(push_label_borders, batch, height * (quads // each), inputs, [grad], device)

@@ -73,10 +73,11 @@ def cut_masks(people: Sequence[MaskedPerson], device: torch.device | str) -> lis
     Raises:
         InputError: If somebody's keypoints can't be used.
     """
+    device = torch.empty(0, device=device).device  # with its number, which Warp asks for
     found: dict[int, CutMask] = {}
     for form in dict.fromkeys(person.keypoints.skeleton for person in people):
         places = [place for place, person in enumerate(people) if person.keypoints.skeleton == form]
-        found |= zip(places, _cut_alike([people[place] for place in places], torch.device(device)), strict=True)
+        found |= zip(places, _cut_alike([people[place] for place in places], device), strict=True)
     return [found[place] for place in range(len(people))]
 
 
