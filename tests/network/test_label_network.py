@@ -38,7 +38,8 @@ from warp_partdr.network.label_network import (
 )
 from warp_partdr.network.landmarks import LANDMARKS, network_keypoints
 from warp_partdr.network.predict import ask_network, network_inputs, predict_bodies
-from warp_partdr.network.regressor import Regressor, RegressorConfig
+from warp_partdr.network.predicted import posed_landmarks
+from warp_partdr.network.regressor import Regressor, RegressorConfig, misfits
 from warp_partdr.results.body_file import load_body
 
 SMALL = LabelNetworkConfig(
@@ -112,6 +113,17 @@ def test_a_regressor_starts_near_the_mean_body():
     identity = torch.eye(3).expand(5, len(LOCKED_PARTS), 3, 3)
     assert torch.equal(predicted.rotations[:, list(LOCKED_PARTS)], identity)
     assert rotation_error(predicted.rotations).max() < 1e-5
+
+
+def test_corrections_see_how_far_landmarks_are_from_the_keypoints(network, device):
+    bodies = ask_network([observe(*seen_by(walker()), device=device)[0]], network.to(device))
+    drawn = bodies.camera(64).project(posed_landmarks(bodies.posed(), LANDMARKS))[..., :2] * (2 / 64) - 1
+    keypoints = torch.cat([drawn + drawn.new_tensor([0.05, -0.02]), torch.ones_like(drawn[..., :1])], dim=2)
+    keypoints[0, 0] = 0.0  # missing
+    keypoints[0, 1, 0] += 5.0
+    expected = drawn.new_tensor([0.5, -0.2]).repeat(len(LANDMARKS), 1)
+    expected[0], expected[1, 0] = 0.0, 10.0
+    torch.testing.assert_close(misfits(bodies, keypoints), expected.flatten()[None], atol=1e-4, rtol=0)
 
 
 def test_predicted_numbers_are_those_of_a_fit(network, device):

@@ -81,7 +81,7 @@ class Regressor(nn.Module):
             known = [features, estimate.to(features.dtype)]
             if self.feedback:
                 assert keypoints is not None
-                known.append(_misfits(self._bodies(estimate), keypoints).to(features.dtype))
+                known.append(misfits(self._bodies(estimate), keypoints).to(features.dtype))
             hidden = self.first(torch.cat(known, dim=1), iteration)
             for block in self.blocks:
                 first, second = block.children()
@@ -120,7 +120,7 @@ class _Layer(nn.Module):
 
 @torch.compiler.disable  # type: ignore[untyped-decorator]  # kernels pose bodies faster than what is traced
 @torch.no_grad()
-def _misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
+def misfits(bodies: Predicted, keypoints: torch.Tensor) -> torch.Tensor:
     """Ways from the bodies' landmarks to the keypoints, 0 to those that are missing, shape (B, 48).
 
     No gradient flows back: a correction is to be learned from what is seen, not what is seen from the correction.
