@@ -23,7 +23,7 @@ _AIMED = ("upper_leg", "lower_leg", "upper_arm", "forearm")
 # Of these, a model's bones lie a little askew in a body that stands as EllipBody does.
 _TRUNK = ("abdomen", "chest", "neck", "shoulder")
 # Where a part has several joints, the skin turns little by little: those of the trunk go halfway at the first one; the
-# upper limbs go halfway there in twist aframed, so that the bone's direction stays; the lower limbs' last joint goes
+# upper limbs go halfway there in twist alone, so that the bone's direction stays; the lower limbs' last joint goes
 # halfway to the twist of the hand or foot.
 _BENDING = ("abdomen", "chest", "neck")
 _TWISTING_FIRST = ("upper_leg", "upper_arm")
