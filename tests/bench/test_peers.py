@@ -217,16 +217,17 @@ def disk(view: peers.MeshView) -> peers.MeshView:
     """One part alone, round, of which the right half is wanted."""
     vertices = view.vertices[:1].clone()
     part = peer_gradients._part_of(view)
-    vertices[:, part != 3] = torch.tensor([-1000.0, -1000.0, 0.0])  # out of the picture
+    vertices[:, part != 3] = vertices.new_tensor([-1000.0, -1000.0, 0.0])  # out of the picture
     own = vertices[:, part == 3]
     vertices[:, part == 3] = 32 + 10 * torch.nn.functional.normalize(own - own.mean(1, keepdim=True), dim=-1)
-    targets = torch.zeros(1, SIZE, SIZE, dtype=torch.uint8)
+    targets = torch.zeros_like(view.targets[:1])
     targets[:, :, 32:] = 4
     return peers.MeshView(vertices, view.mesh, targets)
 
 
 @pytest.mark.skipif(not peers.PEERS["Mitsuba"].is_installed, reason="needs mitsuba")
-def test_mitsuba_itself_sees_what_we_see_and_pulls_a_disk_where_it_should(view: peers.MeshView) -> None:
+def test_mitsuba_itself_sees_what_we_see_and_pulls_a_disk_where_it_should(device: str) -> None:
+    view = mesh_view(BenchScene.random(2, SIZE, device), "mesh E1")
     try:
         draw, _ = peers.mitsuba(view)
     except (RuntimeError, ImportError) as error:

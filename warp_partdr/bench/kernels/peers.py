@@ -155,7 +155,8 @@ class _MitsubaBody:
         lamp, shade = mi.Properties(), {"type": "mesh_attribute", "name": "face_color"}
         lamp["emitter"] = mi.load_dict({"type": "area", "radiance": shade})
         mesh = mi.Mesh("body", len(points), len(faces), props=lamp)
-        mesh.add_attribute("face_color", _PICTURE_COLOURS, mi.Float(torch.zeros(_PICTURE_COLOURS * len(faces))))
+        dark = torch.zeros(_PICTURE_COLOURS * len(faces), device=points.device)
+        mesh.add_attribute("face_color", _PICTURE_COLOURS, mi.Float(dark))
         shape = mi.traverse(mesh)
         shape["faces"] = mi.UInt32(faces.int().flatten())
         shape["vertex_positions"] = mi.Float(points.flatten())
@@ -166,7 +167,8 @@ class _MitsubaBody:
         rule = {"type": "prb_projective", "max_depth": 1, "sppc": 0, "sppp": 1, "sppi": 0}
         self._scene = mi.load_dict({"type": "scene", "body": mesh, "sensor": sensor, "integrator": rule})
         self._values = mi.traverse(self._scene)
-        v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+        rows, columns = (torch.arange(side, device=points.device) + 0.5 for side in (height, width))
+        v, u = torch.meshgrid(rows, columns, indexing="ij")
         centres = mi.Point2f(mi.Float(u.flatten() / width), mi.Float(v.flatten() / height))
         self._rays, _ = self._scene.sensors()[0].sample_ray(0.0, 0.0, centres, mi.Point2f(0.5, 0.5))
 
