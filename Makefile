@@ -57,14 +57,18 @@ docs: $(VENV)/.installed-docs layout  ## build the documentation site in build/s
 	$(BIN)/python scripts/make_site.py build/pages
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
-# Twice, so that what differs from one build to the next is seen.
+# Twice, so that what differs from one build to the next is seen. The sdist is packed anew: setuptools writes times and owners into it.
+dist: export SOURCE_DATE_EPOCH = $(shell git log -1 --format=%ct)
 dist: $(VENV)/.installed-release  ## build sdist and wheel in build/dist as a package index wants them
-	rm -rf build/dist build/again build/lib build/bdist.*
-	for folder in dist again; do SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation \
-		--outdir build/$$folder . >build/$$folder.log 2>&1 || { cat build/$$folder.log; exit 1; }; done
+	rm -rf build/dist build/again build/lib build/bdist.* && mkdir -p build
+	for folder in dist again; do $(BIN)/python -m build --no-isolation --outdir build/$$folder . >build/$$folder.log 2>&1 || \
+		{ cat build/$$folder.log; exit 1; }; \
+		sdist=$$(echo build/$$folder/*.tar.gz); tar -xzf $$sdist -C build/$$folder; name=$$(basename $$sdist .tar.gz); \
+		tar -C build/$$folder --sort=name --format=ustar --mtime=@$$SOURCE_DATE_EPOCH --owner=0 --group=0 --numeric-owner \
+			--mode=u=rwX,go=rX -c $$name | gzip -n9 >build/$$name.tar.gz && mv build/$$name.tar.gz $$sdist; rm -r build/$$folder/$$name; \
+	done
 	cmp build/dist/*.whl build/again/*.whl
-	for folder in dist again; do mkdir build/$$folder/sdist && tar -xzf build/$$folder/*.tar.gz -C build/$$folder/sdist; done
-	diff -r build/dist/sdist build/again/sdist
+	cmp build/dist/*.tar.gz build/again/*.tar.gz
 	$(BIN)/twine check --strict build/dist/*.whl build/dist/*.tar.gz
 
 pictures: $(VENV)/.installed  ## draw the pictures of README and docs anew
