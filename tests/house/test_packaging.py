@@ -53,7 +53,7 @@ def _source_files() -> set[str]:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     """The wheel, built from a copy: a build folder left in the tree can't bring back files that are gone."""
     copy, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy)
     for folder in SOURCES:
         shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
@@ -82,6 +82,12 @@ def test_metadata(wheel: zipfile.ZipFile) -> None:
     metadata = Parser().parsestr(wheel.read(f"{folder}/METADATA").decode())
     assert metadata["Version"] == warp_partdr.__version__
     assert metadata["License-Expression"] == "Apache-2.0"
+    shown, readme = metadata.get_payload(), (ROOT / "README.md").read_text()
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    for kept in (r"\]\(https:.*?\)", r"```.*?```", r"^#[^\n]*", r"^\|[^\n]*?\|"):
+        found = re.findall(kept, shown, re.M | re.S)
+        assert found == re.findall(kept, readme, re.M | re.S) != []
+    assert len(re.findall(r"\]\(", shown)) == len(re.findall(r"\]\(https:", shown))  # an index has no files
     assert f"{folder}/licenses/LICENSE" in wheel.namelist()
     scripts = ConfigParser()
     scripts.read_string(wheel.read(f"{folder}/entry_points.txt").decode())
