@@ -72,7 +72,7 @@ def ours(view: MeshView) -> tuple[_Draw, _Loss]:
 
 
 def drtk(view: MeshView) -> tuple[_Draw, _Loss]:
-    """DRTK: rasterized edge gradients. Its pixel centres have whole coordinates."""
+    """DRTK, from its repository, for the package index's drtk is another's: edge gradients, whole pixel centres."""
     module, faces = import_module("drtk"), view.mesh.faces
     offset = view.vertices.new_tensor([-0.5, -0.5, _FRONT])
 
