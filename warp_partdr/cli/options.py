@@ -268,7 +268,9 @@ class CameraOptions:
         if self.given or photo is None or (focal := told_focal(photo)) is None:
             return self.read(size, photo)
         echo(f"partdr: focal length {focal:.0f} px, of the photo's EXIF data; --focal none to do without", err=True)
-        return replace(self, focal=str(focal)).read(size, None)
+        from ..cameras import Perspective  # loads torch
+
+        return Perspective.of_picture(size, focal=focal)
 
     def _focal(self, photo: PhotoFile | None) -> float | None:
         """The focal length [px] that was given."""

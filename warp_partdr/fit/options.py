@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from ..body.labels import LabelSet
+from ..body.pose_prior import PosePrior
+from ..inputs.observation import Observation
 from ..inputs.part_labels import PartLabels
-from ..refinement.energy import Weights
+from ..refinement.energy import Energy, Weights
 from ..render.renderers import Renderer, RendererEllipsoids
 from .mesh_options import MeshOptions
 from .stages import OUTLINE, STAGES, Quality, Stage, Start
@@ -82,6 +85,13 @@ class FitOptions:
         """Renderer of the last stage; exact ellipsoids where there is none."""
         return self.stages[-1].renderer if self.stages else RendererEllipsoids()
 
+    def energy(self, stage: Stage, seen: Observation, prior: PosePrior) -> Energy:
+        """Energy of one of the stages."""
+        weights = stage.weights or self.weights
+        if stage.size == 0:
+            weights = replace(weights, seg=0.0)
+        return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
+
     def labels_first(self) -> FitOptions:
         """Options whose last stage follows the labels' outlines as far as it can, at the cost of the joints.
 
@@ -94,7 +104,7 @@ class FitOptions:
         return replace(self, stages=tuple(stage for stage in self.stages if stage.name != OUTLINE))
 
 
-def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...]:
+def stages_of(options: FitOptions, parts: PartLabels | LabelSet | None) -> tuple[Stage, ...]:
     """Stages of a fit; without labels, nothing is drawn, and a network's body follows the keypoints alone.
 
     Raises:
@@ -103,13 +113,13 @@ def stages_of(options: FitOptions, parts: PartLabels | None) -> tuple[Stage, ...
     if options.start == "network":
         if parts is not None:
             return options.stages
-        return tuple(replace(stage, size=0) for stage in options.stages if stage.name != OUTLINE)
+        return tuple(replace(stage, size=0) for stage in options.without_outline().stages)
     stages = drawn_or_not(options.stages, parts)
     if not stages:
         raise ValueError("options.stages: none without labels; expected at least one of size 0")
     return stages
 
 
-def drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | None) -> tuple[Stage, ...]:
+def drawn_or_not(stages: tuple[Stage, ...], parts: PartLabels | LabelSet | None) -> tuple[Stage, ...]:
     """Leave out the stages that draw if there are no labels."""
     return tuple(stage for stage in stages if parts is not None or stage.size == 0)

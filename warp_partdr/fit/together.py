@@ -18,7 +18,6 @@ from ..body.lens import turn_to_rays
 from ..body.parameters import BodyParameters
 from ..body.pose_prior import PosePrior
 from ..errors import check_each, check_type
-from ..inputs.observation import Observation
 from ..interop.gradient_mode import with_gradients
 from ..interop.torch_threads import one_torch_thread
 from ..network.label_network import LabelNetwork
@@ -29,7 +28,7 @@ from ..refinement.captured import refine_captured
 from ..refinement.energy import SEG, Energy
 from .cut_people import CutPeople, CutPerson, stack_alike
 from .depth_flips import DepthOrder, repair_depth_orders
-from .options import FitOptions
+from .options import FitOptions, stages_of
 from .plausibility import MOST_OFF, MOST_WRONG, describe_misfit, person_pixels
 from .result import FitResult
 from .stages import OUTLINE, Stage
@@ -161,9 +160,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     first = replace(first, lengths=lengths[0], thicknesses=thicknesses[0])
     # Of a person alone, what is drawn differs from stage to stage.
     everyone = replace(Batch.of_stacked(seen, Energy(first, 1, prior=prior)), lengths=lengths, thicknesses=thicknesses)
-    stages = options.stages
-    if first.label_set is None:
-        stages = tuple(replace(stage, size=0) for stage in options.without_outline().stages)
+    stages = stages_of(options, first.label_set)
     orders: Sequence[DepthOrder | None] = [None] * len(people)
     several = first.label_set is not None and first.label_set.num_groups > 1
     if stages and several and options.depth_flips:
@@ -177,7 +174,7 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
     for stage in stages:
         if stage.name == OUTLINE:
             before_outline = bodies
-        energy = _energy(first, stage, options, prior)
+        energy = options.energy(stage, first, prior)
         rule = {"iterations": stage.iterations, "learning_rate": stage.learning_rate, "frozen": stage.frozen}
         refined = refine_captured(bodies, energy, rule, people=everyone.drawn_at(stage.size or 1))
         bodies, terms = refined.parameters, refined.terms
@@ -202,13 +199,6 @@ def _fit_alike(people: CutPeople, options: FitOptions, network: LabelNetwork) ->
 def _prior(device: str) -> PosePrior:
     """Kept, for graphs that are kept read it."""
     return PosePrior().to(device)
-
-
-def _energy(seen: Observation, stage: Stage, options: FitOptions, prior: PosePrior) -> Energy:
-    weights = stage.weights or options.weights
-    if stage.size == 0:
-        weights = replace(weights, seg=0.0)
-    return Energy(seen, max(stage.size, 1), weights, prior, renderer=stage.renderer)
 
 
 def _complaints(bodies: BodyParameters, people: Batch, energy: Energy) -> dict[int, list[str]]:
