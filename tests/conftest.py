@@ -117,3 +117,9 @@ def can_draw() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG)
     if done.returncode != 0:
         pytest.skip(f"VTK can't draw here: {done.stderr.strip().splitlines()[-1:]}")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A current folder of its own."""
+    monkeypatch.chdir(tmp_path)

@@ -18,15 +18,11 @@ from scenes.datasets import write_coco
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytest.importorskip("ray.data", reason="needs Ray Data, the extra ray")
 psutil = pytest.importorskip("psutil")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 COCO = "dataset coco/people.json --quality fast --shard 2 --device cpu"
 COUNT = 12
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def workers(process: int) -> list[psutil.Process]:

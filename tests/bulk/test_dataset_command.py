@@ -31,15 +31,11 @@ from warp_partdr.interop import precision
 
 pa = pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 COCO = "dataset coco/people.json --quality network --shard 2 --device cpu"
 FOLDER = "dataset photos --device cpu"
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def rows(folder: str) -> list[dict[str, Any]]:

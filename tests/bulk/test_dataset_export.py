@@ -29,15 +29,11 @@ from warp_partdr.results.result_sets import check_result
 from warp_partdr.results.save import save_fit, save_registered
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 # USD needs an extra, FBX Blender.
 ALL = " ".join(f"--to {name}" for name in WRITERS if name not in FURTHER)
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture

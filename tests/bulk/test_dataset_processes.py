@@ -25,14 +25,10 @@ from warp_partdr.errors import InputError
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytest.importorskip("webdataset", reason="needs webdataset, the extra dataset")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 HOW = "--quality network --device cpu --fov 50"
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def by_processes(monkeypatch: pytest.MonkeyPatch) -> None:

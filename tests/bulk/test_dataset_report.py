@@ -23,14 +23,10 @@ from warp_partdr.bulk.survey import Kinds, kind_of, survey_people, worst_people
 from warp_partdr.cli.dataset_files import ByName
 
 pytest.importorskip("pyarrow", reason="needs pyarrow, the extra dataset")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 FAR = "keypoints: the body ends {} px of 512 from them; expected at most 24"
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def write_people(**changes: dict[int, Any]) -> PeopleFiles:

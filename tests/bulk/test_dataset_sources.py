@@ -24,16 +24,12 @@ from warp_partdr.inputs.films import FilmFrames, read_frames
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs pyarrow, the extra dataset")
 pytest.importorskip("webdataset", reason="needs webdataset, the extra dataset")
+pytestmark = pytest.mark.usefixtures("here")
 
 run = commands.run  # fixture
 HOW = "--labels cdcl14 --quality network --device cpu"
 # Of pycocotools 2.0.11: rows 5 to 30, columns 7 to 43 of 40x50, but rows 12 to 19 of columns 20 to 29.
 PACKED = "m8j0>000000000000000000000000]OJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46LJ46?00000000000000000000000000[7"
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def rows(folder: str) -> list[dict[str, Any]]:

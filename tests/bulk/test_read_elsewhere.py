@@ -19,8 +19,7 @@ pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="needs the pages besid
 
 
 @pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def _people(here: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
     rows = [body_row(f"{index}.png", 3.0 + index, keypoint_error=0.02 * index) for index in range(3)]
     write_shards(Path("people"), [rows[:2], [{"picture": "none.png", "error": "broken"}, rows[2]]])
