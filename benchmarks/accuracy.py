@@ -34,7 +34,7 @@ from warp_partdr.body.skeletons import MPJPE_JOINTS, MPJPE_SKELETON
 from warp_partdr.cli.progress import FitProgress
 from warp_partdr.evaluation.datasets import read_folder
 from warp_partdr.evaluation.evaluate import Method, evaluate, no_labels, one_thread, silhouette
-from warp_partdr.evaluation.partbench.anny_fit import fit_anny
+from warp_partdr.evaluation.partbench.methods import fit_anny
 from warp_partdr.evaluation.scoring import summarise
 from warp_partdr.fit.mesh_options import MeshOptions
 from warp_partdr.fit.options import FitOptions

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 
 from ..errors import InputError
 from .buttons import Button, Panel
-from .filming import Filming
 from .plotted import Plotted
+from .recording import Filming
 
 _UNSEEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
 _TICK = 15  # [ms] between a picture and the next step

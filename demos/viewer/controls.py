@@ -17,7 +17,7 @@ from ..clothing.anny import anny
 from ..clothing.registration import Registered, RegistrationOptions, register
 from ..errors import InputError
 from .buttons import Button, flip
-from .filming import Filming
+from .recording import Filming
 from .scene import PlottedScene
 from .settings import CHOICES, QUALITIES
 from .sliders import PAGES

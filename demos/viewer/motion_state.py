@@ -1,18 +1,21 @@
-"""The demo of a fitted film without a picture: people's motions, the time that is shown, and who is."""
+"""The demo of a fitted film without a picture: its settings and files, people's motions, the time shown, and who is."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from ..body.template import PART_NAMES
+from ..clothing.load import load_model
 from ..clothing.model import Detailed
+from ..errors import InputError
 from ..results.film_pictures import PosedMotions
-from ..results.load_film import SavedFilm
+from ..results.load_film import FilmView, SavedFilm, load_film_fit
 from ..results.palette import PEOPLE_COLOURS
 from ..scenes.film import Motion
 
@@ -132,3 +135,47 @@ def _samples(motion: Motion) -> Iterator[Detailed]:
         bodies = motion.bodies(slice(0, None, step)).detailed
     for row in range(len(bodies.vertices)):
         yield bodies.select(slice(row, row + 1))
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Settings of the demo of a fitted film."""
+
+    film: str = ""  # the film, or the folder that all views' films are in; default: where people.json says
+    model: str = "anny"  # detailed model, as `partdr fit --model`
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.speed <= 100:
+            raise InputError(f"speed: {self.speed:g}; expected more than 0, up to 100")
+
+
+def open_motion(folder: Path, settings: MotionSettings) -> tuple[MotionState, list[Path | None]]:
+    """Motions in a folder of ``partdr fit FILM``, and the film of each view, None where it isn't there any more."""
+    try:
+        model = load_model(settings.model)
+    except ValueError as error:
+        raise InputError(f"model: {error}") from error
+    saved = load_film_fit(folder, model)
+    films = [find_film(view, folder, settings.film, alone=len(saved.views) == 1) for view in saved.views]
+    return MotionState(saved, speed=settings.speed), films
+
+
+def find_film(view: FilmView, folder: Path, given: str, *, alone: bool) -> Path | None:
+    """The film of a view, if it is still there.
+
+    Args:
+        view: Of a scene.
+        folder: The scene's.
+        given: The user's word: a folder with the film or, of the only view, the film; "" for none.
+        alone: Whether it is the only view.
+    """
+    if given and alone and Path(given).is_file():
+        return Path(given)
+    if given and not Path(given).is_dir():
+        raise InputError(f"film: {given}; expected a folder with the films of all views{', or the film' * alone}")
+    if not view.film:
+        return None
+    name = Path(view.film).name
+    places = [Path(given) / name] if given else [Path(view.film), folder / name, folder.parent / name]
+    return next((path for path in places if path.is_file()), None)

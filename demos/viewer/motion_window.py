@@ -9,9 +9,9 @@ from pathlib import Path
 
 from .buttons import Button, Panel, flip
 from .controlled import ControlledWindow, median_time
-from .filming import Filming
 from .motion_scene import VIEW, PlottedMotion
 from .motion_state import SPEEDS, MotionState
+from .recording import Filming
 from .sliders import add_slider
 
 _HINT = "Drag to turn the scene, wheel to zoom, shift and drag to move it; q closes. Point at a button for more."

@@ -14,8 +14,7 @@ from warp_partdr.cli.evaluate import evaluate
 from warp_partdr.errors import InputError
 from warp_partdr.evaluation.evaluate import METHODS as SUPERVISIONS
 from warp_partdr.evaluation.evaluate import Report
-from warp_partdr.evaluation.partbench.anny_fit import fit_anny
-from warp_partdr.evaluation.partbench.methods import KNOWN_CAMERA, METHODS, registered_vertices
+from warp_partdr.evaluation.partbench.methods import KNOWN_CAMERA, METHODS, fit_anny, registered_vertices
 from warp_partdr.evaluation.partbench.report import compare_methods, worst, write_report
 from warp_partdr.evaluation.partbench.samples import (
     CLOTHED,

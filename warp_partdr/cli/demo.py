@@ -127,7 +127,7 @@ def _show_film(
     profile: bool,
 ) -> None:
     """Show what ``partdr fit FILM`` left in a folder, in a window or as a page, or record it."""
-    opening = _viewer("motion_settings")
+    opening = _viewer("motion_state")
     check_keys(values, [*(field.name for field in fields(opening.MotionSettings)), *_ADDRESS_KEYS])
     state, films = opening.open_motion(folder, read_section(opening.MotionSettings, values))
     if record is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -10,12 +11,15 @@ import numpy as np
 
 from ...clothing.anny import anny
 from ...clothing.registration import RegistrationOptions, RegistrationWeights, register
+from ...fit.fitting import fit_body
 from ...fit.mesh_options import MeshOptions
+from ...fit.mesh_stage import MeshFit, refine_mesh
 from ...fit.options import FitOptions
 from ...fit.result import FitResult
+from ...inputs.keypoints import Keypoints2D
+from ...inputs.part_labels import PartLabels
 from ..evaluate import METHODS as SUPERVISIONS
 from ..evaluate import Method
-from .anny_fit import fit_anny
 
 # A fit's own error is many times what more iterations would take off (1 to 3 mm of about 110 mm).
 _REGISTRATION = RegistrationOptions(RegistrationWeights.fitted(), iterations=40)
@@ -26,6 +30,20 @@ def registered_vertices(result: FitResult) -> np.ndarray:
     """Vertices of the Anny that clothes a fitted EllipBody, camera frame [m], shape (V, 3)."""
     posed = result.posed
     return register(posed, anny(posed.joints.device), options=_REGISTRATION).detailed.vertices[0].cpu().numpy()
+
+
+def fit_anny(
+    keypoints: Keypoints2D,
+    parts: PartLabels,
+    *,
+    others: Sequence[Keypoints2D] = (),
+    options: FitOptions,
+    mesh: MeshOptions | None = None,
+    device: str = "cpu",
+) -> MeshFit:
+    """Fit EllipBody as ``fit_body`` does, but for its outline stage, and from there Anny (``refine_mesh``)."""
+    first = fit_body(keypoints, parts, others=others, options=options.without_outline(), device=device)
+    return refine_mesh(first, options=mesh)
 
 
 KNOWN_CAMERA = "parts, known camera"
