@@ -22,7 +22,7 @@ import warp_partdr
 
 ROOT = Path(__file__).resolve().parent.parent
 API = "api"
-_COPIED = (".png", ".gif", ".jpg", ".ipynb", ".json", ".toml")
+_COPIED = (".png", ".gif", ".jpg", ".ipynb", ".json", ".toml", ".js")
 _LINK = re.compile(r"(\]\()([^)\s:]+?)(#[^)\s]*)?(\))")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 _AT_THE_TOP = ("kernels", "body")  # folders of the repository that lie in the package
@@ -32,7 +32,7 @@ def make_pages(folder: Path) -> None:
     """Write all pages and what they show."""
     shutil.rmtree(folder, ignore_errors=True)
     waiting = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-    waiting += [*sorted((ROOT / "warp_partdr/assets").glob("*.md")), *demos()]
+    waiting += [*sorted((ROOT / "warp_partdr/assets").glob("*.md")), *demos(), ROOT / "docs" / "iframe-worker.js"]
     done: set[Path] = set()
     while waiting:
         source = waiting.pop()

@@ -42,6 +42,13 @@ def test_the_navigation_has_all(pages: Path) -> None:
         assert (pages / entry).is_file(), entry
 
 
+def test_search_needs_no_network(pages: Path) -> None:
+    """The plugin "offline" takes its own script from elsewhere, unless one of that name is there."""
+    (script,) = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["extra"]["polyfills"]
+    assert "iframe-worker" in script
+    assert "window.Worker = class" in (pages / script).read_text()
+
+
 def test_links_lead_somewhere(pages: Path) -> None:
     missing = [
         f"{path.relative_to(pages)}: {link}"
