@@ -41,7 +41,7 @@ class LabelNetworkConfig:
     places: int = 48  # channels that the last stage's places are described with
     keypoint_features: int = 256  # number of features made of the keypoints' coordinates
     attention_layers: int = 0  # of ``LandmarkAttention``; 0: without
-    attention_width: int = 128
+    attention_width: int = 192  # of its tokens
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
 
 

@@ -1,7 +1,7 @@
 """Attention between landmarks: each knows where its keypoint is and what the picture shows there, and asks the others.
 
-A transformer's encoder (Vaswani et al., 2017) whose tokens are the landmarks, as in PoseFormer (Zheng et al., 2021); that
-each sees maps of the picture at its own place is of PyMAF (Zhang et al., 2021).
+A transformer's encoder (Vaswani et al., 2017) whose tokens are the landmarks, as in PoseFormer (Zheng et al., 2021);
+that each sees maps of the picture at its own place is of PyMAF (Zhang et al., 2021).
 """
 
 from __future__ import annotations
