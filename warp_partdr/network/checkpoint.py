@@ -55,7 +55,7 @@ class NetworkFiles(Generic[Network, Config]):
         """
         from safetensors.torch import save_file
 
-        check_bits(bits)
+        check_weight_bits(bits)
         values = asdict(config)  # type: ignore[call-overload]  # a dataclass
         metadata = {"format": self.kind, "config": json.dumps(values), "about": json.dumps(dict(about))}
         save_file(_packed(weights, bits), path, metadata)
@@ -91,7 +91,7 @@ class NetworkFiles(Generic[Network, Config]):
         return network.eval().requires_grad_(False).to(device)
 
 
-def check_bits(bits: int) -> None:
+def check_weight_bits(bits: int) -> None:
     """Check in how many bits weights are to be stored; see ``NetworkFiles.save``."""
     if bits not in _BITS:
         raise InputError(f"bits: {bits}; expected 8, 16 or 32")

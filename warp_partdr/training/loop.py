@@ -15,7 +15,7 @@ import torch
 
 from ..errors import InputError, cause
 from ..interop.precision import matmul_precision
-from ..network.checkpoint import check_bits
+from ..network.checkpoint import check_weight_bits
 from .checkpoints import (
     Checkpoint,
     list_checkpoints,
@@ -60,7 +60,7 @@ def run_training(config: TrainingConfig, *, resume: bool = False, device: str = 
         InputError: If the folder holds a run and ``resume`` is not set; if a checkpoint is damaged or of another
             config; if a loss is NaN; if the GPU's memory is too small; if there are no such files.
     """
-    check_bits(bits)
+    check_weight_bits(bits)
     torch.backends.cudnn.benchmark = True  # batches have one shape, for which the fastest convolutions are looked up
     with memory_errors(config), _accelerated(config, device) as accelerator:
         return _Run(config, accelerator, resume=resume).go(bits)
