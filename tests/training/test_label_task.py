@@ -15,10 +15,11 @@ from warp_partdr.body.rotations import rotation_from_axis_angle
 from warp_partdr.errors import InputError
 from warp_partdr.network.landmarks import LANDMARKS
 from warp_partdr.network.predicted import Predicted
+from warp_partdr.network.regressor import RegressorConfig
 from warp_partdr.network.uncertainty import Uncertainty
 from warp_partdr.render.ellipsoids import draw_ellipsoids
 from warp_partdr.synthetic.training_people import PeopleBatch
-from warp_partdr.training.config import Phase, TrainingConfig, make_config
+from warp_partdr.training.config import Phase, TrainingConfig, make_config, read_config
 from warp_partdr.training.label_task import LabelTask, body_losses, uncertainty_losses
 
 SIZE = 64
@@ -221,27 +222,29 @@ def test_counts_of_people_are_positive(name):
 
 def test_begins_with_a_trained_network_of_the_same_sizes(task, tmp_path):
     weights = task.model().state_dict()
-    task.save(tmp_path / "model.safetensors", weights, {}, half=False)
+    task.save(tmp_path / "model.safetensors", weights, {}, bits=32)
     read = task.read(str(tmp_path / "model.safetensors"))
     assert read.keys() == weights.keys()  # and so the file can be loaded
     assert all(torch.equal(read[name], value) for name, value in weights.items())
     with pytest.raises(InputError, match="initial: packaged: a network of"):
         task.read("packaged")
-    of_package = {"model": {"regressor": {"feedback": True, "dropout": 0.0}}}  # dropout changes no weight's shape
-    packaged = make_task(make_config({"task": "label-network", "steps": 1, **of_package}))
+    packaged = make_task(read_config("label-network"))
     packaged.model().load_state_dict(packaged.read("packaged"))
 
 
-def test_goes_on_with_feedback_from_a_network_without_as_the_same_network(task, tmp_path):
+FEEDBACK = {"regressor": RegressorConfig(width=32, feedback=True)}
+
+
+@pytest.mark.parametrize("more", [FEEDBACK, {"attention_layers": 1, "attention_width": 8} | FEEDBACK])
+def test_goes_on_with_more_inputs_from_a_network_without_as_the_same_network(task, tmp_path, more):
     before = task.model().eval()
-    task.save(tmp_path / "model.safetensors", before.state_dict(), {}, half=False)
-    model = replace(task.config.model, regressor=replace(task.config.model.regressor, feedback=True))
-    wider = make_task(replace(task.config, model=model))
+    task.save(tmp_path / "model.safetensors", before.state_dict(), {}, bits=32)
+    wider = make_task(replace(task.config, model=replace(task.config.model, **more)))
     after = wider.model().eval()
     after.load_state_dict(wider.read(str(tmp_path / "model.safetensors")))
     people = task.held_out[0]
     found, expected = (each.predict(network, people) for each, network in ((wider, after), (task, before)))
     torch.testing.assert_close(found.posed().joints, expected.posed().joints, atol=1e-6, rtol=0)
-    wider.save(tmp_path / "wider.safetensors", after.state_dict(), {}, half=False)
+    wider.save(tmp_path / "wider.safetensors", after.state_dict(), {}, bits=32)
     with pytest.raises(InputError, match=r"initial: .*wider.safetensors: a network of"):
         task.read(str(tmp_path / "wider.safetensors"))

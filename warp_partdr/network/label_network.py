@@ -16,6 +16,7 @@ from torch import nn
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.template import NUM_PARTS
 from .heads import cell_centres
+from .landmark_attention import NUM_SAID, LandmarkAttention
 from .landmarks import LANDMARKS
 from .predicted import Predicted
 from .regressor import Regressor, RegressorConfig
@@ -39,6 +40,8 @@ class LabelNetworkConfig:
     channels: tuple[int, ...] = (32, 96, 144, 224, 256)  # of five stages, each at half the size of the one before
     places: int = 48  # channels that the last stage's places are described with
     keypoint_features: int = 256  # number of features made of the keypoints' coordinates
+    attention_layers: int = 0  # of ``LandmarkAttention``; 0: without
+    attention_width: int = 192  # of its tokens
     regressor: RegressorConfig = field(default_factory=RegressorConfig)
 
 
@@ -123,6 +126,7 @@ class LabelNetwork(nn.Module):
             nn.Conv2d(last, config.places, 1),
             nn.Flatten(),
         )
+        self._shown = range(0, 2 * len(rest), 2)  # the stages whose maps ``attention`` looks at, the last of each size
         keypoints = config.keypoint_features
         self.keypoints = nn.Sequential(
             nn.Linear(3 * len(LANDMARKS) + _RAYS, 2 * keypoints),
@@ -132,6 +136,11 @@ class LabelNetwork(nn.Module):
         )
         side = config.size // 2 ** len(config.channels)
         features = config.places * side**2 + keypoints
+        if config.attention_layers:
+            self.attention = LandmarkAttention(
+                rest, 3 + _RAYS, width=config.attention_width, layers=config.attention_layers
+            )
+            features += NUM_SAID
         self.regressor = Regressor(features, config.regressor)
         self.uncertainty = UncertaintyHead(features)
 
@@ -150,9 +159,15 @@ class LabelNetwork(nn.Module):
         heatmaps = draw_heatmaps(keypoints, self.config.size // _HEATMAP_STRIDE)
         coarse = self.coarse(self.stem(shares))
         heatmaps = heatmaps.to(coarse.dtype, memory_format=torch.channels_last)  # else what is joined is not
-        seen = self.stages(torch.cat([coarse, heatmaps], dim=1))
-        points = self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))
-        return torch.cat([seen, points.to(seen)], dim=1)
+        seen, maps = torch.cat([coarse, heatmaps], dim=1), []
+        for index, stage in enumerate(self.stages):
+            seen = stage(seen)
+            if index in self._shown:
+                maps.append(seen)
+        found = [seen, self.keypoints(torch.cat([keypoints.flatten(1), rays], dim=1))]
+        if self.config.attention_layers:
+            found.append(self.attention(maps, keypoints, rays))
+        return torch.cat([each.to(seen) for each in found], dim=1)
 
     def bodies(self, features: torch.Tensor, keypoints: torch.Tensor) -> Predicted:
         """Bodies of features (B, F) and of the keypoints (B, 24, 3) that these were made of."""

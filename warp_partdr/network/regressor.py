@@ -57,7 +57,7 @@ class Regressor(nn.Module):
 
     def __init__(self, features: int, config: RegressorConfig) -> None:
         super().__init__()
-        self.feedback = config.feedback
+        self.features, self.feedback = features, config.feedback
         self.first = _Layer(features + sum(_HEADS.values()) + MISFITS * config.feedback, config)
         self.blocks = nn.ModuleList(
             nn.ModuleList([_Layer(config.width, config), _Layer(config.width, config)]) for _ in range(config.blocks)

@@ -24,6 +24,7 @@ from ..errors import InputError
 from ..metrics import confusion, foreground_counts, mpjpe, pa_mpjpe, part_f1, pooled
 from ..network.checkpoint import load_label_network, save_label_network
 from ..network.label_network import LabelNetwork, LabelNetworkConfig, label_shares, label_table, lens_rays
+from ..network.landmark_attention import NUM_SAID
 from ..network.landmarks import LANDMARKS
 from ..network.predicted import Predicted, posed_landmarks
 from ..network.regressor import MISFITS
@@ -151,18 +152,26 @@ class LabelTask(Task):
             rows.append(np.concatenate([group_colours(label_set(of).part_groups)[ids] for ids, of in shown], axis=1))
         return Image.fromarray(np.concatenate(rows))
 
-    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, half: bool) -> None:
+    def save(self, path: Path, weights: Mapping[str, torch.Tensor], about: Mapping[str, Any], *, bits: int) -> None:
         """Write the network."""
-        save_label_network(path, weights, self.config.model, about, half=half)
+        save_label_network(path, weights, self.config.model, about, bits=bits)
 
     def read(self, source: str) -> Mapping[str, torch.Tensor]:
         """Weights of a trained network; see ``Task``."""
         network = load_label_network(None if source == PACKAGED_NETWORK else source)
         weights, sizes, expected = network.state_dict(), _sizes(network.config), _sizes(self.config.model)
+        # What the network is given beside counts for nothing at first.
+        if expected.attention_layers and not sizes.attention_layers:
+            sizes = replace(sizes, attention_layers=expected.attention_layers, attention_width=expected.attention_width)
+            weights |= {name: value for name, value in self.model().state_dict().items() if "attention" in name}
+            before = network.regressor.features
+            for name in ("regressor.first.linear.weight", "uncertainty.layers.0.weight"):
+                known, others = weights[name][:, :before], weights[name][:, before:]
+                weights[name] = torch.cat([torch.nn.functional.pad(known, (0, NUM_SAID)), others], dim=1)
         if expected.regressor.feedback and not sizes.regressor.feedback:
             sizes = replace(sizes, regressor=replace(sizes.regressor, feedback=True))
             first = "regressor.first.linear.weight"
-            weights[first] = torch.nn.functional.pad(weights[first], (0, MISFITS))  # which count for nothing at first
+            weights[first] = torch.nn.functional.pad(weights[first], (0, MISFITS))
         if sizes != expected:
             raise InputError(f"initial: {source}: a network of {network.config}; expected {self.config.model}")
         return weights
