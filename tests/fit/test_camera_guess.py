@@ -12,7 +12,7 @@ from warp_partdr import FitOptions, fit_body
 from warp_partdr.cameras import Crop, Perspective
 from warp_partdr.evaluation.partbench.samples import FAR, NEAR, make_sample
 from warp_partdr.evaluation.scoring import score_fit
-from warp_partdr.fit.fitting import guess_camera
+from warp_partdr.fit.camera_guess import guess_camera
 from warp_partdr.inputs.sample import Sample
 from warp_partdr.network.checkpoint import packaged_network
 from warp_partdr.network.predict import ask_network

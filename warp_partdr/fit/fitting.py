@@ -27,6 +27,7 @@ from ..network.predict import ask_network
 from ..network.predicted import Predicted
 from ..refinement.energy import Energy
 from ..refinement.refine import refine
+from .camera_guess import guess_camera
 from .depth_flips import repair_depth_order
 from .options import FitOptions, drawn_or_not, stages_of
 from .plausibility import choose_sides, complaints, poor_labels
@@ -35,7 +36,6 @@ from .stages import OUTLINE, STAGES, Quality, Stage, Start
 from .start_search import LiftEnergy, distinct, hypothesize
 
 Progress = Callable[[str, int, int], None]
-_NEAR = 0.2  # [1/m], from which on nearness is believed; who is farther than 5 m is seen as by weak perspective
 
 
 @one_torch_thread()
@@ -283,23 +283,3 @@ def _check_camera(camera: Perspective | None) -> None:
     check_type("camera", camera, Perspective | None, "such as Perspective.of_picture(size, focal=1500)")
     if camera is not None:
         check_square(camera)
-
-
-def guess_camera(predicted: Predicted, crop: Crop, image_size: tuple[int, int]) -> Perspective | None:
-    """The camera that a person stands before as near as the network says, its axis in the picture's middle.
-
-    Args:
-        predicted: One person, B = 1, by a label network that was told of no camera.
-        crop: Where the person was cut out of the picture.
-        image_size: (H, W) of the picture [px].
-
-    Returns:
-        None if the person is not near.
-    """
-    said = predicted.uncertainty
-    assert said is not None  # of label networks
-    nearness = float(said.nearness[0])
-    if nearness < _NEAR:
-        return None
-    pixels = float(predicted.log_scale[0].exp()) * crop.size[0] / 2 / crop.zoom  # [px/m] at the person
-    return Perspective.of_picture(image_size, focal=pixels / nearness)
