@@ -90,15 +90,20 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
     ``groups``, shape (H, W), here and below, hold this person's ids alone (``select_person``).
     """
     counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
+    bones = []
     for name, start, end in limb_bones(keypoints):
         own, mirrored = (int(labels.part_groups[1 + PART_NAMES.index(each)]) for each in (name, mirror_name(name)))
-        if own in (BACKGROUND, mirrored):
-            continue
-        shown = labels_along(groups, start, end, samples=_SAMPLES, margin=_JOINT)
-        limb = next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)
-        on_own, on_mirrored = shown == own, shown == mirrored
-        other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
-        counts[limb] += [np.count_nonzero(each) for each in (on_own, on_mirrored, other)]
+        if own not in (BACKGROUND, mirrored):
+            bones.append((name, own, mirrored, start, end))
+    if not bones:
+        return {}
+    names, owns, mirrors, starts, ends = zip(*bones, strict=True)
+    shown, inside = labels_along(groups, np.stack(starts), np.stack(ends), samples=_SAMPLES, margin=_JOINT)
+    on_own, on_mirrored = (shown == np.array(each)[:, None] for each in (owns, mirrors))
+    other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
+    found = np.stack([np.count_nonzero(each & inside, axis=1) for each in (on_own, on_mirrored, other)], axis=1)
+    for name, each in zip(names, found, strict=True):
+        counts[next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)] += each
     return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
 
 
@@ -119,17 +124,18 @@ def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -
 
 
 def labels_along(
-    groups: np.ndarray, start: np.ndarray, end: np.ndarray, *, samples: int, margin: float = 0.0
-) -> np.ndarray:
-    """Group ids at evenly spaced points of a bone, without those beyond the picture; (x, y) [px] at its ends.
+    groups: np.ndarray, starts: np.ndarray, ends: np.ndarray, *, samples: int, margin: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Group ids at evenly spaced points of N bones, and which of them are in the picture, both of shape (N, samples).
 
-    ``margin`` is the share of the bone that is left out at either end.
+    (x, y) [px] at the bones' ends, shape (N, 2); ``margin`` is the share of a bone that is left out at either end.
     """
     along = _evenly(samples, margin)
-    columns, rows = np.floor(start + along * (end - start)).astype(np.int64).T
+    places = np.floor(starts[:, None] + along * (ends - starts)[:, None]).astype(np.int64)
+    columns, rows = places[..., 0], places[..., 1]
     height, width = groups.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    return groups[rows[inside], columns[inside]]
+    return groups[np.where(inside, rows, 0), np.where(inside, columns, 0)], inside
 
 
 @lru_cache
@@ -138,16 +144,34 @@ def _evenly(samples: int, margin: float) -> np.ndarray:
     return np.linspace(margin, 1 - margin, samples)[:, None]
 
 
+class _Flesh(NamedTuple):
+    """Segments near which groups of parts may be, of those groups that have equally many (S) of them."""
+
+    groups: np.ndarray  # numbers of the groups, shape (G,)
+    starts: np.ndarray  # landmarks at the segments' ends, by their place in the list, shape (S, G)
+    ends: np.ndarray
+    radii: np.ndarray  # shares of the person's height, shape (S, G)
+
+
 @lru_cache(maxsize=1024)
-def _segments(parts: tuple[str, ...], known: frozenset[str]) -> tuple[Segment, ...] | None:
-    """Segments near which a group of parts may be; None if keypoints of one of its parts are missing."""
-    found: dict[Segment, None] = {}  # parts share them, those of the trunk and head most of all
-    for part in parts:
-        segments = list(_part_segments(part, known))
-        if not segments:
-            return None
-        found |= dict.fromkeys(segments)
-    return tuple(found)
+def _flesh(groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]) -> tuple[_Flesh, ...]:
+    """Segments of all groups, and of their mirror images, whose keypoints are all known."""
+    parts, known = dict(groups), frozenset(landmarks)
+    alike: dict[int, list[tuple[int, list[Segment]]]] = {}
+    for number, name in enumerate(parts, 1):
+        either = sorted({name, mirror_name(name)} & parts.keys())
+        found = [list(_part_segments(part, known)) for each in either for part in parts[each]]
+        if all(found):
+            segments = list(dict.fromkeys(each for some in found for each in some))  # parts share them
+            alike.setdefault(len(segments), []).append((number, segments))
+    tables = []
+    for some in alike.values():
+        starts, ends = (
+            np.array([[landmarks.index(each[end]) for each in segments] for _, segments in some]).T for end in (0, 1)
+        )
+        radii = np.array([[radius for *_, radius in segments] for _, segments in some]).T
+        tables.append(_Flesh(np.array([number for number, _ in some]), starts, ends, radii))
+    return tuple(tables)
 
 
 def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
@@ -208,23 +232,32 @@ def distances_beyond(
 
     Looks at every so many-th row and column (``stride``), and at all groups or ``only`` one.
     """
-    height, points = person_height(keypoints), _confident_points(keypoints)
-    known = frozenset(points)
+    height, sure = person_height(keypoints), np.flatnonzero(keypoints.confident)
+    landmarks = keypoints.format.landmarks
+    points = keypoints.points[sure]
+    tables = _flesh(tuple(labels.groups.items()), tuple(landmarks[place] for place in sure))
     thin = groups[::stride, ::stride]
     rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
     shown = thin[rows, columns]
-    rows, columns = rows * stride, columns * stride
-    for group, name in enumerate(labels.group_names, 1):
-        mine = np.flatnonzero(shown == group)
-        if not mine.size:
+    order = np.argsort(shown, kind="stable")
+    shown, rows, columns = shown[order], rows[order] * stride, columns[order] * stride
+    ends = np.searchsorted(shown, np.arange(labels.num_groups + 2))
+    found: list[Beyond] = []
+    for table in tables:
+        there = [place for place, group in enumerate(table.groups.tolist()) if ends[group] < ends[group + 1]]
+        if not there:
             continue
-        either = sorted({name, mirror_name(name)} & set(labels.group_names))
-        segments = _segments(tuple(part for each in either for part in labels.groups[each]), known)
-        if segments is not None:
-            x, y = columns[mine] + 0.5, rows[mine] + 0.5
-            starts = np.array([points[start] for start, _, _ in segments])
-            ends = np.array([points[end] for _, end, _ in segments])
-            (x0, y0), (along_x, along_y) = starts.T[..., None], (ends - starts).T[..., None]
-            distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
-            radii = np.array([radius for _, _, radius in segments])[:, None]
-            yield Beyond(group, name, rows[mine], columns[mine], (distances / height - radii).min(axis=0))
+        spans = [slice(ends[group], ends[group + 1]) for group in table.groups[there].tolist()]
+        counts = [span.stop - span.start for span in spans]
+        mine = np.concatenate([np.arange(span.start, span.stop) for span in spans])
+        owner = np.repeat(there, counts)
+        starts, ways = points[table.starts], points[table.ends] - points[table.starts]
+        x, y = columns[mine] + 0.5, rows[mine] + 0.5
+        (x0, y0), (along_x, along_y) = ((each[..., 0][:, owner], each[..., 1][:, owner]) for each in (starts, ways))
+        distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
+        beyond = (distances / height - table.radii[:, owner]).min(axis=0)
+        for group, span, each in zip(
+            table.groups[there].tolist(), spans, np.split(beyond, np.cumsum(counts)[:-1]), strict=True
+        ):
+            found.append(Beyond(group, labels.group_names[group - 1], rows[span], columns[span], each))
+    yield from sorted(found, key=lambda each: each.group)
