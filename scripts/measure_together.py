@@ -78,7 +78,7 @@ class Steps:
     def measure(self, work: Callable[[], Any]) -> None:
         """Run it with a clock in each step."""
         steps = (
-            (predict, "network_inputs", "network, its input"),
+            (predict, "upright_inputs", "network, its input"),
             (together, "ask_network", "network"),
             (Batch, "of_stacked", "landmarks in their places"),
             (Batch, "drawn_at", "label images resized"),

@@ -147,15 +147,20 @@ def _evenly(samples: int, margin: float) -> np.ndarray:
 class _Flesh(NamedTuple):
     """Segments near which groups of parts may be, of those groups that have equally many (S) of them."""
 
-    groups: np.ndarray  # numbers of the groups, shape (G,)
+    groups: tuple[int, ...]  # numbers of the G groups
     starts: np.ndarray  # landmarks at the segments' ends, by their place in the list, shape (S, G)
     ends: np.ndarray
     radii: np.ndarray  # shares of the person's height, shape (S, G)
 
 
 @lru_cache(maxsize=1024)
-def _flesh(groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]) -> tuple[_Flesh, ...]:
-    """Segments of all groups, and of their mirror images, whose keypoints are all known."""
+def _flesh(
+    groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str, ...]
+) -> tuple[list[_Flesh], np.ndarray]:
+    """Segments of all groups, and of their mirror images, whose keypoints are all known.
+
+    And the rank of each group among them, shape (256,), uint8; 255 of the others.
+    """
     parts, known = dict(groups), frozenset(landmarks)
     alike: dict[int, list[tuple[int, list[Segment]]]] = {}
     for number, name in enumerate(parts, 1):
@@ -164,14 +169,16 @@ def _flesh(groups: tuple[tuple[str, tuple[str, ...]], ...], landmarks: tuple[str
         if all(found):
             segments = list(dict.fromkeys(each for some in found for each in some))  # parts share them
             alike.setdefault(len(segments), []).append((number, segments))
-    tables = []
+    tables, ranks = [], np.full(256, 255, dtype=np.uint8)
     for some in alike.values():
         starts, ends = (
             np.array([[landmarks.index(each[end]) for each in segments] for _, segments in some]).T for end in (0, 1)
         )
         radii = np.array([[radius for *_, radius in segments] for _, segments in some]).T
-        tables.append(_Flesh(np.array([number for number, _ in some]), starts, ends, radii))
-    return tuple(tables)
+        tables.append(_Flesh(tuple(number for number, _ in some), starts, ends, radii))
+    every = [group for table in tables for group in table.groups]
+    ranks[every] = np.arange(len(every))
+    return tables, ranks
 
 
 def _part_segments(part: str, known: frozenset[str]) -> Iterator[Segment]:
@@ -235,29 +242,32 @@ def distances_beyond(
     height, sure = person_height(keypoints), np.flatnonzero(keypoints.confident)
     landmarks = keypoints.format.landmarks
     points = keypoints.points[sure]
-    tables = _flesh(tuple(labels.groups.items()), tuple(landmarks[place] for place in sure))
+    tables, ranks = _flesh(tuple(labels.groups.items()), tuple([landmarks[place] for place in sure.tolist()]))
     thin = groups[::stride, ::stride]
     rows, columns = np.nonzero((thin != BACKGROUND) & (thin != IGNORE) if only is None else thin == only)
-    shown = thin[rows, columns]
-    order = np.argsort(shown, kind="stable")
-    shown, rows, columns = shown[order], rows[order] * stride, columns[order] * stride
-    ends = np.searchsorted(shown, np.arange(labels.num_groups + 2))
+    rank = ranks[thin[rows, columns]]
+    order = np.argsort(rank, kind="stable")  # pixels of one table lie side by side
+    rows, columns = rows[order] * stride, columns[order] * stride
+    counts = np.bincount(rank, minlength=256)
     found: list[Beyond] = []
+    first, begin = 0, 0
     for table in tables:
-        there = [place for place, group in enumerate(table.groups.tolist()) if ends[group] < ends[group + 1]]
-        if not there:
+        own = counts[first : first + len(table.groups)]
+        first += len(table.groups)
+        mine = slice(begin, begin + int(own.sum()))
+        begin = mine.stop
+        if mine.start == mine.stop:
             continue
-        spans = [slice(ends[group], ends[group + 1]) for group in table.groups[there].tolist()]
-        counts = [span.stop - span.start for span in spans]
-        mine = np.concatenate([np.arange(span.start, span.stop) for span in spans])
-        owner = np.repeat(there, counts)
         starts, ways = points[table.starts], points[table.ends] - points[table.starts]
         x, y = columns[mine] + 0.5, rows[mine] + 0.5
-        (x0, y0), (along_x, along_y) = ((each[..., 0][:, owner], each[..., 1][:, owner]) for each in (starts, ways))
+        lines = (starts[..., 0], starts[..., 1], ways[..., 0], ways[..., 1], table.radii)
+        x0, y0, along_x, along_y, radii = (each.repeat(own, axis=1) for each in lines)
         distances = np.sqrt(squared_distances(x - x0, y - y0, along_x, along_y))
-        beyond = (distances / height - table.radii[:, owner]).min(axis=0)
-        for group, span, each in zip(
-            table.groups[there].tolist(), spans, np.split(beyond, np.cumsum(counts)[:-1]), strict=True
-        ):
-            found.append(Beyond(group, labels.group_names[group - 1], rows[span], columns[span], each))
+        beyond = (distances / height - radii).min(axis=0)
+        ends = np.cumsum(own).tolist()
+        for group, start, end in zip(table.groups, [0, *ends], ends, strict=False):
+            if start < end:
+                span = slice(mine.start + start, mine.start + end)
+                name = labels.group_names[group - 1]
+                found.append(Beyond(group, name, rows[span], columns[span], beyond[start:end]))
     yield from sorted(found, key=lambda each: each.group)

@@ -75,7 +75,11 @@ class Evidence:
         columns, from_columns = self._under_window(1, size[1], box[0], box[2])
         if rows.size and columns.size:  # each without gaps
             place = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
+            # Rows are copied whole, columns pixel by pixel: of as few rows as may be.
+            if len(self.groups) < len(from_rows):
+                target[place] = self.groups.take(from_columns, axis=1).take(from_rows, axis=0)
+            else:
+                target[place] = self.groups.take(from_rows, axis=0).take(from_columns, axis=1)
         return target
 
     def _under_window(self, axis: int, count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:

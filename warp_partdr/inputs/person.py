@@ -176,7 +176,9 @@ def _bone_ends(keypoints: Keypoints2D) -> np.ndarray:
 
 def _least_distances(rows: np.ndarray, columns: np.ndarray, bones: np.ndarray) -> np.ndarray:
     """Distances [px] of places to the nearest of bones (N, 2, 2)."""
-    (x, y), (along_x, along_y) = (each.T.astype(np.float64)[..., None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0]))
+    (x, y), (along_x, along_y) = (
+        each.T.astype(np.float64)[..., None] for each in (bones[:, 0], bones[:, 1] - bones[:, 0])
+    )
     return np.sqrt(squared_distances(columns - x, rows - y, along_x, along_y).min(axis=0, initial=np.inf))
 
 
