@@ -30,6 +30,7 @@ from warp_partdr.detection.detector import detect_people
 from warp_partdr.detection.look import look
 from warp_partdr.detection.masks import instance_maps
 from warp_partdr.detection.people import find_people_in
+from warp_partdr.fit.cut_people import CutPeople, CutPerson
 from warp_partdr.inputs.masked_people import MaskedPerson, cut_masks
 from warp_partdr.inputs.part_labels import read_photo
 from warp_partdr.network.checkpoint import packaged_network
@@ -96,8 +97,10 @@ def timed(pictures: list[np.ndarray], device: str, half: bool) -> dict[str, np.n
     owners = stage("whom each pixel shows", lambda: instance_maps([[each] for each in people], sizes.tolist()))
     masked = [MaskedPerson(each.keypoints, shown, 1) for each, shown in zip(people, owners, strict=True)]
     cut = stage("evidence and crops", lambda: cut_masks(masked, device))
-    stage("label network", lambda: ask_network([each for _, each, _ in cut], network, half=half).parameters())
-    names = ("all of these: find_people_in", "whom each pixel shows", "evidence and crops", "label network")
+    together = stage("people as arrays", lambda: CutPeople.of([CutPerson(*each) for each in cut]))
+    stage("label network", lambda: ask_network(together.seen, network, half=half).parameters())
+    names = ("all of these: find_people_in", "whom each pixel shows", "evidence and crops", "people as arrays")
+    names = (*names, "label network")
     seconds["from pictures to bodies"] = np.sum([seconds[name] for name in names], axis=0)
     return seconds
 

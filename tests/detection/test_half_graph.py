@@ -58,7 +58,7 @@ def test_numbers_have_more_digits_than_float16(rng, device):
 
 
 def test_the_packaged_networks_say_the_same_of_a_person(device):
-    """Landmarks within half a pixel of 256; docs/inputs.md has what it comes to on photos."""
+    """Landmarks within half a pixel of 256; the model card has what it comes to on photos."""
     picture = read_photo(EXAMPLE / "photo.png")
     height, width = picture.shape[:2]
     crop = TurnedCrops(np.array([[width / 2, height / 2]]), np.array([1.1 * height]), np.zeros(1), np.zeros(1, int))

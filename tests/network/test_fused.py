@@ -1,4 +1,4 @@
-"""The label network in bfloat16 with what follows a convolution in one launch: the same features, to bfloat16's digits."""
+"""The label network in bfloat16 with what follows a convolution in one launch: the same features, nearly."""
 
 from __future__ import annotations
 

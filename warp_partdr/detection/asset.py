@@ -40,7 +40,7 @@ class PeopleNetworks:
         return next(self.detector.buffers()).device
 
     def halved(self) -> PeopleNetworks:
-        """The same in float16, for CUDA: 0.1 % of a person's height from float32, see docs/inputs.md."""
+        """The same in float16, for CUDA; keypoints move by 0.2 % of a person's height (see the model card)."""
         return PeopleNetworks(*(HalfGraph(each).eval() for each in (self.detector, self.landmarks)))
 
 

@@ -34,7 +34,7 @@ def _fuse(network: LabelNetwork) -> LabelNetwork:
     fused = deepcopy(network)
     first, norm, _ = network.stem
     fused.stem = nn.Sequential(_FusedConvolution(first, norm, channels=EVEN_CHANNELS))
-    fused.coarse = _FusedBlock(network.coarse)
+    fused.add_module("coarse", _FusedBlock(network.coarse))
     fused.stages = nn.Sequential(
         *(_FusedBlock(each) if isinstance(each, ResidualBlock) else each for each in fused.stages)
     )
@@ -51,14 +51,15 @@ class _FusedConvolution(nn.Module):
         assert norm.running_mean is not None
         assert norm.running_var is not None
         statistics = norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
-        weight, bias = fuse_conv_bn_weights(convolution.weight, convolution.bias, *statistics)
-        more = max(channels - weight.shape[1], 0)
-        weight = F.pad(weight, (0, 0, 0, 0, 0, more)).bfloat16().contiguous(memory_format=torch.channels_last)
+        folded, bias = fuse_conv_bn_weights(convolution.weight, convolution.bias, *statistics)
+        weight = F.pad(folded.detach(), (0, 0, 0, 0, 0, max(channels - folded.shape[1], 0)))
+        weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
         self.register_buffer("weight", weight)
-        self.register_buffer("bias", bias.bfloat16())
+        self.register_buffer("bias", bias.detach().bfloat16())
         self.weight: torch.Tensor
         self.bias: torch.Tensor
-        self.stride, self.padding, self.cut = list(convolution.stride), list(convolution.padding), cut
+        assert not isinstance(convolution.padding, str)
+        self.stride, self.padding, self.cut = convolution.stride, convolution.padding, cut
 
     def forward(self, values: torch.Tensor, added: torch.Tensor | None = None) -> torch.Tensor:
         """Values (B, C, H, W), and what is added to their convolution."""
@@ -66,13 +67,14 @@ class _FusedConvolution(nn.Module):
         if more:
             values = F.pad(values, (0, 0, 0, 0, 0, more))
         values = values.to(self.weight.dtype, memory_format=torch.channels_last)
-        shape = self.stride, self.padding, [1, 1], 1
+        stride, padding, still = self.stride, self.padding, (1, 1)
         if self.cut and values.is_cuda and fuses(values.device):
             if added is None:
-                return torch.cudnn_convolution_relu(values, self.weight, self.bias, *shape)
-            return torch.cudnn_convolution_add_relu(values, self.weight, added, 1.0, self.bias, *shape)
+                return torch.cudnn_convolution_relu(values, self.weight, self.bias, stride, padding, still, 1)
+            summed = values, self.weight, added, 1.0, self.bias
+            return torch.cudnn_convolution_add_relu(*summed, stride, padding, still, 1)
         with torch.autocast(values.device.type, enabled=False):
-            found = F.conv2d(values, self.weight, self.bias, *shape)
+            found = F.conv2d(values, self.weight, self.bias, stride, padding)
         found = found if added is None else found.add_(added)
         return found.relu_() if self.cut else found
 
@@ -88,7 +90,7 @@ class _FusedBlock(nn.Module):
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         values = values.to(self.first.weight.dtype, memory_format=torch.channels_last)
-        return self.second(self.first(values), self.past(values))  # type: ignore[no-any-return]
+        return self.second(self.first(values), self.past(values))
 
 
 @lru_cache(maxsize=8)
@@ -101,10 +103,10 @@ def fuses(device: torch.device) -> bool:
 
     values, added = (drawn(2, 16, 8, 8).contiguous(memory_format=torch.channels_last) for _ in range(2))
     weight = drawn(16, 16, 3, 3).contiguous(memory_format=torch.channels_last)
-    bias, shape = drawn(16), ([1, 1], [1, 1], [1, 1], 1)
+    bias, ones = drawn(16), (1, 1)
     try:
-        alone = torch.cudnn_convolution_relu(values, weight, bias, *shape)
-        summed = torch.cudnn_convolution_add_relu(values, weight, added, 1.0, bias, *shape)
+        alone = torch.cudnn_convolution_relu(values, weight, bias, ones, ones, ones, 1)
+        summed = torch.cudnn_convolution_add_relu(values, weight, added, 1.0, bias, ones, ones, ones, 1)
     except (RuntimeError, AttributeError, TypeError):
         return False
     exact = F.conv2d(values.float(), weight.float(), bias.float(), padding=1)

@@ -164,10 +164,10 @@ def ask_network(
     in bfloat16 would add up their rounding.
     """
     *inputs, angles = upright_inputs(observations, network.config.size, half=half)
-    if mirror:
-        both = zip(inputs, mirror_inputs(*inputs), strict=True)
-        inputs = torch.cat(next(both)), torch.cat(next(both)), torch.cat(next(both))
     shares, keypoints, rays = inputs
+    if mirror:
+        both = zip(inputs, mirror_inputs(shares, keypoints, rays), strict=True)
+        shares, keypoints, rays = map(torch.cat, both)
     shares = shares.contiguous(memory_format=torch.channels_last)
     with torch.autocast(shares.device.type, torch.bfloat16, enabled=half):
         asked = fused_network(network) if half and shares.is_cuda else network
