@@ -216,7 +216,7 @@ class Pyramid:
 def _uploaded(pictures: Sequence[np.ndarray], device: torch.device | str) -> torch.Tensor:
     """Pictures of one size on a CUDA device; threads copy them to memory that it reads by itself."""
     held = torch.empty(len(pictures), *pictures[0].shape, dtype=torch.uint8, pin_memory=True)
-    there, rows = torch.empty_like(held, device=device), held.numpy()
+    there, rows = torch.empty(held.shape, dtype=held.dtype, device=device), held.numpy()
 
     def copy(part: slice) -> None:
         for row, picture in enumerate(pictures[part], part.start):
