@@ -19,6 +19,7 @@ import sys
 import tarfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from warp_partdr.bulk.rows import PeopleRows, columns, people_table
 from warp_partdr.clothing.anny import anny
 from warp_partdr.fit.cut_people import CutPeople
 from warp_partdr.interop.devices import choose_device
+from warp_partdr.interop.precision import multiplies_bfloat16
 from warp_partdr.kernels.launch import get_num_threads
 from warp_partdr.network.checkpoint import packaged_network
 
@@ -134,7 +136,7 @@ def measure_stages(root: Path, quality: str, device: str) -> None:
     measure_reading(source, cutter, many, cores)
     people = CutPeople.joined([each for _, each in cut.people][:1])
     model = anny(device) if quality == "mesh" else None
-    how = stages_of_quality(quality)  # type: ignore[arg-type]
+    how = replace(stages_of_quality(quality), half=multiplies_bfloat16(device))  # type: ignore[arg-type]
     fitter = PeopleFitter(how, packaged_network(device), model, device, BATCH)
     clocked("copied to the device", len(people), lambda: people.to(device), device)
     there = people.to(device)
