@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, compress
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ..body.labels import BACKGROUND, IGNORE, LabelSet
 from ..body.landmarks import mirror_name, without_side
+from ..body.skeletons import Skeleton, skeleton
 from ..body.template import JOINT_NAMES, MEAN_STATURE, PARENTS, PART_NAMES, SHAPE_INDICES, template
 from .keypoints import Keypoints2D, person_height
 from .person import squared_distances
@@ -54,9 +55,21 @@ class Agreement(NamedTuple):
         return sided >= _FEWEST and self.mirrored >= _SWAPPED * sided
 
 
-def limb_bones(keypoints: Keypoints2D) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Part, start and end [px] of each limb's bone between two confident keypoints."""
-    yield from limbs_between(_confident_points(keypoints))
+def limb_bones(keypoints: Keypoints2D) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Parts, starts and ends [px] of the limbs' bones between two confident keypoints, shape (N, 2)."""
+    names, joints = _limbs_of(keypoints.skeleton, keypoints.confident.tobytes())
+    starts, ends = keypoints.points[joints]
+    return names, starts, ends
+
+
+@lru_cache(maxsize=4096)
+def _limbs_of(form: str | Skeleton, confident: bytes) -> tuple[tuple[str, ...], np.ndarray]:
+    """Parts and joints at both ends, shape (2, N), of ``limb_bones``."""
+    sure = np.flatnonzero(np.frombuffer(confident, dtype=bool)).tolist()
+    landmarks = skeleton(form).landmarks
+    found = list(limbs_between({landmarks[joint]: joint for joint in sure}))
+    joints = np.array([(start, end) for _, start, end in found], dtype=np.int64).reshape(-1, 2).T
+    return tuple(name for name, *_ in found), joints
 
 
 def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Place]]:
@@ -64,12 +77,6 @@ def limbs_between(points: Mapping[str, Place]) -> Iterator[tuple[str, Place, Pla
     for name in (f"{side}_{kind}" for side in ("left", "right") for kinds in LIMBS.values() for kind in kinds):
         if without_side(name) not in _ENDS and (ends := _bone_ends(name, points)):
             yield name, *ends
-
-
-def _confident_points(keypoints: Keypoints2D) -> dict[str, np.ndarray]:
-    """Positions [px] of the confident keypoints by landmark."""
-    landmarks = keypoints.format.landmarks
-    return {landmarks[i]: keypoints.points[i] for i in np.flatnonzero(keypoints.confident)}
 
 
 def _bone_joints(name: str) -> tuple[str, str]:
@@ -89,22 +96,27 @@ def compare_sides(groups: np.ndarray, keypoints: Keypoints2D, labels: LabelSet) 
 
     ``groups``, shape (H, W), here and below, hold this person's ids alone (``select_person``).
     """
-    counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
-    bones = []
-    for name, start, end in limb_bones(keypoints):
-        own, mirrored = (int(labels.part_groups[1 + PART_NAMES.index(each)]) for each in (name, mirror_name(name)))
-        if own not in (BACKGROUND, mirrored):
-            bones.append((name, own, mirrored, start, end))
-    if not bones:
+    names, starts, ends = limb_bones(keypoints)
+    table = labels.part_groups[_limb_parts(names)]  # of themselves and their mirror images, (2, N)
+    compared = (table[0] != BACKGROUND) & (table[0] != table[1])
+    if not compared.any():
         return {}
-    names, owns, mirrors, starts, ends = zip(*bones, strict=True)
-    shown, inside = labels_along(groups, np.stack(starts), np.stack(ends), samples=_SAMPLES, margin=_JOINT)
-    on_own, on_mirrored = (shown == np.array(each)[:, None] for each in (owns, mirrors))
+    counts = {limb: np.zeros(3, dtype=int) for limb in LIMBS}
+    owns, mirrors = table[:, compared]
+    shown, inside = labels_along(groups, starts[compared], ends[compared], samples=_SAMPLES, margin=_JOINT)
+    on_own, on_mirrored = shown == owns[:, None], shown == mirrors[:, None]
     other = ~(on_own | on_mirrored | (shown == BACKGROUND) | (shown == IGNORE))
     found = np.stack([np.count_nonzero(each & inside, axis=1) for each in (on_own, on_mirrored, other)], axis=1)
-    for name, each in zip(names, found, strict=True):
+    for name, each in zip(compress(names, compared.tolist()), found, strict=True):
         counts[next(limb for limb, kinds in LIMBS.items() if without_side(name) in kinds)] += each
     return {limb: Agreement(*each.tolist()) for limb, each in counts.items() if each.any()}
+
+
+@lru_cache(maxsize=1024)
+def _limb_parts(names: tuple[str, ...]) -> np.ndarray:
+    """Part labels of parts and of their mirror images, shape (2, N)."""
+    both = names, tuple(mirror_name(name) for name in names)
+    return np.array([[1 + PART_NAMES.index(name) for name in some] for some in both], dtype=np.int64).reshape(2, -1)
 
 
 def disagreement(compared: Mapping[str, Agreement], glances: Iterable[Beyond]) -> float:

@@ -68,18 +68,15 @@ def ignore_missing_limbs(groups: np.ndarray, keypoints: Keypoints2D) -> np.ndarr
     wider, for keypoints are not exact; with a forearm the hand, which few formats have keypoints of, straight on. Only
     background changes, so a limb behind another part is not missing.
     """
-    height, bones = person_height(keypoints), list(limb_bones(keypoints))
-    if not bones:
-        return groups
-    starts, ends = (np.stack([bone[end] for bone in bones]) for end in (1, 2))
+    height, (names, starts, ends) = person_height(keypoints), limb_bones(keypoints)
     shown, inside = labels_along(groups, starts, ends, samples=LIMB_SAMPLES)
     missing = np.count_nonzero((shown == BACKGROUND) & inside, axis=1) / LIMB_SAMPLES >= MISSING_SHARE
     if not missing.any():
         return groups
     near = np.zeros(groups.shape, dtype=bool)
     for place in np.flatnonzero(missing).tolist():
-        name, start, end = bones[place]
-        half, further = limb_extent(name)
+        start, end = starts[place], ends[place]
+        half, further = limb_extent(names[place])
         beyond = (end - start).astype(np.float64) * further  # NumPy 1 would stay in float32
         lower_near(near, np.concatenate([start, end + beyond]), half * height)
     return np.where(near & (groups == BACKGROUND), IGNORE, groups).astype(np.uint8)

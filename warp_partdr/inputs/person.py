@@ -32,7 +32,7 @@ _BEYOND = 2.0
 _LARGEST = 1e5  # [px] the same where there is no picture; more than any camera has
 
 _BLOCK = 16  # [px], side of the squares whose pixels are compared with bones at once
-_ALONG = 16  # places along a bone
+_ALONG = np.linspace(0, 1, 8)[:, None]  # places along a bone, as shares of it
 
 _LIMB_JOINTS = ("elbow", "wrist", "knee", "ankle")
 
@@ -112,9 +112,12 @@ def select_person(groups: np.ndarray, keypoints: Keypoints2D, others: Sequence[K
 
 def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns from the first to the last that hold something; none if nothing does."""
-    ends = [np.flatnonzero(mask.any(axis=axis))[[0, -1]].tolist() if mask.any() else (0, -1) for axis in (1, 0)]
-    rows, columns = (slice(first, last + 1) for first, last in ends)
-    return rows, columns
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not rows.size:
+        return slice(0, 0), slice(0, 0)
+    there = slice(int(rows[0]), int(rows[-1]) + 1)
+    columns = np.flatnonzero(mask[there].any(axis=0))
+    return there, slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _near(
@@ -187,7 +190,7 @@ def _under_bones(mask: np.ndarray, corner: tuple[int, int], keypoints: Keypoints
     bones = _bone_ends(keypoints).astype(np.float64)
     if 1.0 + 1e-5 * np.abs(bones).max(initial=0.0) > radius:
         return np.zeros(0, dtype=np.int64)
-    places = bones[:, :1] + np.linspace(0, 1, _ALONG)[:, None] * (bones[:, 1:] - bones[:, :1])
+    places = bones[:, :1] + _ALONG * (bones[:, 1:] - bones[:, :1])
     columns, rows = np.floor(places).reshape(-1, 2).T.astype(np.int64)
     rows, columns = rows - corner[0], columns - corner[1]
     height, width = mask.shape
