@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -141,9 +142,9 @@ class _Taken:
             self._collect_cut(self.how.workers)
             return
         self._held.append(given)
-        there = [each.pixels.size for _, each in self._held if isinstance(each, SourcePicture)]
+        there = [math.prod(each.size) for _, each in self._held if isinstance(each, SourcePicture)]
         kind = torch.device(self.how.device).type
-        if len(there) >= _PICTURES[kind] or sum(there) >= 3 * _PIXELS[kind]:
+        if len(there) >= _PICTURES[kind] or sum(there) >= _PIXELS[kind]:
             self._cut()
 
     def finish(self) -> PeopleRows:

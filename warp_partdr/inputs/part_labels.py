@@ -80,6 +80,9 @@ class PartLabels:
             raise InputError(f"instances: shape {np.shape(masks)}; expected (N, {groups.shape[0]}, {groups.shape[1]})")
 
 
+_ON_ITS_SIDE = (5, 6, 7, 8)  # EXIF's orientations in which width and height change places
+
+
 def read_labelled_parts(parts: Path | None, labels: str | None) -> PartLabels | None:
     """Read the part labels of the options --parts and --labels; None without.
 
@@ -116,6 +119,21 @@ def read_photo(path: PhotoFile) -> np.ndarray:
         if upright.mode.startswith("I"):  # 16-bit gray, of which PIL would make all but the darkest white
             upright = Image.fromarray((np.asarray(upright) >> 8).clip(0, 255).astype(np.uint8))
         return np.array(upright if upright.mode == "RGB" else upright.convert("RGB"))
+
+
+def check_photo(path: PhotoFile) -> tuple[int, int]:
+    """Look through a picture to its end, and give the (H, W) that ``read_photo`` would; errors are the same.
+
+    JPEG is decoded at an eighth of its size, in half the time or less.
+    """
+    from PIL import ExifTags
+
+    with _opened(path, "a picture") as image:
+        width, height = image.size
+        image.draft("L", (1, 1))
+        image.load()
+        turned = image.getexif().get(ExifTags.Base.Orientation) in _ON_ITS_SIDE
+        return (width, height) if turned else (height, width)
 
 
 def read_focal(path: PhotoFile) -> float:
