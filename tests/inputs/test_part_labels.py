@@ -20,11 +20,11 @@ from warp_partdr.errors import InputError
 from warp_partdr.inputs import part_labels
 from warp_partdr.inputs.part_labels import (
     PartLabels,
-    check_photo,
     check_sizes,
     read_focal,
     read_parts,
     read_photo,
+    scan_photo,
     told_focal,
 )
 
@@ -254,12 +254,12 @@ def test_a_photo_that_is_looked_through_has_the_size_that_it_is_read_with(
     exif = image.getexif()
     exif[0x0112] = orientation
     image.save(path, exif=exif)
-    assert check_photo(path) == read_photo(path).shape[:2]
+    assert scan_photo(path) == read_photo(path).shape[:2]
     path.write_bytes(path.read_bytes()[:-900])
     with pytest.raises(InputError) as read:
         read_photo(path)
     with pytest.raises(InputError) as checked:
-        check_photo(path)
+        scan_photo(path)
     # How many bytes are left over may differ.
     assert str(checked.value).partition("(")[0] == str(read.value).partition("(")[0]
 

@@ -25,7 +25,7 @@ from ..files.json_files import parse_json
 from ..inputs.films import FilmFrames, is_film
 from ..inputs.keypoint_files import parse_keypoints, read_keypoints
 from ..inputs.keypoints import Keypoints2D
-from ..inputs.part_labels import PartLabels, PhotoFile, check_photo, check_sizes, read_parts, read_photo
+from ..inputs.part_labels import PartLabels, PhotoFile, check_sizes, read_parts, read_photo, scan_photo
 from ..inputs.person import Box
 from .containers import (
     ENDINGS,
@@ -38,7 +38,7 @@ from .containers import (
     index_tar,
     read_member,
 )
-from .sources import CheckedPhoto, KnownPerson, SourcePicture
+from .sources import KnownPerson, ScannedPhoto, SourcePicture
 
 Beside = tuple[str, str, int]  # a photo's name, and ending and size of a file beside it
 
@@ -99,7 +99,7 @@ class PictureFiles:
             if keypoints is None:
                 found = SourcePicture(read_photo(photo))
             else:
-                found = SourcePicture(CheckedPhoto(photo, check_photo(photo)))
+                found = SourcePicture(ScannedPhoto(photo, scan_photo(photo)))
                 found = replace(found, people=tuple(map(_known, _read_keypoints(keypoints))))
             return replace(found, parts=self._read_labels(name, found.size))
         except InputError as error:  # messages are the same wherever the folder is

@@ -35,8 +35,8 @@ class KnownPerson:
     annotation: int | None = None
 
 
-class CheckedPhoto(NamedTuple):
-    """A photo that was looked through, but not kept: its file, and (H, W) (``check_photo``)."""
+class ScannedPhoto(NamedTuple):
+    """A photo that was looked through, but not kept: its file, and (H, W) (``scan_photo``)."""
 
     file: PhotoFile
     size: tuple[int, int]
@@ -53,7 +53,7 @@ class SourcePicture:
         parts: Part labels, which go before ``owners``; None: unknown.
     """
 
-    picture: np.ndarray | CheckedPhoto
+    picture: np.ndarray | ScannedPhoto
     people: tuple[KnownPerson, ...] | None = None
     owners: torch.Tensor | None = None
     parts: PartLabels | None = None

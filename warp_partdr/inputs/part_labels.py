@@ -121,7 +121,7 @@ def read_photo(path: PhotoFile) -> np.ndarray:
         return np.array(upright if upright.mode == "RGB" else upright.convert("RGB"))
 
 
-def check_photo(path: PhotoFile) -> tuple[int, int]:
+def scan_photo(path: PhotoFile) -> tuple[int, int]:
     """Look through a picture to its end, and give the (H, W) that ``read_photo`` would; errors are the same.
 
     JPEG is decoded at an eighth of its size, in half the time or less.
