@@ -59,10 +59,14 @@ def load_people_networks(path: Path | str | None = None, *, device: torch.device
         return _read(Path(default if path is None else path), device)
 
 
-@lru_cache(maxsize=4)
 def packaged_people_networks(device: str, *, half: bool = False) -> PeopleNetworks:
     """The packaged networks, loaded once for each device and precision; not to be changed."""
-    return packaged_people_networks(device).halved() if half else load_people_networks(device=device)
+    return _packaged(device, half)
+
+
+@lru_cache(maxsize=8)
+def _packaged(device: str, half: bool) -> PeopleNetworks:
+    return _packaged(device, False).halved() if half else load_people_networks(device=device)
 
 
 def _read(path: Path, device: torch.device | str) -> PeopleNetworks:
