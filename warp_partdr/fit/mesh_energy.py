@@ -345,10 +345,9 @@ def gather_starts(
 
 def gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple[torch.Tensor, ...]:
     """``places``, ``points`` and ``votes`` of people."""
-    device, rows = seen[0].points.device, [_keypoint_table(model, each.landmarks, each.body_points) for each in seen]
-    columns = -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
-    table = np.stack([np.pad(row, ((0, 0), (0, columns - row.shape[1]))) for row in rows], axis=1)
-    places, parts, known = torch.from_numpy(table).to(device)
+    device, columns = seen[0].points.device, -(-max(len(each.landmarks) for each in seen) // _ROW) * _ROW
+    rows = [_keypoint_table(model, each.landmarks, each.body_points, columns) for each in seen]
+    places, parts, known = torch.from_numpy(np.stack(rows, axis=1)).to(device)
 
     there = np.arange(columns) < np.array([[len(each.landmarks)] for each in seen])
     person, column = (torch.from_numpy(each).to(device) for each in there.nonzero())
@@ -367,14 +366,17 @@ def gather_keypoints(model: DetailedModel, seen: Sequence[Observation]) -> tuple
 
 
 @lru_cache(maxsize=1024)
-def _keypoint_table(model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...]) -> np.ndarray:
-    """Landmark of the model, part, and 1 of each keypoint, shape (3, L); 0 of one that the model has not."""
+def _keypoint_table(
+    model: DetailedModel, landmarks: tuple[str, ...], marks: tuple[str, ...], columns: int
+) -> np.ndarray:
+    """Landmark of the model, part, and 1 of each keypoint, 0 of one that the model has not, and 0: (3, columns)."""
     index = {name: place for place, name in enumerate(model.landmark_names)}
     found = [
         next((index[name] for name in names if name in index), None) for names in zip(marks, landmarks, strict=True)
     ]
     known = [place is not None for place in found]
-    return np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
+    table = np.array([[place or 0 for place in found], landmark_points(landmarks).parts[:, 0], known], dtype=np.int64)
+    return np.pad(table, ((0, 0), (0, columns - len(landmarks))))
 
 
 def gather_spreads(
